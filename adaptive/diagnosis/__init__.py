@@ -1,0 +1,1 @@
+"""Causes of a loop's behaviour, one detector a file."""

@@ -1,0 +1,122 @@
+"""Process models: the few-parameter models that rules tune for, and the general linear process behind them.
+
+    G(s) = k  prod(1 + lead_i s) / (s^n prod(1 + lag_i s))  e^(-theta s)
+
+k is the steady-state gain; for integrating types it is the slope gain k' per second (k'' per second squared).
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.sample import FloatArray
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+class ProcessType(StrEnum):
+    """The six structures of Skogestad (2003), under the names that the command line uses."""
+
+    FOPDT = "fopdt"
+    SOPDT = "sopdt"
+    INTEGRATING = "integrating"
+    INTEGRATING_LAG = "integrating-lag"
+    DOUBLE_INTEGRATING = "double-integrating"
+    DELAY = "delay"
+
+
+@dataclass(frozen=True, slots=True)
+class LinearProcess:
+    """A linear process of any order with dead time: what a plant truly is at one operating point.
+
+    Parameters
+    ----------
+    k : gain (see the head of this file).
+    lags_s, leads_s : time constants of poles and zeros in seconds; a negative lead is an inverse response.
+    theta_s : dead time in seconds.
+    integrators : number of pure integrators.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, k is zero, a lag or theta is negative.
+    """
+
+    k: float
+    lags_s: tuple[float, ...] = ()
+    leads_s: tuple[float, ...] = ()
+    theta_s: float = 0.0
+    integrators: int = 0
+
+    def __post_init__(self) -> None:
+        for name, value in (("k", self.k), ("theta_s", self.theta_s), *(("lags_s", x) for x in self.lags_s),
+                            *(("leads_s", x) for x in self.leads_s)):  # fmt: skip
+            if not math.isfinite(value):
+                raise ValueError(f"{name} = {value} is not a finite number")
+        if self.k == 0:
+            raise ValueError("k = 0: the controller output does not move this process")
+        if min((self.theta_s, *self.lags_s)) < 0:
+            raise ValueError(f"theta_s = {self.theta_s}, lags_s = {self.lags_s}: times must not be negative")
+
+    def response(self, w: FloatArray) -> ComplexArray:
+        """G(jw) at the frequencies w in rad/s, shape (n,)."""
+        s = 1j * np.asarray(w, dtype=np.float64)
+        g = self.k * np.exp(-self.theta_s * s) / s**self.integrators
+        for lead in self.leads_s:
+            g = g * (1 + lead * s)
+        for lag in self.lags_s:
+            g = g / (1 + lag * s)
+        return np.asarray(g, dtype=np.complex128)
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessModel:
+    """A model that a tuning rule takes: one of six structures.
+
+    Parameters
+    ----------
+    type : structure.
+    k : steady-state gain, or k', k'' for one or two integrators.
+    tau1_s, tau2_s : lags, tau1_s >= tau2_s; 0 where the structure has none. For integrating-lag the lag is tau2_s.
+    theta_s : (effective) dead time.
+
+    Raises
+    ------
+    ValueError
+        A value is not finite, of the wrong sign, or the structure has no place for it.
+    """
+
+    type: ProcessType
+    k: float
+    tau1_s: float = 0.0
+    tau2_s: float = 0.0
+    theta_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
+        has_tau1 = self.type in {ProcessType.FOPDT, ProcessType.SOPDT}
+        has_tau2 = self.type in {ProcessType.SOPDT, ProcessType.INTEGRATING_LAG}
+        if has_tau1 != (self.tau1_s > 0):
+            raise ValueError(f"tau1_s = {self.tau1_s}: type {self.type} {'needs' if has_tau1 else 'has no'} tau1")
+        if self.tau2_s > 0 and not has_tau2:
+            raise ValueError(f"tau2_s = {self.tau2_s}: type {self.type} has no tau2")
+        if has_tau1 and self.tau2_s > self.tau1_s:
+            raise ValueError(f"tau2_s = {self.tau2_s} is larger than tau1_s = {self.tau1_s}; exchange them")
+
+    @property
+    def slope(self) -> float:
+        """Initial slope gain k' = k / tau1 per second (k itself for the other structures)."""
+        return self.k / self.tau1_s if self.tau1_s > 0 else self.k
+
+    def linear(self) -> LinearProcess:
+        """The same as a general linear process."""
+        integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
+        lags = tuple(lag for lag in (self.tau1_s, self.tau2_s) if lag > 0)
+        return LinearProcess(self.k, lags, (), self.theta_s, integrators.get(self.type, 0))
+
+    def to_dict(self) -> dict[str, float | str]:
+        """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds)."""
+        return {"type": str(self.type), "k": self.k, "tau1": self.tau1_s, "tau2": self.tau2_s, "theta": self.theta_s}

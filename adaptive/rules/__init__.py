@@ -1,0 +1,1 @@
+"""Tuning rules, one a file: plain functions from a process model or a response to gains."""

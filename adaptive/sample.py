@@ -1,0 +1,89 @@
+"""One sample of a loop, and a window of samples: the form in which every other file of this room sees data."""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class LoopMode(IntEnum):
+    """Who moves the controller output."""
+
+    MANUAL = 0
+    AUTO = 1
+
+
+class LoopSample(NamedTuple):
+    """What the loop did at one sampling instant. Plain scalars only: this is the per-sample path.
+
+    t_s : time of the sample in seconds, increasing.
+    sp, pv : setpoint and process value in the same engineering unit.
+    co : controller output applied from this instant on (held until the next sample).
+    mode : MANUAL or AUTO.
+    limited : -1 when co stands at its lower limit, +1 at the upper, 0 between.
+    x : value of the scheduling variable (whatever the table is scheduled by).
+    revision : sequence number of the gain set that the controller ran in this sample, as it reports it.
+    """
+
+    t_s: float
+    sp: float
+    pv: float
+    co: float
+    mode: int = LoopMode.AUTO
+    limited: int = 0
+    x: float = 0.0
+    revision: int = 0
+
+
+def finite(sample: LoopSample) -> bool:
+    """Whether every number of the sample is finite (NaN passes min/max, so every door asks)."""
+    total = sample.t_s + sample.sp + sample.pv + sample.co + sample.x
+    return math.isfinite(total)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Consecutive samples as arrays of shape (n,): what a fit works on.
+
+    Raises
+    ------
+    ValueError
+        Shapes differ, fewer than three samples, a value is not finite, or time does not increase (the sample is named).
+    """
+
+    t_s: FloatArray
+    sp: FloatArray
+    pv: FloatArray
+    co: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.t_s)
+        if n < 3:
+            raise ValueError(f"a window needs at least 3 samples, this one has {n}")
+        for name in ("t_s", "sp", "pv", "co"):
+            values: FloatArray = getattr(self, name)
+            if values.shape != (n,):
+                raise ValueError(f"{name} has shape {values.shape}, t_s has ({n},)")
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                raise ValueError(f"{name}[{bad[0]}] = {values[bad[0]]} is not a finite number")
+        back = np.flatnonzero(np.diff(self.t_s) <= 0)
+        if back.size:
+            i = int(back[0])
+            raise ValueError(f"time does not increase: t_s[{i}] = {self.t_s[i]}, t_s[{i + 1}] = {self.t_s[i + 1]}")
+
+    @classmethod
+    def of(cls, samples: list[LoopSample]) -> "Window":
+        """Collect samples into a window."""
+        t_s, sp, pv, co = (np.array([s[i] for s in samples], dtype=np.float64) for i in range(4))
+        return cls(t_s, sp, pv, co)
+
+    @property
+    def sample_time_s(self) -> float:
+        """Median sampling interval in seconds."""
+        return float(np.median(np.diff(self.t_s)))

@@ -1,0 +1,1 @@
+"""The outside: CAN bus, devices, the virtual device with its plant, recorded data, clocks."""

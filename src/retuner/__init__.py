@@ -1,0 +1,1 @@
+"""retuner: gain scheduling and on-line adaptive PID."""
