@@ -1,0 +1,104 @@
+"""SIMC: Skogestad's internal-model-control rules, in their native series form (Skogestad 2003, table 1).
+
+    first order        Kc = tau1 / (k (tau_c + theta))        tau_I = min(tau1, 4 (tau_c + theta))
+    second order       the same                               tau_D = tau2
+    pure delay         integral only: Ki = 1 / (k (tau_c + theta))
+    integrating        Kc = 1 / (k' (tau_c + theta))          tau_I = 4 (tau_c + theta)
+    integrating + lag  the same                               tau_D = tau2
+    double integrating Kc = 1 / (4 k'' (tau_c + theta)^2)     tau_I = tau_D = 4 (tau_c + theta)
+
+tau_c = theta is the recommended tight choice. A PI controller for a process with a second lag first puts half of that
+lag into the dead time and half into tau1 (the half rule of the same paper, section 2).
+"""
+
+from enum import StrEnum
+
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.tuning import Tuning, tuning
+from retuner.schedule.gains import PidGains
+
+TAU_I_FACTOR = 4.0
+"""c in tau_I = min(tau1, c (tau_c + theta)): 4 gives a load response without slow oscillation (Skogestad 2003)."""
+MS_STEPS = 24
+"""Bisections of tau_c when an Ms is demanded: 2^-24 of the range, far below what a model is known to."""
+
+
+class ControllerKind(StrEnum):
+    """Which actions a rule may use."""
+
+    PI = "pi"
+    PID = "pid"
+
+
+def simc(model: ProcessModel, tau_c_s: float | None = None, kind: ControllerKind = ControllerKind.PI) -> Tuning:
+    """SIMC settings for any of the six structures.
+
+    Parameters
+    ----------
+    model : the process; for PI its second lag is taken up by the half rule.
+    tau_c_s : desired closed-loop time constant; default the (effective) dead time.
+    kind : PI, or PID where the structure has a second lag. A double integrating process always needs PID.
+
+    Raises
+    ------
+    ValueError
+        tau_c is missing for a process without dead time, or not positive together with the dead time.
+    """
+    if kind == ControllerKind.PI:
+        model = without_second_lag(model)
+    if tau_c_s is None:
+        if model.theta_s == 0:
+            raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c")
+        tau_c_s = model.theta_s
+    span = tau_c_s + model.theta_s
+    if not 0 < span < float("inf"):
+        raise ValueError(f"tau_c + theta = {span} s must be positive and finite; give a larger tau_c")
+    return _settings(model, tau_c_s, span)
+
+
+def _settings(model: ProcessModel, tau_c_s: float, span: float) -> Tuning:
+    """The table at the head of this file; span = tau_c + theta."""
+    if model.type == ProcessType.DELAY:
+        return Tuning("simc", "parallel", PidGains(0.0, 1 / (model.k * span)), tau_c_s)
+    if model.type == ProcessType.DOUBLE_INTEGRATING:
+        kc, tau_i, tau_d = 1 / (4 * model.k * span**2), 4 * span, 4 * span
+    else:
+        kc, tau_i, tau_d = 1 / (model.slope * span), TAU_I_FACTOR * span, model.tau2_s
+        if model.tau1_s:
+            tau_i = min(model.tau1_s, tau_i)
+    return tuning("simc", "series", kc, tau_i, tau_d, tau_c_s)
+
+
+def without_second_lag(model: ProcessModel) -> ProcessModel:
+    """The half rule for tau2: half of it joins tau1, half the dead time; on an integrating process all joins theta."""
+    if model.type == ProcessType.SOPDT:
+        half = model.tau2_s / 2
+        return ProcessModel(ProcessType.FOPDT, model.k, model.tau1_s + half, 0.0, model.theta_s + half)
+    if model.type == ProcessType.INTEGRATING_LAG:
+        return ProcessModel(ProcessType.INTEGRATING, model.k, 0.0, 0.0, model.theta_s + model.tau2_s)
+    return model
+
+
+def simc_at_most_ms(model: ProcessModel, ms_limit: float, tau_c_max_ratio: float,
+                    kind: ControllerKind = ControllerKind.PI) -> tuple[Tuning, float]:  # fmt: skip
+    """SIMC with the smallest tau_c from theta upward whose nominal Ms keeps the limit, and that Ms.
+
+    tau_c goes to tau_c_max_ratio times theta at the most; where that is not enough, the settings there are returned
+    with their Ms, and the caller decides. Shown on every process tried to need no more than 1.3 (feasibility study).
+    """
+    theta = without_second_lag(model).theta_s if kind == ControllerKind.PI else model.theta_s
+    process = model.linear()
+
+    def at(ratio: float) -> tuple[Tuning, float]:
+        found = simc(model, ratio * theta, kind)
+        return found, sensitivity_peak(process, found.gains)
+
+    low, high = 1.0, tau_c_max_ratio
+    tightest, widest = at(low), at(high)
+    if tightest[1] <= ms_limit or widest[1] > ms_limit:
+        return tightest if tightest[1] <= ms_limit else widest
+    for _ in range(MS_STEPS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if at(middle)[1] <= ms_limit else (middle, high)
+    return at(high)

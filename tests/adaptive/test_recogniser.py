@@ -1,0 +1,152 @@
+"""The recogniser: peaks of known responses, streaming equals any split, every (state, event) pair, scaling."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.recogniser import TABLE, Event, Phase, RecogniserLaw, begin, step, take
+from retuner.adaptive.response import Ending, Response
+
+LAW = RecogniserLaw(wait_s=60.0, quiet_s=8.0)
+
+
+def run(pv: list[float], sp: list[float], dt: float, band: float, law: RecogniserLaw = LAW) -> list[Response]:
+    state = begin(0.0, sp[0])
+    found = []
+    for i in range(1, len(pv)):
+        state = step(law, state, i * dt, sp[i], sp[i] - pv[i], band)
+        response = take(state, band)
+        if response:
+            found.append(response)
+    return found
+
+
+def decay(t: float, zeta: float, w: float) -> float:
+    """Error of a second-order step response with two equal dead-beat axes: exp(-zeta w t) cos(wd t)."""
+    return math.exp(-zeta * w * t) * math.cos(w * math.sqrt(1 - zeta**2) * t) if t >= 0 else 0.0
+
+
+@pytest.mark.parametrize("zeta", [0.1, 0.2, 0.3])
+def test_peaks_overshoot_damping_and_period_of_a_known_decay(zeta: float) -> None:
+    dt, w = 0.1, 0.5
+    t = [i * dt for i in range(2000)]
+    sp = [10.0 if x >= 20 else 0.0 for x in t]
+    pv = [10.0 * (1 - decay(x - 20, zeta, w)) if x >= 20 else 0.0 for x in t]
+    response, *_ = run(pv, sp, dt, band=0.1)
+    # peaks of exp(-a t) cos(b t) lie at tan(b t) = -a/b; successive ones fall by exp(-a pi / b)
+    a, b = zeta * w, w * math.sqrt(1 - zeta**2)
+    ratio = math.exp(-a * math.pi / b)
+    t2, t3 = (math.pi - math.atan(a / b)) / b, (2 * math.pi - math.atan(a / b)) / b
+    e2 = -10 * math.exp(-a * t2) * math.cos(math.atan(a / b))
+    assert response.ending == Ending.COMPLETE
+    assert response.sp_changed
+    assert [p.t_s for p in response.peaks] == pytest.approx([20.0, 20 + t2, 20 + t3], abs=dt)
+    assert response.peaks[1].e == pytest.approx(e2, rel=1e-3)
+    assert response.overshoot == pytest.approx(-e2 / 10, rel=1e-3)
+    assert response.damping == pytest.approx((-e2 * ratio - e2) / (10 - e2), rel=1e-3)
+    assert response.period_s == pytest.approx(t3, abs=2 * dt)
+
+
+def test_an_overdamped_setpoint_response_has_one_peak_and_ends_quiet() -> None:
+    sp = [0.0] * 100 + [5.0] * 900
+    pv = [0.0] * 100 + [5.0 * (1 - math.exp(-0.1 * i * 0.5)) for i in range(900)]
+    (response,) = run(pv, sp, 0.5, band=0.05)
+    assert response.ending == Ending.QUIET
+    assert len(response.peaks) == 1
+    assert response.overshoot is None
+    assert response.damping is None
+
+
+def test_a_load_response_is_not_taken_for_a_setpoint_change() -> None:
+    pv = [0.0] * 100 + [3.0 * (0.05 * i) * math.exp(1 - 0.05 * i) for i in range(900)]
+    (response,) = run(pv, [0.0] * 1000, 0.5, band=0.05)
+    assert not response.sp_changed
+    assert response.peaks[0].e == pytest.approx(-3.0, rel=1e-3)
+
+
+def test_the_next_setpoint_change_cuts_a_response_short_and_starts_its_own() -> None:
+    sp = [0.0] * 100 + [5.0] * 40 + [10.0] * 860
+    pv = [0.0] * 100
+    for i in range(100, 1000):
+        pv.append(pv[-1] + 0.02 * (sp[i] - pv[-1]))
+    first, second = run(pv, sp, 0.5, 0.05, RecogniserLaw(wait_s=300.0, quiet_s=8.0))
+    assert first.ending == Ending.SETPOINT
+    assert second.ending == Ending.QUIET
+    assert second.peaks[0].e > 5.0
+
+
+def test_an_error_that_never_comes_back_times_out() -> None:
+    (first, *_) = run([0.0] * 600, [0.0] * 50 + [5.0] * 550, 0.5, band=0.05)
+    assert first.ending == Ending.TIMEOUT
+    assert first.peaks == ()
+
+
+def test_a_sustained_oscillation_is_recognised_again_and_again() -> None:
+    pv = [2.0 * math.sin(0.5 * i * 0.1) for i in range(8000)]
+    found = run(pv, [0.0] * 8000, 0.1, band=0.1)
+    assert len(found) >= 4
+    for response in found:
+        assert response.damping == pytest.approx(1.0, abs=0.01)
+        assert response.period_s == pytest.approx(2 * math.pi / 0.5, rel=0.02)
+
+
+def test_noise_inside_the_band_starts_nothing() -> None:
+    pv = [0.05 * math.sin(1.7 * i) + 0.04 * math.sin(0.31 * i * i) for i in range(5000)]
+    assert run(pv, [0.0] * 5000, 0.5, band=0.1) == []
+
+
+def test_at_rest_the_state_is_the_same_object() -> None:
+    state = begin(0.0, 1.0)
+    for i in range(1, 100):
+        state = step(LAW, state, i * 0.5, 1.0, 0.01, 0.1)
+    assert state.phase == Phase.LOCATE_1
+    assert step(LAW, state, 60.0, 1.0, -0.02, 0.1) is state
+
+
+def test_every_state_and_event_leads_somewhere() -> None:
+    assert len(TABLE) == len(Phase)
+    assert all(len(row) == len(Event) for row in TABLE)
+    assert all(TABLE[phase][Event.NONE] == phase for phase in Phase if phase != Phase.ADAPT)
+    assert all(target == Phase.SETTLE for target in TABLE[Phase.ADAPT])
+    for phase in list(Phase)[: Phase.ADAPT]:
+        for event in (Event.QUIET, Event.TIMEOUT, Event.SETPOINT):
+            assert TABLE[phase][event] == Phase.ADAPT
+    reachable, queue = set(), [Phase.SETTLE]
+    while queue:
+        phase = queue.pop()
+        if phase not in reachable:
+            reachable.add(phase)
+            queue += TABLE[phase]
+    assert reachable == set(Phase)
+
+
+@given(
+    errors=st.lists(st.floats(-10, 10), min_size=1, max_size=300),
+    setpoints=st.lists(st.sampled_from([0.0, 0.0, 0.0, 4.0]), min_size=300, max_size=300),
+    band=st.floats(0.05, 1.0),
+)
+def test_any_record_keeps_the_states_lawful(errors: list[float], setpoints: list[float], band: float) -> None:
+    state = begin(0.0, 0.0)
+    for i, e in enumerate(errors, start=1):
+        new = step(LAW, state, float(i), setpoints[i - 1], e, band)
+        assert new.phase in TABLE[state.phase]
+        response = take(new, band)
+        if response:
+            assert response.t_start_s <= response.t_end_s == float(i)
+            signs = [math.copysign(1, p.e) for p in response.peaks]
+            assert all(a != b for a, b in zip(signs, signs[1:], strict=False))
+            assert all(abs(p.e) > band for p in response.peaks)
+            assert [p.t_s for p in response.peaks] == sorted(p.t_s for p in response.peaks)
+        state = new
+
+
+@given(scale=st.floats(1e-6, 1e6), errors=st.lists(st.floats(-10, 10), min_size=1, max_size=200))
+def test_units_do_not_matter(scale: float, errors: list[float]) -> None:
+    scale = 2.0 ** round(math.log2(scale))  # a power of two scales floats exactly
+    plain, scaled = begin(0.0, 0.0), begin(0.0, 0.0)
+    for i, e in enumerate(errors, start=1):
+        plain = step(LAW, plain, float(i), 0.0, e, 0.25)
+        scaled = step(LAW, scaled, float(i), 0.0, e * scale, 0.25 * scale)
+        assert scaled.phase == plain.phase
