@@ -1,5 +1,7 @@
-"""The record of a decision: everything that led to it, in plain values, so that a ledger can keep it and a replay
-can be compared with it byte for byte."""
+"""The record of a decision: everything that led to it, in plain values.
+
+A ledger keeps it, and a replay is compared with it byte for byte.
+"""
 
 import hashlib
 import json
@@ -60,8 +62,12 @@ class Decision:
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps."""
         return {
-            "number": self.number, "t_s": self.t_s, "loop": self.loop, "region": self.region,
-            "action": str(self.action), "reason": self.reason,
+            "number": self.number,
+            "t_s": self.t_s,
+            "loop": self.loop,
+            "region": self.region,
+            "action": str(self.action),
+            "reason": self.reason,
             "gains_before": gains_dict(self.gains_before),
             "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
             "response": self.response.to_dict() if self.response else None,
@@ -71,7 +77,7 @@ class Decision:
             "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
             "proposal": self.proposal.to_dict() if self.proposal else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
-        }  # fmt: skip
+        }
 
     def canonical(self) -> bytes:
         """The bytes that replay must reproduce: JSON, sorted keys, no spaces, shortest round-trip floats."""

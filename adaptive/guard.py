@@ -2,9 +2,9 @@
 
 The proof is Ms on the identified process and on every corner of what the records still allow (two standard deviations
 along each principal axis of the covariance: deterministic, so that replay decides alike). The remedies come in this
-order: a larger tau_c (at most tau_c_max_ratio times theta), a half step, a quarter step, refusal. Steps are taken in the
-logarithms of the gains, so the half step lies between old and new in every form. A loop that is itself over the limit
-may always be made safer.
+order: a larger tau_c (at most tau_c_max_ratio times theta), a half step, a quarter step, refusal. Steps are taken in
+the logarithms of the gains, so the half step lies between old and new in every form. A loop that is itself over the
+limit may always be made safer.
 """
 
 import math
@@ -80,10 +80,18 @@ class Verdict:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values; null where Ms is infinite (unstable)."""
-        ms = {name: value if math.isfinite(value) else None for name, value in
-              (("nominal", self.ms_nominal), ("worst", self.ms_worst), ("before", self.ms_before))}  # fmt: skip
-        return {"accepted": self.accepted, "ruling": self.ruling.name.lower(), "step": self.step, "ms": ms,
-                "tau_c_s": self.tau_c_s, "reason": str(self.ruling)}  # fmt: skip
+        ms = {
+            name: value if math.isfinite(value) else None
+            for name, value in (("nominal", self.ms_nominal), ("worst", self.ms_worst), ("before", self.ms_before))
+        }
+        return {
+            "accepted": self.accepted,
+            "ruling": self.ruling.name.lower(),
+            "step": self.step,
+            "ms": ms,
+            "tau_c_s": self.tau_c_s,
+            "reason": str(self.ruling),
+        }
 
 
 def corners(log: LogModel, out: float) -> list[LinearProcess]:
@@ -164,13 +172,17 @@ def within_limits(old: PidGains, new: PidGains, share: float, settings: GuardSet
         way = math.log(n / o)
         room = math.log(settings.step_up_max if way > 0 else settings.step_down_max)
         share = min(share, room / abs(way)) if way else share
-    moved = PidGains(*(o * (n / o) ** share if o and n else n for o, n in
-                       ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))))  # fmt: skip
+    moved = PidGains(
+        *(o * (n / o) ** share if o and n else n for o, n in ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd)))
+    )
     return moved if settings.kc_min <= abs(moved.kp) <= settings.kc_max else None
 
 
 def change_factor(old: PidGains, new: PidGains) -> float:
     """Largest factor by which one of the gains differs (infinite when one appears or goes)."""
-    factors = [max(n / o, o / n) if o and n else math.inf for o, n in
-               ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd)) if o or n]  # fmt: skip
+    factors = [
+        max(n / o, o / n) if o and n else math.inf
+        for o, n in ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
+        if o or n
+    ]
     return max(factors, default=1.0)

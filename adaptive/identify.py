@@ -182,8 +182,10 @@ def _judge(log: LogModel, residual_std: float, pv_std: float, settings: FitSetti
         return False, f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} are needed"
     gain_std = log.gain_uncertainty()
     if gain_std > settings.gain_std_limit:
-        return False, (f"the controller gain that follows is known to a factor of {_factor(gain_std)}; "
-                       f"{_factor(settings.gain_std_limit)} is needed: the record moves the process too little")  # fmt: skip
+        return False, (
+            f"the controller gain that follows is known to a factor of {_factor(gain_std)}; "
+            f"{_factor(settings.gain_std_limit)} is needed: the record moves the process too little"
+        )
     lag_std = math.sqrt(float(log.p[2, 2]))
     if model.tau1_s < 8 * model.theta_s and lag_std > settings.lag_std_limit:
         return False, f"the lag is known to a factor of {_factor(lag_std)}; {_factor(settings.lag_std_limit)} is needed"

@@ -45,9 +45,14 @@ class Margins:
     def to_dict(self) -> dict[str, float | bool | None]:
         """Keys as in every JSON output; null where a value is infinite."""
         values = {
-            "ms": self.ms, "mt": self.mt, "gm": self.gm, "pm_deg": self.pm_deg,
-            "delay_margin": self.delay_margin_s, "w180": self.w180, "wc": self.wc,
-        }  # fmt: skip
+            "ms": self.ms,
+            "mt": self.mt,
+            "gm": self.gm,
+            "pm_deg": self.pm_deg,
+            "delay_margin": self.delay_margin_s,
+            "w180": self.w180,
+            "wc": self.wc,
+        }
         finite: dict[str, float | bool | None] = {k: v if math.isfinite(v) else None for k, v in values.items()}
         return finite | {"stable": self.stable}
 
@@ -70,14 +75,16 @@ def margins(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Ma
     w = _grid(process, gains)
     l_jw = loop(w)
     if not _stable(process, gains, loop, w, l_jw):
-        return Margins(stable=False, ms=math.inf, mt=math.inf, gm=0.0, pm_deg=0.0, delay_margin_s=0.0,
-                       w180=math.inf, wc=math.inf)  # fmt: skip
+        return Margins(
+            stable=False, ms=math.inf, mt=math.inf, gm=0.0, pm_deg=0.0, delay_margin_s=0.0, w180=math.inf, wc=math.inf
+        )
     ms = _peak(lambda x: 1 / np.abs(1 + loop(x)), w)
     mt = _peak(lambda x: np.abs(loop(x) / (1 + loop(x))), w)
     w180, gm = _gain_margin(loop, w, l_jw)
     wc, pm_rad, delay_s = _phase_margin(loop, w, l_jw)
-    return Margins(stable=True, ms=ms, mt=mt, gm=gm, pm_deg=math.degrees(pm_rad), delay_margin_s=delay_s,
-                   w180=w180, wc=wc)  # fmt: skip
+    return Margins(
+        stable=True, ms=ms, mt=mt, gm=gm, pm_deg=math.degrees(pm_rad), delay_margin_s=delay_s, w180=w180, wc=wc
+    )
 
 
 def sensitivity_peak(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> float:
@@ -98,8 +105,11 @@ def _grid(process: LinearProcess, gains: PidGains) -> FloatArray:
     if gains.kp:
         times += [abs(gains.kp / gains.ki) if gains.ki else 0.0, abs(gains.kd / gains.kp)]
     corners = [1 / x for x in times if x > 0]
-    corners += [(abs(process.k * g)) ** (1 / n) for g, n in
-                ((gains.ki, process.integrators + 1), (gains.kp, process.integrators)) if g and n]  # fmt: skip
+    corners += [
+        (abs(process.k * g)) ** (1 / n)
+        for g, n in ((gains.ki, process.integrators + 1), (gains.kp, process.integrators))
+        if g and n
+    ]
     corners = corners or [1.0]
     low, high = math.log10(min(corners)) - DECADES_BEYOND, math.log10(max(corners)) + DECADES_BEYOND
     return np.logspace(low, high, int((high - low) * POINTS_PER_DECADE) + 1)

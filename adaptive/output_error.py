@@ -3,9 +3,9 @@
     pv = bias + k x(co; tau, theta) + c exp(-(t - t_0)/tau) + sum_j d_j step_j(t; tau) + noise
 
 x is the recorded co through lag and dead time (output error: the recorded input, never the recorded output, so that
-measurement noise does not bias the fit, unlike ARX). c is the start from a state that was not rest, and with the bias it
-also takes a resting input that is not the resting co. d_j are load steps at unknown times, entering before the lag. The
-linear unknowns bias, c, d_j are projected out (variable projection, Golub & Pereyra 1973); the rest is
+measurement noise does not bias the fit, unlike ARX). c is the start from a state that was not rest, and with the bias
+it also takes a resting input that is not the resting co. d_j are load steps at unknown times, entering before the lag.
+The linear unknowns bias, c, d_j are projected out (variable projection, Golub & Pereyra 1973); the rest is
 
     p = (ln |k'|, ln theta, ln tau, s_1 ... s_m),   k' = k / tau the slope gain, s_j the load times in seconds.
 """

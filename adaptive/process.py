@@ -52,8 +52,12 @@ class LinearProcess:
     integrators: int = 0
 
     def __post_init__(self) -> None:
-        for name, value in (("k", self.k), ("theta_s", self.theta_s), *(("lags_s", x) for x in self.lags_s),
-                            *(("leads_s", x) for x in self.leads_s)):  # fmt: skip
+        for name, value in (
+            ("k", self.k),
+            ("theta_s", self.theta_s),
+            *(("lags_s", x) for x in self.lags_s),
+            *(("leads_s", x) for x in self.leads_s),
+        ):
             if not math.isfinite(value):
                 raise ValueError(f"{name} = {value} is not a finite number")
         if self.k == 0:

@@ -50,9 +50,9 @@ class Event(IntEnum):
 
 _L1, _V1, _L2, _V2, _L3, _V3, _AD, _SE = Phase
 
+# fmt: off
 TABLE: tuple[tuple[Phase, ...], ...] = (
-    #            NONE START RETREAT NEW_MAX CROSS QUIET TIMEOUT SETPOINT
-    # fmt: off
+    # NONE START RETREAT NEW_MAX CROSS QUIET TIMEOUT SETPOINT
     (_L1, _L1, _V1, _L1, _L2, _AD, _AD, _AD),  # LOCATE_1
     (_V1, _V1, _V1, _L1, _L2, _AD, _AD, _AD),  # VERIFY_1
     (_L2, _L2, _V2, _L2, _L3, _AD, _AD, _AD),  # LOCATE_2
@@ -61,8 +61,8 @@ TABLE: tuple[tuple[Phase, ...], ...] = (
     (_V3, _V3, _V3, _L3, _AD, _AD, _AD, _AD),  # VERIFY_3
     (_SE, _SE, _SE, _SE, _SE, _SE, _SE, _SE),  # ADAPT
     (_SE, _SE, _SE, _SE, _SE, _L1, _L1, _L1),  # SETTLE
-    # fmt: on
 )
+# fmt: on
 """TABLE[phase][event] is the next phase."""
 
 START_BANDS = 2.0
@@ -85,7 +85,7 @@ class RecogniserState(NamedTuple):
 
     started : an upset is being followed. since_s : when the wait for the present peak began.
     inside_s : since when the error is inside the band, infinite outside. sp, sp_changed : last setpoint taken; whether
-    the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme being followed.
+    the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed.
     t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, once in ADAPT. event : what led to the last move.
     """
 
@@ -186,8 +186,18 @@ def _move(
     if event == Event.START or (event == Event.SETPOINT and state.phase == Phase.SETTLE):
         sp_changed = abs(sp - state.sp) > band
         started = abs(e) > START_BANDS * band
-        return state._replace(phase=phase, started=started, since_s=t_s, inside_s=_OUTSIDE, sp=sp, sp_changed=sp_changed,
-                              t_start_s=t_s, t_peak_s=t_s, e_peak=e, event=event)  # fmt: skip
+        return state._replace(
+            phase=phase,
+            started=started,
+            since_s=t_s,
+            inside_s=_OUTSIDE,
+            sp=sp,
+            sp_changed=sp_changed,
+            t_start_s=t_s,
+            t_peak_s=t_s,
+            e_peak=e,
+            event=event,
+        )
     if phase == Phase.ADAPT:  # the setpoint stays the old one: the new one is SETTLE's next event
         verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
         kept = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
@@ -201,10 +211,17 @@ def _move(
     if event == Event.CROSS:
         first = phase == Phase.LOCATE_2
         return state._replace(
-            phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event,
-            t1_s=state.t_peak_s if first else state.t1_s, e1=state.e_peak if first else state.e1,
-            t2_s=state.t2_s if first else state.t_peak_s, e2=state.e2 if first else state.e_peak,
-        )  # fmt: skip
+            phase=phase,
+            since_s=t_s,
+            inside_s=_OUTSIDE,
+            t_peak_s=t_s,
+            e_peak=e,
+            event=event,
+            t1_s=state.t_peak_s if first else state.t1_s,
+            e1=state.e_peak if first else state.e1,
+            t2_s=state.t2_s if first else state.t_peak_s,
+            e2=state.e2 if first else state.e_peak,
+        )
     if event == Event.NEW_MAX:
         return state._replace(phase=phase, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event)
     return state._replace(phase=phase, event=event)
@@ -223,5 +240,6 @@ def take(state: RecogniserState, band: float) -> Response | None:
     if state.phase != Phase.ADAPT:
         return None
     peaks = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2), Peak(state.t_peak_s, state.e_peak))
-    return Response(state.t_start_s, state.since_s, peaks[: state.verified], _ENDINGS[Event(state.event)],
-                    state.sp_changed, band)  # fmt: skip
+    return Response(
+        state.t_start_s, state.since_s, peaks[: state.verified], _ENDINGS[Event(state.event)], state.sp_changed, band
+    )

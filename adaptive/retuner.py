@@ -217,8 +217,15 @@ class Retuner:
             return self._decision(region, diagnosis.reason, response=response, learned=learned, diagnosis=diagnosis)
         half_sample = self.settings.sample_time_s / 2
         verdict = prove(tuning, learned.belief.log, half_sample, in_force, self.settings.guard)
-        return self._decision(region, diagnosis.reason if verdict.accepted else str(verdict.ruling), response=response,
-                              learned=learned, diagnosis=diagnosis, proposal=tuning, verdict=verdict)  # fmt: skip
+        return self._decision(
+            region,
+            diagnosis.reason if verdict.accepted else str(verdict.ruling),
+            response=response,
+            learned=learned,
+            diagnosis=diagnosis,
+            proposal=tuning,
+            verdict=verdict,
+        )
 
     def _window(self, response: Response) -> Window:
         """The response with some of the time before it."""
@@ -255,18 +262,35 @@ class Retuner:
         return ProcessModel(m.type, m.k, m.tau1_s, m.tau2_s, m.theta_s + self.settings.sample_time_s / 2)
 
     def _decision(
-        self, region: int, reason: str, *, response: Response | None = None, learned: Learned | None = None,
-        diagnosis: Diagnosis | None = None, proposal: Tuning | None = None, verdict: Verdict | None = None,
-    ) -> Decision:  # fmt: skip
+        self,
+        region: int,
+        reason: str,
+        *,
+        response: Response | None = None,
+        learned: Learned | None = None,
+        diagnosis: Diagnosis | None = None,
+        proposal: Tuning | None = None,
+        verdict: Verdict | None = None,
+    ) -> Decision:
         """Put the record together."""
         accepted = verdict is not None and verdict.accepted
         wanted = Action.COMMIT if self.settings.mode == Mode.AUTO else Action.ADVISE
         belief = learned.belief if learned else None
         self._decisions += 1
         return Decision(
-            number=self._decisions, t_s=self._samples[-1].t_s, loop=self.table.loop,
-            region=self.table.regions.names[region], action=wanted if accepted else Action.NONE, reason=reason,
-            gains_before=self.table.gains_of(region), gains_after=verdict.gains if verdict else None, response=response,
-            estimate=learned.estimate if learned else None, surprise=learned.surprise if learned else None,
-            records=belief.records if belief else 0, diagnosis=diagnosis, proposal=proposal, verdict=verdict,
-        )  # fmt: skip
+            number=self._decisions,
+            t_s=self._samples[-1].t_s,
+            loop=self.table.loop,
+            region=self.table.regions.names[region],
+            action=wanted if accepted else Action.NONE,
+            reason=reason,
+            gains_before=self.table.gains_of(region),
+            gains_after=verdict.gains if verdict else None,
+            response=response,
+            estimate=learned.estimate if learned else None,
+            surprise=learned.surprise if learned else None,
+            records=belief.records if belief else 0,
+            diagnosis=diagnosis,
+            proposal=proposal,
+            verdict=verdict,
+        )

@@ -47,8 +47,13 @@ def tuning_cause(
     """
     found = margins(model.linear(), gains)
     slack = best.ki / gains.ki if gains.ki else math.inf
-    evidence = {"ms": found.ms, "gm": found.gm, "pm_deg": found.pm_deg, "ki_ratio": slack,
-                "kp_ratio": best.kp / gains.kp if gains.kp else math.inf}  # fmt: skip
+    evidence = {
+        "ms": found.ms,
+        "gm": found.gm,
+        "pm_deg": found.pm_deg,
+        "ki_ratio": slack,
+        "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
+    }
     cause, reason = _name(found, slack, settings)
     return Diagnosis(cause, _confidence(found, slack, cause, gain_uncertainty, settings), evidence, reason)
 
@@ -59,8 +64,10 @@ def _name(found: Margins, slack: float, settings: CauseSettings) -> tuple[Cause,
         return Cause.AGGRESSIVE, "the loop is unstable with the gains in force"
     if found.ms > settings.ms_high:
         if found.gm > settings.gm_large:
-            return Cause.SLOW_INTEGRATING, (f"Ms {found.ms:.2f} is over {settings.ms_high:g} with a gain margin of "
-                                            f"{found.gm:.1f}: integral action too strong for the gain")  # fmt: skip
+            return Cause.SLOW_INTEGRATING, (
+                f"Ms {found.ms:.2f} is over {settings.ms_high:g} with a gain margin of "
+                f"{found.gm:.1f}: integral action too strong for the gain"
+            )
         return Cause.AGGRESSIVE, f"Ms {found.ms:.2f} is over {settings.ms_high:g}, gain margin {found.gm:.2f}"
     if slack > settings.slack:
         return Cause.SLUGGISH, f"loads are rejected {slack:.1f} times slower than Ms {found.ms:.2f} would allow"

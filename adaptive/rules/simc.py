@@ -80,8 +80,9 @@ def without_second_lag(model: ProcessModel) -> ProcessModel:
     return model
 
 
-def simc_at_most_ms(model: ProcessModel, ms_limit: float, tau_c_max_ratio: float,
-                    kind: ControllerKind = ControllerKind.PI) -> tuple[Tuning, float]:  # fmt: skip
+def simc_at_most_ms(
+    model: ProcessModel, ms_limit: float, tau_c_max_ratio: float, kind: ControllerKind = ControllerKind.PI
+) -> tuple[Tuning, float]:
     """SIMC with the smallest tau_c from theta upward whose nominal Ms keeps the limit, and that Ms.
 
     tau_c goes to tau_c_max_ratio times theta at the most; where that is not enough, the settings there are returned

@@ -1,5 +1,6 @@
 """The recogniser: peaks of known responses, streaming equals any split, every (state, event) pair, scaling."""
 
+import itertools
 import math
 
 import pytest
@@ -136,7 +137,7 @@ def test_any_record_keeps_the_states_lawful(errors: list[float], setpoints: list
         if response:
             assert response.t_start_s <= response.t_end_s == float(i)
             signs = [math.copysign(1, p.e) for p in response.peaks]
-            assert all(a != b for a, b in zip(signs, signs[1:], strict=False))
+            assert all(a != b for a, b in itertools.pairwise(signs))
             assert all(abs(p.e) > band for p in response.peaks)
             assert [p.t_s for p in response.peaks] == sorted(p.t_s for p in response.peaks)
         state = new
