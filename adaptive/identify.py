@@ -4,7 +4,7 @@ Minimised is the output-error misfit (output_error.py) plus the prior,
 
     |r(p)|^2 + (x - m)' P^-1 (x - m),   x = the first three of p,
 
-from the starts of search.py. The number of load steps is chosen by the Bayesian information criterion. The residuals
+from the starts of search.py. The number of load steps is chosen by an information criterion. The residuals
 are counted in the noise that the record itself shows; where the best fit leaves more than that, sigma grows to it, and
 where what is left is correlated, the record counts as the fewer independent samples that it holds: a model that does
 not explain a record must not become sure of it. The prior inside the nonlinear fit is the iterated extended Kalman
@@ -51,6 +51,14 @@ OPEN_LOOP = FitSettings(most_loads=0, start_spread=0.0)
 """For an experiment in manual that begins at rest."""
 
 
+FEWEST_INDEPENDENT = 6.0
+"""However smooth a remainder is, it counts as this many independent samples: a tenfold better fit is believed."""
+MODEL_ERROR = 0.02
+"""Root mean square of what a first-order model leaves of a real response, as a share of pv's range (order, curvature)."""
+LARGEST_RHO = 0.98
+"""Autocorrelations above this are not told apart; a hundred samples then count as one."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Fit:
     """One refined optimum of one misfit."""
@@ -88,20 +96,35 @@ def identify_window(
 
 
 def _best(misfits: list[OutputError], prior: LogModel | None, settings: FitSettings) -> _Fit:
-    """The best optimum over signs, starts and numbers of load steps, by the Bayesian information criterion.
-
-    A load step costs two unknowns. Misfit is counted in units of what the closest fit leaves.
-    """
-    fits = []
+    """The best optimum over signs and starts, with as many load steps as are worth their two unknowns each."""
+    fits: list[list[_Fit]] = [[] for _ in range(settings.most_loads + 1)]
     for misfit in misfits:
         points = starts(misfit, settings.most_loads, settings.starts)
         if prior is not None:
             points += [np.concatenate([prior.x, p[PROCESS_PARAMETERS:]]) for p in points]
-        fits += [_refine(misfit, p, prior) for p in _distinct(points)]
-    closest = min(fits, key=lambda fit: fit.deviance)
-    scale = _inflation(closest.misfit.residuals(closest.p)[:-1], len(closest.p)) ** 2
-    per_load = 2 * math.log(len(closest.misfit.window.t_s))
-    return min(fits, key=lambda fit: fit.deviance / scale + len(fit.p) * per_load)
+        for p in _distinct(points):
+            fits[len(p) - PROCESS_PARAMETERS].append(_refine(misfit, p, prior))
+    closest = [min(same, key=lambda fit: fit.deviance) for same in fits if same]
+    chosen = closest[0]
+    for fit in closest[1:]:
+        if _worth(chosen, fit):
+            chosen = fit
+    return chosen
+
+
+def _worth(simple: _Fit, rich: _Fit) -> bool:
+    """Whether more load steps explain so much more that they are no mere cover for a wrong structure.
+
+    The information criterion n ln(misfit) + unknowns ln n, with n the number of independent samples in what the
+    simpler fit leaves: a smooth remainder of a hundred samples is a few pieces of evidence, not a hundred. What any
+    structure leaves of a real process (MODEL_ERROR) is no evidence at all.
+    """
+    r = simple.misfit.residuals(simple.p)[:-1]
+    independent = max(len(r) / _correlation(r), FEWEST_INDEPENDENT)
+    unknowns = 2 * (len(rich.p) - len(simple.p))
+    allowance = len(r) * (MODEL_ERROR * float(np.ptp(simple.misfit.window.pv)) / simple.misfit.sigma) ** 2
+    gain = math.log((simple.deviance + allowance) / (rich.deviance + allowance))
+    return independent * gain > unknowns * math.log(len(r))
 
 
 def _distinct(points: list[FloatArray]) -> list[FloatArray]:
@@ -156,9 +179,14 @@ def _inflation(r: FloatArray, parameters: int) -> float:
     """Factor on sigma: misfit above the noise, and the information that correlated residuals do not hold."""
     dof = max(len(r) - parameters - 2, 1)
     variance = float(r @ r) / dof
+    return math.sqrt(max(variance, 1.0) * _correlation(r))
+
+
+def _correlation(r: FloatArray) -> float:
+    """How many correlated samples count as one: (1 + rho)/(1 - rho) for a first-order autocorrelation rho >= 0."""
     rho = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300)
-    rho = min(max(rho, 0.0), 0.98)
-    return math.sqrt(max(variance, 1.0) * (1 + rho) / (1 - rho))
+    rho = min(max(rho, 0.0), LARGEST_RHO)
+    return (1 + rho) / (1 - rho)
 
 
 def _compress(misfit: OutputError, p: FloatArray, inflation: float) -> tuple[FloatArray, FloatArray]:

@@ -1,6 +1,6 @@
 """What is known of one region's process, from response to response: a Kalman filter over the log-parameters.
 
-    predict   m stays, P grows by q dt           (the process is a random walk in its logarithms)
+    predict   m stays, P grows by q dt + s^2     (a random walk in the logarithms, and scatter between records)
     update    z = R x + v, v ~ N(0, I)           (the record linearised at the optimum of its fit, compressed by QR)
 
 The state before the update was the prior inside the nonlinear fit that gave R and z, so the update is the last step of
@@ -39,10 +39,13 @@ class TrackerSettings:
     """Settings.
 
     walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
+    scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
+        operating point is never quite the same and no structure is quite right; default 0.07 (7 %).
     gate : innovation statistic (3 degrees of freedom) above which a record is odd; default 16.3 (99.9 % of chi-square).
     """
 
     walk_per_day: float = 0.1
+    scatter: float = 0.07
     gate: float = 16.3
 
 
@@ -117,7 +120,7 @@ def predicted(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel
     """The belief at a later time: the same mean, a covariance grown by the random walk."""
     days = max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
     kf = _filter(belief.log)
-    kf.predict(Q=settings.walk_per_day**2 * days * np.eye(3))
+    kf.predict(Q=(settings.walk_per_day**2 * days + settings.scatter**2) * np.eye(3))
     return LogModel(kf.x[:, 0].copy(), kf.P.copy(), belief.log.sign)
 
 

@@ -8,7 +8,7 @@ import pytest
 from retuner.adaptive.identify import FitSettings, identify_window
 from retuner.adaptive.tracker import Belief, Surprise, TrackerSettings, learn, predicted, update
 
-STILL = TrackerSettings(walk_per_day=0.0)
+STILL = TrackerSettings(walk_per_day=0.0, scatter=0.0)
 FIT = FitSettings()
 
 
@@ -65,9 +65,9 @@ def test_one_odd_record_is_not_believed_and_a_second_one_is(loop: Callable) -> N
 def test_time_opens_the_uncertainty(loop: Callable) -> None:
     belief = learn(None, records(loop, 1)[0], 1, STILL, FIT).belief
     assert belief is not None
-    walk = TrackerSettings(walk_per_day=0.1)
+    walk = TrackerSettings(walk_per_day=0.1, scatter=0.05)
     later = predicted(belief, belief.t_s + 4 * 86400, walk)
-    np.testing.assert_allclose(later.p, belief.log.p + 0.04 * np.eye(3), rtol=1e-12)
+    np.testing.assert_allclose(later.p, belief.log.p + (0.04 + 0.0025) * np.eye(3), rtol=1e-12)
     np.testing.assert_array_equal(later.x, belief.log.x)
 
 
