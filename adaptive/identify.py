@@ -199,7 +199,8 @@ def _compress(misfit: OutputError, p: FloatArray, inflation: float) -> tuple[Flo
         q, _ = np.linalg.qr(loads)
         process, r = process - q @ (q.T @ process), r - q @ (q.T @ r)
     q, triangle = qr(process, mode="economic")
-    return triangle, np.asarray(triangle @ p[:PROCESS_PARAMETERS] - q.T @ r, dtype=np.float64)
+    z = triangle @ p[:PROCESS_PARAMETERS] - q.T @ r
+    return np.asarray(triangle, dtype=np.float64), np.asarray(z, dtype=np.float64)
 
 
 def _judge(log: LogModel, residual_std: float, pv_std: float, settings: FitSettings) -> tuple[bool, str]:

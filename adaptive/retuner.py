@@ -93,7 +93,7 @@ class Retuner:
     @property
     def region(self) -> int | None:
         """Index of the region that the loop is in, None before the first sample."""
-        return self._region.index if self._region else None
+        return self._region.region if self._region else None
 
     @property
     def phase(self) -> Phase | None:
@@ -115,16 +115,18 @@ class Retuner:
         """
         state, region = self._state, self._region
         if state is None or region is None:
-            return self._restart(sample)
+            self._restart(sample)
+            return None
         t_s, sp, pv = sample[0], sample[1], sample[2]
         elapsed = t_s - self._samples[-1][0]
         if not 0.0 < elapsed <= self._gap_s or sample[4] != LoopMode.AUTO:
-            return self._restart(sample)
+            self._restart(sample)
+            return None
         x = sample[6]
         if not (pv - pv == 0.0 and sp - sp == 0.0 and sample[3] - sample[3] == 0.0 and x - x == 0.0):
             raise ValueError(f"the sample at {t_s} s is not finite: {sample}")
         now = choose(self._regions, region, x, t_s)
-        if now is not region and now.index != region.index:
+        if now is not region and now.region != region.region:
             return self._leave(sample, now)
         self._noise = noise = noise_step(self._noise, pv)
         band = self._per_median * noise[0]
@@ -165,7 +167,7 @@ class Retuner:
         assert old is not None
         under_way = state.started and state.phase < Phase.ADAPT
         discarded = (
-            self._decision(old.index, "the response left its region; it teaches nothing of either")
+            self._decision(old.region, "the response left its region; it teaches nothing of either")
             if under_way
             else None
         )
@@ -186,7 +188,7 @@ class Retuner:
         if self._region is None:
             return
         s = self.settings
-        gains = self.table.gains_of(self._region.index)
+        gains = self.table.gains_of(self._region.region)
         tau_i = gains.kp / gains.ki if gains.ki else 0.0
         wait = s.wait_s or max(s.wait_tau_i * tau_i, s.shortest_wait * s.sample_time_s)
         self._law = RecogniserLaw(wait, min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait))
@@ -198,7 +200,7 @@ class Retuner:
         assert self._region is not None
         if self.settings.mode == Mode.OFF:
             return None
-        return self._decide(self._region.index, response)
+        return self._decide(self._region.region, response)
 
     def _decide(self, region: int, response: Response) -> Decision:
         """The pipeline, a line a stage; each stage may end it with its reason."""
