@@ -1,0 +1,204 @@
+"""What a controller behind a driver can do, what it reports, and the errors of this room.
+
+DeviceError
++-- BusError         the bus cannot be opened
++-- DeviceSilentError    nobody answered at the first connection
++-- DeviceMismatchError  who answered is not the controller that is expected
++-- WriteRefusedError    the host will not even start this write (not connected, busy, gains that do not fit)
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+from retuner.adaptive.sample import LoopSample
+from retuner.schedule.gains import PidGains
+
+
+class DeviceError(Exception):
+    """Anything that goes wrong with a device; the message is one line: what, where, the limit, what to do."""
+
+
+class BusError(DeviceError):
+    """The bus cannot be opened: no such interface, no permission, a missing package."""
+
+
+class DeviceSilentError(DeviceError):
+    """No answer within the connection time."""
+
+
+class DeviceMismatchError(DeviceError):
+    """The device speaks another protocol version, frame layout or sample time."""
+
+
+class WriteRefusedError(DeviceError):
+    """The write was not started; nothing has been sent."""
+
+
+class LinkState(IntEnum):
+    """How the link stands, by the age of the last frame."""
+
+    DOWN = 0
+    SILENT = 1
+    UP = 2
+
+
+class RunningSet(NamedTuple):
+    """A gain set as read back from the device: sequence number, gains (float32 values), its CRC-32."""
+
+    seq: int
+    gains: PidGains
+    crc: int
+
+
+@dataclass(frozen=True, slots=True)
+class WriteDone:
+    """The set runs: acknowledged or not, it has been read back from the running page. gains are what truly runs."""
+
+    seq: int
+    gains: PidGains
+    running: RunningSet
+
+
+@dataclass(frozen=True, slots=True)
+class WriteFailed:
+    """The set does not run and never will; running is the set that does, as read back afterwards."""
+
+    seq: int
+    reason: str
+    running: RunningSet
+
+
+@dataclass(frozen=True, slots=True)
+class WriteUnknown:
+    """Which set runs is not known now: the device does not answer. WriteDone or WriteFailed follows once it does."""
+
+    seq: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChanged:
+    """The device is heard and its running set verified (UP), or is not heard (SILENT), or the bus is gone (DOWN)."""
+
+    state: LinkState
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceRestarted:
+    """The device has booted; running is the set that it runs now, as read back."""
+
+    epoch: int
+    running: RunningSet
+
+
+@dataclass(frozen=True, slots=True)
+class RunningChanged:
+    """Somebody else has changed the running set."""
+
+    running: RunningSet
+
+
+@dataclass(frozen=True, slots=True)
+class SamplesLost:
+    """count samples before t_s never arrived: a window that spans them is not for identification."""
+
+    count: int
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CommandDone:
+    """A setpoint, mode, load or store command was carried out."""
+
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandFailed:
+    """A setpoint, mode, load or store command was refused or never answered."""
+
+    command: str
+    reason: str
+
+
+Event = (
+    LoopSample
+    | WriteDone
+    | WriteFailed
+    | WriteUnknown
+    | LinkChanged
+    | DeviceRestarted
+    | RunningChanged
+    | SamplesLost
+    | CommandDone
+    | CommandFailed
+)
+
+
+class Device(Protocol):
+    """One loop's controller. Nothing blocks and nothing happens outside poll()."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether the device is heard and its running set is known."""
+        ...
+
+    @property
+    def running(self) -> RunningSet | None:
+        """The set that runs, always from read-back; None while unknown."""
+        ...
+
+    @property
+    def writing(self) -> bool:
+        """Whether a write is under way (also while its result is unknown)."""
+        ...
+
+    def poll(self, now_s: float) -> list[Event]:
+        """Take what has arrived, send what is due, and tell what happened. Call at least once per sample.
+
+        Raises
+        ------
+        DeviceSilentError, DeviceMismatchError
+            Before the first connection only; later troubles are events.
+        """
+        ...
+
+    def begin_write(self, gains: PidGains, now_s: float) -> int:
+        """Start the two-phase write of a gain set; WriteDone or WriteFailed with the returned sequence number follows.
+
+        Raises
+        ------
+        WriteRefusedError
+            Not connected, a write is under way, or the gains do not fit the wire.
+        """
+        ...
+
+    def send_setpoint(self, sp: float, now_s: float) -> None:
+        """Set the target in pv units. Repeated until acknowledged; the latest one counts.
+
+        Raises
+        ------
+        WriteRefusedError
+            The value is not finite or outside what the wire carries.
+        """
+        ...
+
+    def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
+        """Auto, or manual with co percent; raises as send_setpoint."""
+        ...
+
+    def send_load(self, load: float, now_s: float) -> None:
+        """Disturb a simulated plant, percent of co; raises as send_setpoint."""
+        ...
+
+    def store(self, now_s: float) -> None:
+        """Let the running set survive a restart of the device.
+
+        Raises
+        ------
+        WriteRefusedError
+            The running set is not known.
+        """
+        ...

@@ -1,0 +1,230 @@
+"""What travels on the bus, as values: one frozen dataclass a frame, with the fields of drivers/retuner.dbc.
+
+codec.py turns them into bytes and back and holds every value to the DBC's ranges; docs/protocol.md tells the story.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+PROTOCOL_VERSION = 1
+STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANopen 1010h
+HIGHEST_NODE = 63  # 11-bit ids: 6 bits of node, 5 bits of command
+TOKENS = 16  # a read-back request carries a number 0..15, its answers repeat it
+
+
+class Page(IntEnum):
+    """Where a gain set stands in the device; IDENTITY is asked for in the same way."""
+
+    RUNNING = 0
+    STAGED = 1
+    STORED = 2
+    IDENTITY = 3
+
+
+class Item(IntEnum):
+    """One gain of a set."""
+
+    KP = 0
+    KI = 1
+    KD = 2
+
+
+class Kind(IntEnum):
+    """What an acknowledge is about: the command's number."""
+
+    ABORT = 3
+    STAGE = 4
+    COMMIT = 5
+    STORE = 6
+    SETPOINT = 8
+    MODE = 9
+    LOAD = 10
+
+
+class Reason(IntEnum):
+    """The device's answer to a command."""
+
+    OK = 0
+    STALE = 1
+    WRONG_BASE = 2
+    WRONG_CRC = 3
+    INCOMPLETE = 4
+    NOT_FINITE = 5
+    OUTSIDE_BOX = 6
+    RATIO = 7
+    BUSY = 8
+    ALREADY_RUNNING = 9
+    OUT_OF_RANGE = 10
+    WRONG_KEY = 11
+    NOT_STAGED = 12
+
+
+class Flags(IntFlag):
+    """State bits of the heartbeat."""
+
+    AUTO = 1
+    STAGED = 2
+    STORED = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Host asks for a page; token is repeated in the answers."""
+
+    page: int
+    token: int
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """Host discards the staged page and fences seq off for ever."""
+
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Host puts one gain of set seq into the staged page."""
+
+    item: int
+    value: float
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class Commit:
+    """Host lets set seq run, built on set base; crc as checksum.commit_crc."""
+
+    seq: int
+    base: int
+    crc: int
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """Host keeps running set seq over a restart."""
+
+    seq: int
+    key: int = STORE_KEY
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Host gives the target, pv unit."""
+
+    counter: int
+    sp: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """Host takes over with co percent (mode 0) or lets the controller work (mode 1)."""
+
+    counter: int
+    mode: int
+    co: float
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Host disturbs a simulated plant, percent of co."""
+
+    counter: int
+    load: float
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """Life sign: full sample counter, boot epoch, Flags."""
+
+    sample: int
+    epoch: int
+    flags: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Sequence numbers (running set, newest seen) and the count of refused frames."""
+
+    running: int
+    latest: int
+    refused: int
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryPv:
+    """First half of a sample: process value, controller output in percent."""
+
+    counter: int
+    pv: float
+    co: float
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetrySp:
+    """Second half of a sample: setpoint, LoopMode, limit at which co stands, running sequence."""
+
+    counter: int
+    sp: float
+    mode: int
+    limited: int
+    running: int
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answers: protocol version, layout hash of the frames, sample time in s."""
+
+    protocol: int
+    schema: int
+    sample_time: float
+
+
+@dataclass(frozen=True, slots=True)
+class PageItem:
+    """One gain as it stands in a page."""
+
+    page: int
+    item: int
+    token: int
+    value: float
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class PageEnd:
+    """End of a page: whether all gains are there, its sequence, the device's CRC-32 (checksum.set_crc)."""
+
+    page: int
+    complete: int
+    token: int
+    seq: int
+    crc: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """The device's answer: Kind, sequence or counter, Reason, newest number seen, the Item concerned."""
+
+    kind: int
+    seq: int
+    reason: int
+    latest: int
+    item: int = 0
+
+
+HostFrame = Read | Abort | Stage | Commit | Store | Setpoint | Mode | Load
+DeviceFrame = Heartbeat | Status | TelemetryPv | TelemetrySp | Identity | PageItem | PageEnd | Ack
+Frame = HostFrame | DeviceFrame
+
+NAMES: dict[str, type[Frame]] = {
+    "READ": Read, "ABORT": Abort, "STAGE": Stage, "COMMIT": Commit, "STORE": Store, "SETPOINT": Setpoint,
+    "MODE": Mode, "LOAD": Load, "HEARTBEAT": Heartbeat, "STATUS": Status, "TELEMETRY_PV": TelemetryPv,
+    "TELEMETRY_SP": TelemetrySp, "IDENTITY": Identity, "ITEM": PageItem, "PAGE": PageEnd, "ACK": Ack,
+}  # fmt: skip
+
+
+def newer(seq: int, than: int, bits: int = 16) -> bool:
+    """Whether a wrapping number is newer than another: less than half the circle ahead (serial numbers, RFC 1982)."""
+    half = 1 << (bits - 1)
+    return 0 < (seq - than) % (2 * half) < half
