@@ -124,19 +124,26 @@ def prove(
         return Verdict(Ruling.WRONG_SIGN, None, 0.0, math.inf, math.inf, before, tau_c)
     before_worst = worst_ms(processes, in_force)
     limits_met = False
-    for gains, share, tau_c_tried in _candidates(proposal, log, half_sample_s, in_force, settings):
-        if gains is None:
+    for moved, tau_c_tried in _candidates(proposal, log, half_sample_s, in_force, settings):
+        if moved is None:
             continue
+        gains, share = moved
         limits_met = True
-        if share and change_factor(in_force, gains) < settings.smallest_change:
+        if change_factor(in_force, gains) < settings.smallest_change:
             return Verdict(Ruling.TOO_SMALL, None, 0.0, before, before_worst, before, tau_c_tried)
         nominal, worst = sensitivity_peak(processes[0], gains), worst_ms(processes, gains)
         if nominal <= settings.ms_nominal and worst <= settings.ms_worst:
             return Verdict(Ruling.ACCEPTED, gains, share, nominal, worst, before, tau_c_tried)
-        if before > settings.ms_nominal and nominal < before and worst < before_worst:
+        if before > settings.ms_nominal and _safer(processes, gains, in_force):
             return Verdict(Ruling.SAFER, gains, share, nominal, worst, before, tau_c_tried)
     ruling = Ruling.NOT_ROBUST if limits_met else Ruling.OUTSIDE_LIMITS
     return Verdict(ruling, None, 0.0, before, before_worst, before, tau_c)
+
+
+def _safer(processes: list[LinearProcess], gains: PidGains, in_force: PidGains) -> bool:
+    """Whether Ms falls on the model and rises on no corner (an unstable corner may stay one)."""
+    pairs = [(sensitivity_peak(p, gains), sensitivity_peak(p, in_force)) for p in processes]
+    return pairs[0][0] < pairs[0][1] and all(now <= then for now, then in pairs)
 
 
 def _sampled(process: LinearProcess, half_sample_s: float) -> LinearProcess:
@@ -148,8 +155,8 @@ def _sampled(process: LinearProcess, half_sample_s: float) -> LinearProcess:
 
 def _candidates(
     proposal: Tuning, log: LogModel, half_sample_s: float, in_force: PidGains, settings: GuardSettings
-) -> list[tuple[PidGains | None, float, float]]:
-    """Gains to try in order, with the share of the step and tau_c; None where the limits leave no room."""
+) -> list[tuple[tuple[PidGains, float] | None, float]]:
+    """Gains to try in order with their share of the step, and tau_c; None where the limits leave no room."""
     tau_c = proposal.tau_c_s or 0.0
     model = model_at(log.x + np.array([0.0, math.log1p(half_sample_s / math.exp(float(log.x[1]))), 0.0]), log.sign)
     tried = []
@@ -157,13 +164,13 @@ def _candidates(
         if tau_c * slower > model.theta_s * settings.tau_c_max_ratio * (1 + 1e-9) and slower > 1:
             break
         goal = simc(model, tau_c * slower).gains
-        tried.append((within_limits(in_force, goal, 1.0, settings), 1.0, tau_c * slower))
-    tried += [(within_limits(in_force, proposal.gains, share, settings), share, tau_c) for share in (0.5, 0.25)]
+        tried.append((within_limits(in_force, goal, 1.0, settings), tau_c * slower))
+    tried += [(within_limits(in_force, proposal.gains, share, settings), tau_c) for share in (0.5, 0.25)]
     return tried
 
 
-def within_limits(old: PidGains, new: PidGains, share: float, settings: GuardSettings) -> PidGains | None:
-    """The point a share of the way from old to new (in logarithms), as far as the limits per change allow.
+def within_limits(old: PidGains, new: PidGains, share: float, settings: GuardSettings) -> tuple[PidGains, float] | None:
+    """The point a share of the way from old to new (in logarithms), and the share that the limits per change allow.
 
     All gains go the same share of their way, so the path is straight; None when the absolute limits cannot be kept.
     """
@@ -175,7 +182,7 @@ def within_limits(old: PidGains, new: PidGains, share: float, settings: GuardSet
     moved = PidGains(
         *(o * (n / o) ** share if o and n else n for o, n in ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd)))
     )
-    return moved if settings.kc_min <= abs(moved.kp) <= settings.kc_max else None
+    return (moved, share) if settings.kc_min <= abs(moved.kp) <= settings.kc_max else None
 
 
 def change_factor(old: PidGains, new: PidGains) -> float:

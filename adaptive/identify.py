@@ -54,7 +54,7 @@ OPEN_LOOP = FitSettings(most_loads=0, start_spread=0.0)
 FEWEST_INDEPENDENT = 6.0
 """However smooth a remainder is, it counts as this many independent samples: a tenfold better fit is believed."""
 MODEL_ERROR = 0.02
-"""Root mean square of what a first-order model leaves of a real response, as a share of pv's range (order, curvature)."""
+"""What a first-order model leaves of a real response (order, curvature): rms as a share of pv's range."""
 LARGEST_RHO = 0.98
 """Autocorrelations above this are not told apart; a hundred samples then count as one."""
 

@@ -1,5 +1,6 @@
 """A loop to test against: PI on first order + dead time, the process solved exactly between samples."""
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -48,7 +49,7 @@ class Loop:
         first = math.floor((t - self.theta) / self.dt)
         cuts = {t, t + self.dt, *((first + j) * self.dt + self.theta for j in range(3)), self.at}
         edges = sorted(c for c in cuts if t <= c <= t + self.dt)
-        for a, b in zip(edges, edges[1:], strict=False):
+        for a, b in itertools.pairwise(edges):
             middle = (a + b) / 2
             j = math.floor((middle - self.theta) / self.dt)
             u = (co[j] if j >= 0 else 0.0) + (self.load if middle >= self.at else 0.0)

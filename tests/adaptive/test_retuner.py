@@ -1,0 +1,175 @@
+"""The retuner as a whole on simulated loops: it cures, it refuses, it repeats itself exactly."""
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.recogniser import Phase
+from retuner.adaptive.retuner import Retuner, RetunerSettings
+from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.schedule.forms import SeriesGains
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+GOOD = SeriesGains(5.0, 40.0).to_parallel()  # SIMC for e^-5s / (50 s + 1)
+REGIONS = Regions("pv", "-", ("a", "b"), 0.0, (50.0,), 100.0, 2.0, 0.0)
+
+
+def table(gains: PidGains) -> GainTable:
+    return GainTable("loop", REGIONS, (gains, gains))
+
+
+class Bench:
+    """A process of first order + dead time in samples, under PI with the gains of the retuner's table."""
+
+    def __init__(self, retuner: Retuner, sign: int = 1, seed: int = 0, noise: float = 0.01) -> None:
+        self.retuner, self.sign, self.noise = retuner, sign, noise
+        self.rng = np.random.default_rng(seed)
+        self.t, self.x, self.integral, self.pv = 0.0, 0.0, 0.0, 0.0
+        self.past = [0.0] * 5
+
+    def run(self, seconds: int, sp: float = 0.0, load: float = 0.0, x: float = 10.0) -> list[Decision]:
+        return [d for d in map(self.retuner.observe, self.samples(seconds, sp, load, x)) if d and self.obey(d)]
+
+    def samples(self, seconds: int, sp: float, load: float, x: float) -> Iterator[LoopSample]:
+        for _ in range(seconds):
+            gains = self.retuner.table.gains_of(0)
+            e = sp - self.pv
+            co = gains.kp * e + self.integral
+            self.integral += gains.ki * e
+            yield LoopSample(self.t, sp, self.pv, co, LoopMode.AUTO, 0, x, 0)
+            self.past.append(co)
+            a = math.exp(-1 / 50.0)
+            self.x = a * self.x + (1 - a) * (self.sign * self.past.pop(0) + load)
+            self.pv = self.x + self.noise * float(self.rng.standard_normal())
+            self.t += 1.0
+
+    def obey(self, decision: Decision) -> bool:
+        if decision.action == Action.COMMIT and decision.gains_after:
+            self.retuner.committed(0, decision.gains_after)
+        return True
+
+    def exercise(self) -> list[Decision]:
+        found = self.run(400)
+        for sp, load in ((1, 0), (1, 0.5), (1, 0), (0, 0), (0, -0.5), (0, 0), (1, 0)):
+            found += self.run(500, sp, load * self.sign)
+        return found
+
+
+def made(gains: PidGains, mode: Mode = Mode.AUTO, sign: int = 1, seed: int = 0) -> Bench:
+    return Bench(Retuner(table(gains), RetunerSettings(1.0, 10.0, mode)), sign, seed)
+
+
+def scaled(kp: float, ki: float) -> PidGains:
+    return PidGains(GOOD.kp * kp, GOOD.ki * ki)
+
+
+@pytest.mark.parametrize(
+    ("kp", "ki", "cause"),
+    [(0.25, 0.25, Cause.SLUGGISH), (2.4, 2.4, Cause.AGGRESSIVE), (0.3, 1.5, Cause.SLOW_INTEGRATING)],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_wrong_gains_are_cured_for_their_cause(kp: float, ki: float, cause: Cause, sign: int) -> None:
+    start = PidGains(sign * GOOD.kp * kp, sign * GOOD.ki * ki)
+    bench = made(start, sign=sign)
+    decisions = bench.exercise()
+    committed = [d for d in decisions if d.action == Action.COMMIT]
+    assert committed[0].diagnosis is not None
+    assert committed[0].diagnosis.cause == cause
+    final = bench.retuner.table.gains_of(0)
+    true = LinearProcess(sign * 1.0, (50.0,), (), 5.5)
+    assert sensitivity_peak(true, final) < 1.8
+    assert final.ki / (sign * GOOD.ki) == pytest.approx(1.0, rel=0.25)
+    assert bench.retuner.table.revision == len(committed)
+    assert bench.retuner.table.gains_of(1) == start
+
+
+def test_good_gains_are_left_alone() -> None:
+    bench = made(scaled(0.95, 0.95))
+    decisions = bench.exercise()
+    assert len(decisions) >= 5
+    assert all(d.action == Action.NONE for d in decisions)
+    assert {d.diagnosis.cause for d in decisions if d.diagnosis} == {Cause.OK}
+
+
+def test_advise_changes_nothing_but_says_what_it_would() -> None:
+    decisions = made(scaled(0.25, 0.25), Mode.ADVISE).exercise()
+    assert {d.action for d in decisions} == {Action.ADVISE}
+    assert all(d.gains_after is not None and d.gains_before == scaled(0.25, 0.25) for d in decisions)
+
+
+def test_off_decides_nothing() -> None:
+    assert made(scaled(0.25, 0.25), Mode.OFF).exercise() == []
+
+
+def test_a_quiet_loop_gives_no_decision() -> None:
+    assert made(GOOD).run(3000) == []
+
+
+def test_the_same_samples_give_the_same_bytes() -> None:
+    first, second = (made(scaled(0.25, 0.4), seed=3).exercise() for _ in range(2))
+    assert [d.canonical() for d in first] == [d.canonical() for d in second]
+    assert [d.digest() for d in first] != [d.digest() for d in made(scaled(0.25, 0.4), seed=4).exercise()]
+
+
+def test_a_response_that_leaves_its_region_teaches_nothing() -> None:
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    found = bench.run(30, sp=1.0, x=10.0) + bench.run(400, sp=1.0, x=80.0)
+    assert found[0].region == "a"
+    assert "left its region" in found[0].reason
+    assert bench.retuner.beliefs == {}
+
+
+def test_a_gap_or_manual_mode_begins_anew() -> None:
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    bench.run(30, sp=1.0)
+    last = LoopSample(bench.t + 60.0, 1.0, 0.3, 0.2, LoopMode.AUTO, 0, 10.0)
+    assert bench.retuner.observe(last) is None
+    assert bench.retuner.phase == Phase.SETTLE
+    manual = last._replace(t_s=last.t_s + 1, mode=LoopMode.MANUAL)
+    assert bench.retuner.observe(manual) is None
+    assert bench.retuner.phase == Phase.SETTLE
+
+
+def bad(values: Iterable[float]) -> list[dict[str, float]]:
+    return [{field: value} for field in ("t_s", "sp", "pv", "co", "x") for value in values]
+
+
+@pytest.mark.parametrize("change", bad([math.nan, math.inf, -math.inf]))
+def test_what_is_not_finite_is_refused_and_changes_nothing(change: dict[str, float]) -> None:
+    bench, twin = made(scaled(0.25, 0.25)), made(scaled(0.25, 0.25))
+    bench.run(100)
+    twin.run(100)
+    wrong = LoopSample(bench.t, 0.0, 0.0, 0.0, LoopMode.AUTO, 0, 10.0)._replace(**change)
+    with pytest.raises(ValueError, match=r"finite|increase"):
+        bench.retuner.observe(wrong)
+    assert [d.canonical() for d in bench.exercise()] == [d.canonical() for d in twin.exercise()]
+
+
+def test_time_that_does_not_increase_is_refused() -> None:
+    bench = made(GOOD)
+    bench.run(50)
+    with pytest.raises(ValueError, match="time does not increase"):
+        bench.retuner.observe(LoopSample(bench.t - 5, 0.0, 0.0, 0.0))
+
+
+def test_a_saturated_loop_is_not_retuned() -> None:
+    retuner = Retuner(table(scaled(0.25, 0.25)), RetunerSettings(1.0, 10.0, Mode.AUTO))
+    bench = Bench(retuner)
+    found = []
+    for phase, sp in ((400, 0.0), (600, 1.0)):
+        for sample in bench.samples(phase, sp, 0.0, 10.0):
+            decision = retuner.observe(sample._replace(limited=1))
+            found += [decision] if decision else []
+    assert found
+    assert {d.diagnosis.cause for d in found if d.diagnosis} == {Cause.SATURATION}
+    assert all(d.action == Action.NONE for d in found)
