@@ -15,7 +15,9 @@ BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
 BASIC = r'"(?:[^"\\\n]|\\.)*"'
 LITERAL = r"'[^'\n]*'"
 KEY_PART = re.compile(rf"[ \t]*([A-Za-z0-9_-]+|{BASIC}|{LITERAL})[ \t]*")
-STRING = re.compile(rf'"""(?:[^"\\]|\\.|"(?!""))*"""(?:"(?!"")){{0,2}}|\'\'\'.*?\'\'\'\'{{0,2}}|{BASIC}|{LITERAL}', re.DOTALL)
+STRING = re.compile(
+    rf'"""(?:[^"\\]|\\.|"(?!""))*"""(?:"(?!"")){{0,2}}|\'\'\'.*?\'\'\'\'{{0,2}}|{BASIC}|{LITERAL}', re.DOTALL
+)
 BARE_VALUE = re.compile(r"[^,\]}#\n]*")
 
 

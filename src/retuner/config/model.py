@@ -1,0 +1,101 @@
+"""The whole configuration, schema 1, and what must hold between its sections."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Literal
+
+from retuner.config.adaptation import AdaptationConfig
+from retuner.config.bench import BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
+from retuner.config.loop import LoopConfig, ScheduleConfig
+from retuner.config.setting import Problem, Section, setting
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
+
+SCHEMA = 1
+
+
+class Config(Section):
+    """One loop, its schedule, and how it is watched and retuned."""
+
+    schema_version: Literal[1] = setting(
+        "Version of this file's layout", unit="-", alias="schema", source="this release"
+    )
+    loop: LoopConfig = setting("The loop", unit="-", source="the user")
+    schedule: ScheduleConfig = setting("Which gains are in force where", unit="-", source="the user")
+    adaptation: AdaptationConfig = setting(
+        "What the retuner may do", unit="-", default=AdaptationConfig(), source="advise only"
+    )
+    bus: BusConfig = setting("The CAN bus", unit="-", default=BusConfig(), source="virtual")
+    device: DeviceConfig | None = setting(
+        "The virtual device; absent: a real controller hangs on the bus", unit="-", default=None, source="the user"
+    )
+    scenario: ScenarioConfig | None = setting(
+        "What happens in a run; absent: watch until stopped", unit="-", default=None, source="the user"
+    )
+    output: OutputConfig = setting("What a run leaves behind", unit="-", default=OutputConfig(), source="runs/latest")
+
+    @property
+    def variable_range(self) -> tuple[str, float, float]:
+        """Unit and ends of the scheduling variable."""
+        if self.schedule.variable == "co":
+            return "%", self.loop.co_min_pct, self.loop.co_max_pct
+        return self.loop.pv_unit, self.loop.pv_min, self.loop.pv_max
+
+    def regions(self) -> Regions:
+        """The regions as the schedule room knows them."""
+        return self.schedule.as_regions(*self.variable_range)
+
+    def gains(self) -> tuple[PidGains, ...]:
+        """The gains of each region in parallel form, from the lowest region to the highest."""
+        return tuple(region.gains() for region in self.schedule.region)
+
+    def gain_table(self) -> GainTable:
+        """The gain table as commissioned: revision 0."""
+        return GainTable(self.loop.name, self.regions(), self.gains(), Lookup(self.schedule.lookup))
+
+    def problems(self) -> Iterator[Problem]:
+        """What must hold between sections."""
+        yield from self._border_problems()
+        yield from self._time_problems()
+        yield from self._scenario_problems()
+        if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
+            yield Problem(("adaptation", "noise_band"), f"= {self.adaptation.noise_band:g} is more than half of the pv "
+                          f"range of {self._span:g}; give a few standard deviations of the noise")  # fmt: skip
+
+    @property
+    def _span(self) -> float:
+        return self.loop.pv_max - self.loop.pv_min
+
+    def _border_problems(self) -> Iterator[Problem]:
+        unit, low, high = self.variable_range
+        bounds = self.schedule.bounds
+        for i, bound in enumerate(bounds):
+            if not low < bound < high:
+                yield Problem(("schedule", "bounds", i), f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
+                              f"the range of the scheduling variable {self.schedule.variable}")  # fmt: skip
+        edges = (low, *bounds, high)
+        narrowest = min(b - a for a, b in pairwise(edges))
+        if self.schedule.hysteresis > narrowest / 2 > 0:
+            yield Problem(("schedule", "hysteresis"), f"= {self.schedule.hysteresis:g} must be at most half of the "
+                          f"narrowest region, {narrowest / 2:g} {unit}")  # fmt: skip
+
+    def _time_problems(self) -> Iterator[Problem]:
+        sample = self.loop.sample_time_s
+        for i, region in enumerate(self.schedule.region):
+            tau_i = region.integral_time_s
+            if tau_i is not None and tau_i < sample:
+                yield Problem(("schedule", "region", i, "tau_i_s"), f"= {tau_i:g} s must be at least "
+                              f"loop.sample_time_s = {sample:g} s")  # fmt: skip
+        wait = self.adaptation.wait_s
+        if wait is not None and wait < sample:
+            yield Problem(("adaptation", "wait_s"), f"= {wait:g} s must be at least loop.sample_time_s = {sample:g} s")
+        if self.scenario is not None and self.scenario.duration_s < sample:
+            yield Problem(("scenario", "duration_s"), f"= {self.scenario.duration_s:g} s is shorter than one sample of "
+                          f"{sample:g} s")  # fmt: skip
+
+    def _scenario_problems(self) -> Iterator[Problem]:
+        for i, step in enumerate(self.scenario.steps if self.scenario else ()):
+            if step.sp is not None and not self.loop.pv_min <= step.sp <= self.loop.pv_max:
+                yield Problem(("scenario", "steps", i, "sp"), f"= {step.sp:g} must lie in the pv range, "
+                              f"{self.loop.pv_min:g} to {self.loop.pv_max:g} {self.loop.pv_unit}")  # fmt: skip

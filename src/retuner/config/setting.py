@@ -1,0 +1,88 @@
+"""What every section of the configuration shares: how a setting is declared, how problems between settings are told.
+
+A declared setting carries its meaning, unit, range, default and the source of the default, so that `retuner check`,
+the reference page and a reader of the code see the same.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
+from pydantic_core import PydanticUndefined
+
+from retuner.config.toml_lines import Path
+
+T = TypeVar("T")
+Many = Annotated[tuple[T, ...], Strict(strict=False)]  # a TOML array; its elements stay strict
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing wrong: the path of the key below the section that found it, and what is wrong, limit, what to do."""
+
+    path: Path
+    message: str
+
+
+class CrossCheckError(ValueError):
+    """Settings that are each in range but do not go together."""
+
+    def __init__(self, problems: list[Problem]) -> None:
+        self.problems = problems
+        super().__init__("; ".join(problem.message for problem in problems))
+
+
+class Section(BaseModel):
+    """A table of the file: frozen, every key known, numbers finite and never true or false."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _settings_go_together(self) -> "Section":
+        problems = list(self.problems())
+        if problems:
+            raise CrossCheckError(problems)
+        return self
+
+    def problems(self) -> Iterator[Problem]:
+        """What is wrong between the settings of this section; sections override it."""
+        yield from ()
+
+
+def setting(
+    meaning: str,
+    *,
+    unit: str,
+    source: str,
+    default: object = PydanticUndefined,
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    below: float | None = None,
+    text: tuple[int, int] | None = None,
+    alias: str | None = None,
+) -> Any:  # noqa: ANN401  the type of a pydantic field default is the field's own
+    """Declare a setting.
+
+    Parameters
+    ----------
+    meaning : what it does, one sentence without a full stop.
+    unit : "s", "%", "pv" (the loop's own unit), "1" for ratios, "-" for names and choices.
+    source : where the default or the limit comes from.
+    default : value when the key is missing; without one the key must be given.
+    low, high, above, below : limits, the first two inclusive, the others exclusive.
+    text : least and greatest number of characters.
+    """
+    return Field(
+        default=default,
+        description=meaning,
+        ge=low,
+        le=high,
+        gt=above,
+        lt=below,
+        min_length=text[0] if text else None,
+        max_length=text[1] if text else None,
+        alias=alias,
+        json_schema_extra={"unit": unit, "source": source},
+    )
