@@ -1,13 +1,16 @@
-"""The forms in which people and vendors write PID settings, and their conversions to and from parallel form.
+"""Forms of a PID controller and vendor units, and their conversion to and from the parallel form of gains.py.
 
-    series      co = kc (1 + 1/(tau_i s)) (1 + tau_d s) e         Skogestad's native form ("cascade", "interacting")
-    ideal       co = kc (1 + 1/(tau_i s) + tau_d s) e             "standard", "ISA", "non-interacting"
-    parallel    co = (kp + ki/s + kd s) e                         how gains are stored
+    series    c(s) = kc (1 + 1/(tau_i s)) (1 + tau_d s)           what SIMC gives
+    ideal     c(s) = kc (1 + 1/(tau_i s) + tau_d s)               "standard"; what the classic rules give
+    parallel  c(s) = kp + ki/s + kd s                             kept, interpolated and sent
 
-    ideal from series    f = 1 + tau_d/tau_i,  kc' = kc f,  tau_i' = tau_i f,  tau_d' = tau_d / f
-    series from ideal    exists only for tau_i' >= 4 tau_d' (Skogestad 2003, eq. 36; Astrom & Hagglund 2006, sec. 3.2)
+Series to parallel:  kp = kc (1 + tau_d/tau_i),  ki = kc/tau_i,  kd = kc tau_d  (tau_d/tau_i = 0 without integral).
+Ideal to series (Skogestad 2003, solved for the larger root):  Ti = kp/ki,  Td = kd/kp,
+    s = (1 + sqrt(1 - 4 Td/Ti))/2,   kc = kp s,  tau_i = Ti s,  tau_d = Td/s:   it exists only when Ti >= 4 Td.
+This way of writing the root has no cancellation, and PI, PD and P are no special cases of it.
 
-None stands for "no integral action"; zero is never used for it.
+"No integral action" is tau_i = None and nothing else: neither 0 nor infinity stands for it. A series controller with
+tau_i < tau_d comes back with the two exchanged (kc adjusted): the same controller.
 """
 
 import math
@@ -16,34 +19,57 @@ from enum import StrEnum
 
 from retuner.schedule.gains import PidGains
 
+DOUBLE_ROOT_SLACK = 1e-14
+"""How far 4 Td/Ti may exceed 1 and still count as the double root tau_i = tau_d (dimensionless, a few roundings)."""
+
+SECONDS_PER_MINUTE = 60.0
+
 
 class Form(StrEnum):
-    """A way to write PID settings."""
+    """The forms under the names that the command line and the configuration use."""
 
     SERIES = "series"
     IDEAL = "ideal"
     PARALLEL = "parallel"
 
 
-def _check(form: Form, kc: float, tau_i_s: float | None, tau_d_s: float) -> None:
-    """Refuse settings that no controller can have."""
-    if not math.isfinite(kc) or kc == 0:
-        raise ValueError(f"kc = {kc}: the {form} form needs a finite gain other than 0; give an integral-only "
-                         "controller in parallel form")  # fmt: skip
-    if tau_i_s is not None and not 0 < tau_i_s < math.inf:
-        raise ValueError(f"tau_i = {tau_i_s} s must be positive and finite; leave it out for no integral action")
-    if not 0 <= tau_d_s < math.inf:
-        raise ValueError(f"tau_d = {tau_d_s} s must be zero or positive, and finite")
+def _check(form: str, kc: float, tau_i_s: float | None, tau_d_s: float) -> None:
+    """Refuse a gain or time that makes no controller, with one line that says what to do."""
+    for name, value in (("kc", kc), ("tau_i_s", tau_i_s), ("tau_d_s", tau_d_s)):
+        if value is not None and not math.isfinite(value):
+            raise ValueError(f"{form} form: {name} = {value} is not a finite number (no integral action is tau_i null)")
+    if kc == 0:
+        raise ValueError(f"{form} form: kc = 0 does nothing; give a pure integral controller in parallel form (ki)")
+    if tau_i_s is not None and tau_i_s <= 0:
+        raise ValueError(f"{form} form: tau_i_s = {tau_i_s} must be positive; leave it out for no integral action")
+    if tau_d_s < 0:
+        raise ValueError(f"{form} form: tau_d_s = {tau_d_s} must not be negative")
+
+
+def _integral_gain(form: str, kc: float, tau_i_s: float | None) -> float:
+    """kc / tau_i in co units per pv unit and second; refused when it rounds to none at all."""
+    if tau_i_s is None:
+        return 0.0
+    ki = kc / tau_i_s
+    if ki == 0:
+        raise ValueError(f"{form} form: kc / tau_i_s = {kc} / {tau_i_s} rounds to 0; leave tau_i_s out")
+    return ki
 
 
 @dataclass(frozen=True, slots=True)
 class SeriesGains:
-    """Settings of the series form: gain, integral time in s (None: no integral action), derivative time in s.
+    """Gains of the series (cascade, interacting) form.
+
+    Parameters
+    ----------
+    kc : gain, co units per pv unit.
+    tau_i_s : integral time in seconds, None for no integral action.
+    tau_d_s : derivative time in seconds.
 
     Raises
     ------
     ValueError
-        kc is 0 or not finite, tau_i_s is not positive, tau_d_s is negative.
+        A value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
     """
 
     kc: float
@@ -51,23 +77,29 @@ class SeriesGains:
     tau_d_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(Form.SERIES, self.kc, self.tau_i_s, self.tau_d_s)
+        _check("series", self.kc, self.tau_i_s, self.tau_d_s)
 
     def to_parallel(self) -> PidGains:
-        """The same controller in parallel form (always exists)."""
-        if self.tau_i_s is None:
-            return PidGains(self.kc, 0.0, self.kc * self.tau_d_s)
-        return PidGains(self.kc * (1 + self.tau_d_s / self.tau_i_s), self.kc / self.tau_i_s, self.kc * self.tau_d_s)
+        """The same controller in parallel form."""
+        ratio = 0.0 if self.tau_i_s is None else self.tau_d_s / self.tau_i_s
+        ki = _integral_gain("series", self.kc, self.tau_i_s)
+        return PidGains(self.kc * (1.0 + ratio), ki, self.kc * self.tau_d_s)
 
 
 @dataclass(frozen=True, slots=True)
 class IdealGains:
-    """Settings of the ideal form: gain, integral time in s (None: no integral action), derivative time in s.
+    """Gains of the ideal (standard, non-interacting) form.
+
+    Parameters
+    ----------
+    kc : gain, co units per pv unit.
+    tau_i_s : integral time in seconds, None for no integral action.
+    tau_d_s : derivative time in seconds.
 
     Raises
     ------
     ValueError
-        kc is 0 or not finite, tau_i_s is not positive, tau_d_s is negative.
+        A value is not finite, kc is 0, tau_i_s is not positive or tau_d_s is negative.
     """
 
     kc: float
@@ -75,136 +107,150 @@ class IdealGains:
     tau_d_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(Form.IDEAL, self.kc, self.tau_i_s, self.tau_d_s)
+        _check("ideal", self.kc, self.tau_i_s, self.tau_d_s)
 
     def to_parallel(self) -> PidGains:
-        """The same controller in parallel form (always exists)."""
-        return PidGains(self.kc, 0.0 if self.tau_i_s is None else self.kc / self.tau_i_s, self.kc * self.tau_d_s)
+        """The same controller in parallel form."""
+        return PidGains(self.kc, _integral_gain("ideal", self.kc, self.tau_i_s), self.kc * self.tau_d_s)
 
 
 def to_ideal(gains: PidGains) -> IdealGains:
-    """Parallel to ideal form.
+    """The ideal form of a controller.
 
     Raises
     ------
     ValueError
-        kp is 0: an integral-only controller has no ideal form.
+        kp is 0: integral or derivative action alone exists only in parallel form.
     """
     if gains.kp == 0:
-        raise ValueError("kp = 0: a controller without proportional action has no ideal form; use parallel form")
+        raise ValueError(f"kp = 0 (ki = {gains.ki}, kd = {gains.kd}) has no ideal or series form; use parallel")
     return IdealGains(gains.kp, gains.kp / gains.ki if gains.ki else None, gains.kd / gains.kp)
 
 
 def to_series(gains: PidGains) -> SeriesGains:
-    """Parallel to series form.
+    """The series form of a controller, with tau_i >= tau_d.
 
     Raises
     ------
     ValueError
-        kp is 0, or tau_i < 4 tau_d of the ideal form: the zeros are complex and no series form exists.
+        kp is 0, or the ideal tau_i is less than 4 tau_d: such zeros are complex, the series form has none.
     """
     ideal = to_ideal(gains)
-    tau_i, tau_d = ideal.tau_i_s, ideal.tau_d_s
-    if tau_i is None or tau_d == 0:
-        return SeriesGains(ideal.kc, tau_i, tau_d)
-    under_root = 1 - 4 * tau_d / tau_i
-    if under_root < -ROUNDING:
-        raise ValueError(f"tau_i = {tau_i:g} s is less than 4 tau_d = {4 * tau_d:g} s: no series form exists; "
-                         "use ideal or parallel form")  # fmt: skip
-    share = (1 + math.sqrt(max(under_root, 0.0))) / 2
-    return SeriesGains(ideal.kc * share, tau_i * share, tau_d / share)
-
-
-ROUNDING = 1e-12
-"""A discriminant this little below zero is rounding: equal zeros, for which the series form does exist."""
+    if ideal.tau_i_s is None:
+        return SeriesGains(ideal.kc, None, ideal.tau_d_s)
+    root = 1.0 - 4.0 * ideal.tau_d_s / ideal.tau_i_s
+    if root < -DOUBLE_ROOT_SLACK:
+        raise ValueError(
+            f"no series form: the ideal tau_i = {ideal.tau_i_s:.6g} s is less than 4 tau_d = {4 * ideal.tau_d_s:.6g} s;"
+            " use ideal or parallel"
+        )
+    share = (1.0 + math.sqrt(max(root, 0.0))) / 2.0
+    return SeriesGains(ideal.kc * share, ideal.tau_i_s * share, ideal.tau_d_s / share)
 
 
 def from_form(form: str, kc: float, tau_i_s: float | None, tau_d_s: float = 0.0) -> PidGains:
-    """Settings written in a named form, as parallel gains. For "parallel" the times are kp/ki and kd/kp, as for ideal.
+    """Parallel gains of a controller given as gain and times in a named form.
+
+    form : "series", "ideal" or "parallel". With "parallel" the times are kp/ki and kd/kp, so its numbers are the
+        ideal ones (the literature uses both names); the parallel gains themselves are the fields of PidGains.
+    kc : gain in co units per pv unit. tau_i_s : integral time in seconds, None for none. tau_d_s : derivative time.
 
     Raises
     ------
     ValueError
-        The form is unknown, or it cannot hold these settings.
+        The form is unknown or a value is outside what SeriesGains or IdealGains takes.
     """
-    if form == Form.SERIES:
+    if _form(form) is Form.SERIES:
         return SeriesGains(kc, tau_i_s, tau_d_s).to_parallel()
-    if form in {Form.IDEAL, Form.PARALLEL}:
-        return IdealGains(kc, tau_i_s, tau_d_s).to_parallel()
-    raise ValueError(f"form {form!r} is not known; give series, ideal or parallel")
+    return IdealGains(kc, tau_i_s, tau_d_s).to_parallel()
 
 
 def in_form(gains: PidGains, form: str) -> dict[str, float | None]:
-    """Gains as {kc, tau_i, tau_d} of a named form; tau_i is None for no integral action.
+    """Gain and times of a controller in a named form: keys kc, tau_i, tau_d (seconds), tau_i None for no integral.
+
+    A pure integral controller has kc 0, tau_i None, tau_d 0 in every form: its ki exists in parallel form only.
 
     Raises
     ------
     ValueError
-        The form is unknown, or the gains do not exist in it.
+        The form is unknown, or the controller does not exist in it (to_series, to_ideal).
     """
-    if form == Form.SERIES:
-        found: SeriesGains | IdealGains = to_series(gains)
-    elif form in {Form.IDEAL, Form.PARALLEL}:
-        found = to_ideal(gains)
-    else:
-        raise ValueError(f"form {form!r} is not known; give series, ideal or parallel")
-    return {"kc": found.kc, "tau_i": found.tau_i_s, "tau_d": found.tau_d_s}
+    wanted = _form(form)
+    if gains.kp == 0 and gains.kd == 0:
+        return {"kc": 0.0, "tau_i": None, "tau_d": 0.0}
+    shown = to_series(gains) if wanted is Form.SERIES else to_ideal(gains)
+    return {"kc": shown.kc, "tau_i": shown.tau_i_s, "tau_d": shown.tau_d_s}
 
 
-def proportional_band(kc: float, pv_span: float, co_span: float = 100.0) -> float:
-    """Proportional band in percent: the part of pv's span that moves co over its whole span, 100 co_span/(|kc| span).
+def _form(name: str) -> Form:
+    """The form of that name."""
+    try:
+        return Form(name)
+    except ValueError:
+        raise ValueError(f"form = {name!r} is unknown; use series, ideal or parallel") from None
+
+
+def proportional_band_pct(kc: float, pv_span: float, co_span: float = 100.0) -> float:
+    """Proportional band in percent of the pv span: 100 co_span / (kc pv_span); it keeps the sign of kc.
+
+    kc : gain in co units per pv unit. pv_span, co_span : spans in pv and co units.
 
     Raises
     ------
     ValueError
-        kc is 0 or a span is not positive and finite.
+        kc is 0, a span is not positive, a value or the band is not finite.
     """
-    return _band(kc, pv_span, co_span, "kc")
+    return _band(kc, "kc", pv_span, co_span)
 
 
-def gain_of_band(band_pct: float, pv_span: float, co_span: float = 100.0) -> float:
-    """Gain that a proportional band in percent stands for (positive; the sign is the direction of action).
+def gain_from_band(band_pct: float, pv_span: float, co_span: float = 100.0) -> float:
+    """Gain in co units per pv unit of a proportional band in percent of the pv span; it keeps the sign.
 
     Raises
     ------
     ValueError
-        The band is 0 or a span is not positive and finite.
+        The band is 0, a span is not positive, a value or the gain is not finite.
     """
-    return _band(band_pct, pv_span, co_span, "band_pct")
+    return _band(band_pct, "band_pct", pv_span, co_span)
 
 
-def _band(value: float, pv_span: float, co_span: float, name: str) -> float:
-    """The conversion, which is its own inverse."""
-    if not 0 < abs(value) < math.inf:
-        raise ValueError(f"{name} = {value} must be finite and not 0")
-    if not (0 < pv_span < math.inf and 0 < co_span < math.inf):
-        raise ValueError(f"pv_span = {pv_span}, co_span = {co_span} must be positive and finite")
-    return 100.0 * co_span / (abs(value) * pv_span)
+def _band(value: float, name: str, pv_span: float, co_span: float) -> float:
+    """100 co_span / (value pv_span): band from gain and gain from band are the same formula."""
+    for label, span in (("pv_span", pv_span), ("co_span", co_span)):
+        if not (span > 0 and math.isfinite(span)):
+            raise ValueError(f"{label} = {span} must be a positive finite number")
+    if value == 0 or not math.isfinite(value):
+        raise ValueError(f"{name} = {value} must be a finite number other than 0")
+    result = 100.0 * (co_span / pv_span) / value
+    if result == 0 or not math.isfinite(result):
+        raise ValueError(f"{name} = {value} with pv_span = {pv_span}, co_span = {co_span} is beyond what numbers hold")
+    return result
 
 
-def repeats_per_minute(tau_i_s: float | None) -> float:
-    """Integral action in repeats per minute, 60 / tau_i; 0 for none.
+def repeats_per_min(tau_i_s: float | None) -> float:
+    """Integral action in repeats per minute, 60 / tau_i_s; 0 for none.
 
     Raises
     ------
     ValueError
-        tau_i_s is not positive and finite.
+        tau_i_s is not a positive finite number.
     """
-    if tau_i_s is None:
-        return 0.0
-    if not 0 < tau_i_s < math.inf:
-        raise ValueError(f"tau_i = {tau_i_s} s must be positive and finite; None means no integral action")
-    return 60.0 / tau_i_s
+    return 0.0 if tau_i_s is None else _per_minute("tau_i_s", tau_i_s)
 
 
-def tau_i_of_repeats(repeats: float) -> float | None:
-    """Integral time in seconds of repeats per minute; None for 0 repeats.
+def tau_i_from_repeats(repeats: float) -> float | None:
+    """Integral time in seconds of integral action in repeats per minute; None for 0 repeats.
 
     Raises
     ------
     ValueError
-        The repeats are negative or not finite.
+        repeats is negative or not finite.
     """
-    if not 0 <= repeats < math.inf:
-        raise ValueError(f"{repeats} repeats per minute must be zero or positive, and finite")
-    return 60.0 / repeats if repeats else None
+    return None if repeats == 0 else _per_minute("repeats per minute", repeats)
+
+
+def _per_minute(name: str, value: float) -> float:
+    """60 / value."""
+    if not (value > 0 and math.isfinite(value)):
+        raise ValueError(f"{name} = {value} must be a positive finite number")
+    return SECONDS_PER_MINUTE / value
