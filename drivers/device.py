@@ -1,7 +1,7 @@
 """What a controller behind a driver can do, what it reports, and the errors of this room.
 
 DeviceError
-+-- BusError         the bus cannot be opened
++-- BusError             the bus cannot be opened
 +-- DeviceSilentError    nobody answered at the first connection
 +-- DeviceMismatchError  who answered is not the controller that is expected
 +-- WriteRefusedError    the host will not even start this write (not connected, busy, gains that do not fit)
