@@ -142,7 +142,7 @@ class ScenarioConfig(Section):
                               f"{self.steps[i - 1].at_s:g} s; order the steps by time")  # fmt: skip
             if step.at_s >= self.duration_s:
                 yield Problem(("steps", i, "at_s"), f"= {step.at_s:g} s lies at or after the end of the run, "
-                              f"duration_s = {self.duration_s:g} s; make the run longer or leave the step out")  # fmt: skip
+                              f"duration_s = {self.duration_s:g} s; make the run longer")  # fmt: skip
         if not any(step.at_s == 0 and step.sp is not None for step in self.steps):
             yield Problem(("steps",), "give no setpoint to start with; add {at_s = 0.0, sp = ...}")
 

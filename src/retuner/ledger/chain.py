@@ -1,0 +1,100 @@
+"""The hash chain: each row's hash covers its content and the hash of the row before it.
+
+    hash = sha256(canonical JSON of [previous hash, seq, clock_s, kind, body text])
+
+So a changed, removed, inserted or reordered row breaks every hash after it. Rows cut off at the end break nothing that
+is left; that is why the store keeps the head beside the rows, and why a report prints it. The hashes show tampering by
+whoever does not recompute them; they are no signature.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from retuner.ledger.canonical import canonical_json
+
+GENESIS = "0" * 64  # stands for the row before the first
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of a ledger.
+
+    seq : from 1. clock_s : time of the run's clock, seconds. kind : what the row is. text : its body, canonical JSON.
+    previous, hash : of the row before and of this one, hexadecimal.
+    """
+
+    seq: int
+    clock_s: float
+    kind: str
+    text: str
+    previous: str
+    hash: str
+
+    @property
+    def body(self) -> dict[str, Any]:
+        """The body as it was given, with plain dicts and lists."""
+        body: dict[str, Any] = json.loads(self.text)
+        return body
+
+
+@dataclass(frozen=True, slots=True)
+class ChainReport:
+    """Whether a ledger can be believed.
+
+    rows : number of rows. head : hash of the last row (of the last good one when broken). broken_seq : first row that
+    cannot be believed, None when all can. reason : what is wrong with it, empty when all is well.
+    """
+
+    rows: int
+    head: str
+    broken_seq: int | None = None
+    reason: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether every row can be believed."""
+        return self.broken_seq is None
+
+
+def next_row(previous: str, seq: int, clock_s: float, kind: str, text: str) -> Row:
+    """The row that follows the one with hash `previous`. text : the body as canonical JSON.
+
+    Raises
+    ------
+    ValueError
+        clock_s is not finite.
+    """
+    covered = canonical_json([previous, seq, float(clock_s), kind, text])
+    return Row(seq, float(clock_s), kind, text, previous, hashlib.sha256(covered.encode("utf-8")).hexdigest())
+
+
+def check_chain(rows: Iterable[Row], head: tuple[int, str]) -> ChainReport:
+    """Recompute every hash. head : (seq, hash) that the last row must have, as remembered beside the rows."""
+    last, count = GENESIS, 0
+    for row in rows:
+        reason = _fault(row, last, count + 1)
+        if reason:
+            return ChainReport(count, last, count + 1, reason)
+        last, count = row.hash, count + 1
+    if (count, last) != head:
+        reason = (
+            f"the ledger ended with row {head[0]}, hash {head[1][:12]}; rows were cut off or replaced after {count}"
+        )
+        return ChainReport(count, last, count + 1, reason)
+    return ChainReport(count, last)
+
+
+def _fault(row: Row, last: str, seq: int) -> str:
+    """What is wrong with a row that should follow hash `last` as number `seq`; empty when nothing."""
+    if row.seq != seq:
+        return f"row {seq} is missing; row {row.seq} stands in its place"
+    if row.previous != last:
+        return f"row {seq} does not follow the row before it"
+    try:
+        expected = next_row(last, row.seq, row.clock_s, row.kind, row.text).hash
+    except ValueError:  # not even a row's kind of values
+        expected = ""
+    return "" if expected == row.hash else f"row {seq} was changed after it was written"

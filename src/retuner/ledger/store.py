@@ -1,0 +1,161 @@
+"""The ledger: an append-only, hash-chained record on disk. A row is durable before `append` returns.
+
+Time is an argument (clock_s), so a run in simulated time gives the same hashes each time.
+"""
+
+import sqlite3
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from retuner.errors import LedgerError
+from retuner.ledger.canonical import canonical_json
+from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
+from retuner.ledger.schema import connect
+
+
+class LedgerReader:
+    """A ledger to read, also while another process writes it.
+
+    Raises
+    ------
+    LedgerError
+        The file does not exist, or is no ledger of this version.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise LedgerError(f"{path}: no such ledger file")
+        self._connection = connect(self.path, "ro")
+
+    def rows(self) -> Iterator[Row]:
+        """All rows in order, as they stand in the file, believed or not; `verify` says which."""
+        query = "SELECT seq, clock_s, kind, body, previous, hash FROM ledger ORDER BY seq"
+        try:
+            yield from (Row(*columns) for columns in self._connection.execute(query))
+        except sqlite3.Error as error:
+            raise LedgerError(f"{self.path}: cannot be read: {error}") from None
+
+    def head(self) -> str:
+        """Hash of the last row, 64 hexadecimal digits; zeros for an empty ledger."""
+        return self._head()[1]
+
+    def verify(self) -> ChainReport:
+        """Recompute the whole chain and name the first row that cannot be believed.
+
+        Raises
+        ------
+        LedgerError
+            The file cannot be read as SQLite at all.
+        """
+        return check_chain(self.rows(), self._head())
+
+    def _head(self) -> tuple[int, str]:
+        try:
+            found: tuple[int, str] | None = self._connection.execute("SELECT seq, hash FROM head").fetchone()
+        except sqlite3.Error as error:
+            raise LedgerError(f"{self.path}: cannot be read: {error}") from None
+        if found is None:
+            raise LedgerError(f"{self.path}: its head is missing; the file was tampered with")
+        return found
+
+    def close(self) -> None:
+        """Close the file; more than once does no harm."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+class Ledger(LedgerReader):
+    """A ledger to write; the file is made when it does not exist. One process writes at a time.
+
+    Raises
+    ------
+    LedgerError
+        The folder does not exist, the file is no ledger of this version, another process writes it, or its chain is
+        broken (a broken ledger stays as evidence; begin a new one).
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.parent.is_dir():
+            raise LedgerError(f"{path}: the folder {self.path.parent} does not exist; make it first")
+        self._lock = _writer_lock(self.path)
+        try:
+            self._connection = connect(self.path, "rwc")
+            report = self.verify()
+        except LedgerError:
+            self._lock.close()
+            raise
+        if not report.ok:
+            self.close()
+            raise LedgerError(f"{path}: {report.reason}; keep the file as evidence and give another path")
+        self._last, self._seq = report.head, report.rows
+        self._failed = ""
+
+    @classmethod
+    def open(cls, path: str | Path) -> Self:
+        """The same as Ledger(path)."""
+        return cls(path)
+
+    def append(self, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
+        """Write a row; it is on disk when this returns.
+
+        Parameters
+        ----------
+        kind : what the row is, for example "decision". body : JSON values, finite numbers only.
+        clock_s : time of the run's clock in seconds, finite.
+
+        Raises
+        ------
+        ValueError
+            The body or clock_s has no canonical JSON; nothing was written.
+        LedgerError
+            The disk refused. After that the object refuses every row: what is on disk is known only by opening anew.
+        """
+        if self._failed:
+            raise LedgerError(f"{self.path}: refused, because an earlier row failed ({self._failed}); open it anew")
+        row = next_row(self._last, self._seq + 1, clock_s, kind, canonical_json(body))
+        try:
+            self._connection.execute(
+                "INSERT INTO ledger VALUES (?, ?, ?, ?, ?, ?)",
+                (row.seq, row.clock_s, row.kind, row.text, row.previous, row.hash),
+            )
+        except sqlite3.Error as error:
+            self._failed = str(error)
+            raise LedgerError(f"{self.path}: row {row.seq} cannot be written: {error}") from None
+        self._last, self._seq = row.hash, row.seq
+        return row
+
+    def close(self) -> None:
+        """Close the file and let another process write; more than once does no harm."""
+        super().close()
+        self._lock.close()
+
+
+def _writer_lock(path: Path) -> sqlite3.Connection:
+    """Hold path.lock exclusively as long as the connection lives; the system lets go of it when the process dies.
+
+    An SQLite lock, because SQLite has one on every platform; on the ledger itself it would keep readers out.
+
+    Raises
+    ------
+    LedgerError
+        Another process holds it, or the file cannot be made.
+    """
+    lock = path.with_name(path.name + ".lock")
+    connection = sqlite3.connect(lock, isolation_level=None, timeout=0)
+    try:
+        connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.OperationalError as error:
+        connection.close()
+        if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
+            raise LedgerError(f"{path}: another run writes this ledger; end it or give another path") from None
+        raise LedgerError(f"{path}: cannot be locked for writing: {error}") from None
+    return connection

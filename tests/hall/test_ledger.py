@@ -1,0 +1,270 @@
+"""The ledger keeps every acknowledged row, shows every change, and refuses what it cannot keep."""
+
+import json
+import math
+import sqlite3
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.errors import LedgerError
+from retuner.ledger import Ledger, LedgerReader
+from retuner.ledger.canonical import canonical_json
+
+BODY = {"region": "low", "gains": {"kp": 0.1, "ki": 1e-300}, "list": [1, None, True, "ü\n"]}
+
+
+def written(path: Path, rows: int = 5) -> str:
+    with Ledger(path) as ledger:
+        for i in range(rows):
+            ledger.append("decision", {**BODY, "i": i}, clock_s=float(i))
+        return ledger.head()
+
+
+def tamper(path: Path, *statements: str) -> None:
+    """What an intruder with the file does: take the guards away, change, put them back."""
+    connection = sqlite3.connect(path)
+    guards = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
+    for name, _ in guards:
+        connection.execute(f"DROP TRIGGER {name}")
+    for statement in statements:
+        connection.execute(statement)
+    for _, sql in guards:
+        connection.execute(sql)
+    connection.commit()
+    connection.close()
+
+
+def test_rows_come_back_as_written(tmp_path: Path) -> None:
+    with Ledger(tmp_path / "l.sqlite") as ledger:
+        row = ledger.append("decision", BODY, clock_s=1.5)
+        assert row.body == BODY
+        assert list(ledger.rows()) == [row]
+        assert ledger.head() == row.hash
+
+
+def test_same_rows_same_head_wherever_and_whenever(tmp_path: Path) -> None:
+    assert written(tmp_path / "a.sqlite") == written(tmp_path / "b.sqlite")
+    assert written(tmp_path / "c.sqlite", 4) != written(tmp_path / "d.sqlite", 5)
+
+
+def test_key_order_does_not_matter_but_every_field_does(tmp_path: Path) -> None:
+    heads = []
+    for i, (kind, body, clock_s) in enumerate(
+        [("k", {"a": 1, "b": 2}, 0.0), ("k", {"b": 2, "a": 1}, 0.0), ("k", {"a": 1, "b": 3}, 0.0),
+         ("j", {"a": 1, "b": 2}, 0.0), ("k", {"a": 1, "b": 2}, 1.0)]):  # fmt: skip
+        with Ledger(tmp_path / f"{i}.sqlite") as ledger:
+            heads.append(ledger.append(kind, body, clock_s).hash)
+    assert heads[0] == heads[1]
+    assert len(set(heads)) == 4
+
+
+def test_reopen_goes_on_where_it_ended(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    written(path, 3)
+    with Ledger(path) as ledger:
+        assert ledger.append("more", {}, 9.0).seq == 4
+        assert ledger.verify().rows == 4
+    assert list(tmp_path.glob("*-wal")) == []
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_none_are_refused_with_their_place(tmp_path: Path, bad: float) -> None:
+    with Ledger(tmp_path / "l.sqlite") as ledger:
+        with pytest.raises(ValueError, match=r"body\.gains\[1\]\.kp = .* is not a finite number"):
+            ledger.append("k", {"gains": [1, {"kp": bad}]}, 0.0)
+        with pytest.raises(ValueError, match="finite"):
+            ledger.append("k", {}, bad)
+        assert ledger.append("k", {}, 0.0).seq == 1
+
+
+@pytest.mark.parametrize("bad", [{1: 2}, {"a": b"x"}, {"a": {1, 2}}, {"a": object()}, {"a": "\ud800"}, {"\ud800": 1}])
+def test_what_is_no_json_is_refused(bad: dict[object, object]) -> None:
+    with pytest.raises(ValueError, match="body"):
+        canonical_json(bad)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+                    | st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))  # fmt: skip
+def test_canonical_json_is_a_fixed_point(value: object) -> None:
+    text = canonical_json(value)
+    assert json.loads(text) == value
+    assert canonical_json(json.loads(text)) == text
+
+
+@pytest.mark.parametrize("statement", [
+    "UPDATE ledger SET body = '{}' WHERE seq = 2", "DELETE FROM ledger WHERE seq = 5", "DELETE FROM head",
+    "UPDATE head SET seq = 4", "INSERT INTO ledger VALUES (9, 0, 'k', '{}', 'x', 'y')",
+    "INSERT INTO ledger SELECT 6, clock_s, kind, body, previous, 'z' FROM ledger WHERE seq = 2",
+    "INSERT OR REPLACE INTO ledger SELECT seq, 7, kind, body, previous, hash FROM ledger WHERE seq = 5",
+])  # fmt: skip
+def test_the_file_itself_refuses_changes(tmp_path: Path, statement: str) -> None:
+    path = tmp_path / "l.sqlite"
+    head = written(path)
+    connection = sqlite3.connect(path)
+    with pytest.raises(sqlite3.IntegrityError):
+        connection.execute(statement)
+    connection.close()
+    with LedgerReader(path) as ledger:
+        assert ledger.verify().head == head
+
+
+@pytest.mark.parametrize(
+    ("statement", "broken", "reason"),
+    [
+        ("UPDATE ledger SET body = replace(body, 'low', 'mid') WHERE seq = 3", 3, "changed"),
+        ("UPDATE ledger SET clock_s = 7 WHERE seq = 1", 1, "changed"),
+        ("UPDATE ledger SET kind = 'x' WHERE seq = 5", 5, "changed"),
+        ("UPDATE ledger SET hash = 'x' WHERE seq = 2", 2, "changed"),
+        ("UPDATE ledger SET previous = 'x' WHERE seq = 2", 2, "does not follow"),
+        ("DELETE FROM ledger WHERE seq = 2", 2, "missing"),
+        ("DELETE FROM ledger WHERE seq = 1", 1, "missing"),
+        ("DELETE FROM ledger WHERE seq > 3", 4, "cut off"),
+        ("DELETE FROM ledger", 1, "cut off"),
+    ],
+)
+def test_verify_names_the_first_row_that_was_tampered_with(
+    tmp_path: Path, statement: str, broken: int, reason: str
+) -> None:
+    path = tmp_path / "l.sqlite"
+    written(path)
+    tamper(path, statement)
+    with LedgerReader(path) as ledger:
+        report = ledger.verify()
+    assert (report.ok, report.broken_seq) == (False, broken)
+    assert reason in report.reason
+    with pytest.raises(LedgerError, match="evidence"):
+        Ledger(path)
+
+
+def test_a_value_of_another_kind_breaks_the_chain(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    written(path)
+    tamper(path, "UPDATE ledger SET clock_s = 'soon' WHERE seq = 2")
+    with LedgerReader(path) as ledger:
+        assert ledger.verify().broken_seq == 2
+
+
+def test_reading_while_writing(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    with Ledger(path) as ledger, LedgerReader(path) as reader:
+        ledger.append("k", {}, 0.0)
+        assert reader.verify().rows == 1
+        ledger.append("k", {}, 1.0)
+        assert reader.verify().rows == 2
+
+
+def test_a_second_writer_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    with Ledger(path) as ledger:
+        with pytest.raises(LedgerError, match="another run writes this ledger"):
+            Ledger(path)
+        assert ledger.append("k", {}, 0.0).seq == 1
+    with Ledger(path) as ledger:
+        assert ledger.append("k", {}, 0.0).seq == 2
+
+
+WRITER = """
+import os, sys
+from retuner.ledger import Ledger
+ledger = Ledger(sys.argv[1])
+for i in range(int(sys.argv[2])):
+    row = ledger.append("k", {"i": i}, float(i))
+    os.write(1, b"%d\\n" % row.seq)
+ledger._connection.execute("BEGIN IMMEDIATE")
+ledger._connection.execute("INSERT INTO ledger VALUES (?, 0, 'half', '{}', ?, 'x')", (row.seq + 1, row.hash))
+os._exit(9)
+"""
+
+
+@pytest.mark.parametrize("rows", [1, 20])
+def test_a_killed_writer_loses_no_acknowledged_row_and_leaves_no_half_one(tmp_path: Path, rows: int) -> None:
+    path = tmp_path / "l.sqlite"
+    killed = subprocess.run([sys.executable, "-P", "-c", WRITER, path, str(rows)], capture_output=True, check=False)
+    assert killed.returncode == 9, killed.stderr
+    acknowledged = int(killed.stdout.split()[-1])
+    with Ledger(path) as ledger:
+        assert ledger.verify().rows == acknowledged == rows
+        assert ledger.append("k", {}, 0.0).seq == rows + 1
+
+
+def test_a_second_process_is_refused_while_the_first_lives(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    with Ledger(path):
+        second = subprocess.run(
+            [sys.executable, "-P", "-c", WRITER, path, "1"], capture_output=True, text=True, check=False
+        )
+    assert "another run writes this ledger" in second.stderr
+
+
+def test_after_a_failed_write_nothing_more_is_promised(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    with Ledger(path) as ledger:
+        ledger.append("k", {}, 0.0)
+        ledger._connection.execute("PRAGMA max_page_count = 1")  # a full disk, as SQLite sees it
+        with pytest.raises(LedgerError, match="row 2 cannot be written: database or disk is full"):
+            ledger.append("k", {"long": "x" * 200_000}, 1.0)
+        with pytest.raises(LedgerError, match="open it anew"):
+            ledger.append("k", {}, 1.0)
+    with Ledger(path) as ledger:
+        assert ledger.append("k", {}, 1.0).seq == 2
+
+
+def sqlite_file(path: Path, *statements: str) -> None:
+    connection = sqlite3.connect(path)
+    for statement in statements:
+        connection.execute(statement)
+    connection.commit()
+    connection.close()
+
+
+def test_foreign_and_other_versions_are_refused_in_one_line(tmp_path: Path) -> None:
+    sqlite_file(tmp_path / "foreign.sqlite", "CREATE TABLE t (x)")
+    written(tmp_path / "newer.sqlite")
+    sqlite_file(tmp_path / "newer.sqlite", "PRAGMA user_version = 2")
+    (tmp_path / "text.sqlite").write_text("not a database at all, but long enough to be looked at " * 20)
+    for name, reason in [("foreign", "another program"), ("newer", "version 2"), ("text", "not a database")]:
+        before = (tmp_path / f"{name}.sqlite").read_bytes()
+        for kind in (Ledger, LedgerReader):
+            with pytest.raises(LedgerError, match=reason) as caught:
+                kind(tmp_path / f"{name}.sqlite")
+            assert len(str(caught.value).splitlines()) == 1
+        assert (tmp_path / f"{name}.sqlite").read_bytes() == before
+
+
+def test_missing_places_are_named(tmp_path: Path) -> None:
+    with pytest.raises(LedgerError, match="does not exist"):
+        Ledger(tmp_path / "none" / "l.sqlite")
+    with pytest.raises(LedgerError, match="no such ledger"):
+        LedgerReader(tmp_path / "l.sqlite")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(LedgerError, match="folder"):
+        Ledger(tmp_path / "folder")
+
+
+def test_every_flipped_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    head = written(path, 3)
+    good = path.read_bytes()
+    with LedgerReader(path) as reader:
+        rows = list(reader.rows())
+    for at in range(0, len(good), 37):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 0x55]) + good[at + 1 :])
+        with suppress(LedgerError), LedgerReader(path) as reader:
+            believed = reader.verify().ok
+            assert not believed or (list(reader.rows()), reader.head()) == (rows, head)
+
+
+def test_truncated_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "l.sqlite"
+    written(path, 40)
+    good = path.read_bytes()
+    for kept in range(1, len(good), 1024):
+        path.write_bytes(good[:kept])
+        with pytest.raises(LedgerError):
+            Ledger(path)
