@@ -1,0 +1,107 @@
+"""What `import retuner` offers for arrays and models: identify and tune, with frozen results that know their JSON."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.estimate import ModelEstimate
+from retuner.adaptive.identify import OPEN_LOOP, FitSettings, identify_window
+from retuner.adaptive.margins import Margins, margins
+from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.rules.simc import ControllerKind, simc
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.sample import Window
+from retuner.schedule.gains import PidGains
+
+RULES = ("simc",)
+"""Tuning rules by name."""
+
+Numbers = Sequence[float] | npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, slots=True)
+class TuneResult:
+    """Settings of a rule for a model, in a named form, with their margins."""
+
+    tuning: Tuning
+    form: str
+    margins: Margins
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys rule, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c, margins {...}."""
+        return {**self.tuning.to_dict(self.form), "margins": self.margins.to_dict()}
+
+
+def tune(
+    model: ProcessModel,
+    rule: str = "simc",
+    *,
+    tau_c: float | None = None,
+    kind: str = "pi",
+    form: str | None = None,
+) -> TuneResult:
+    """Settings for a process by a named rule.
+
+    Parameters
+    ----------
+    model : the process. rule : one of RULES. tau_c : closed-loop time constant in seconds where the rule takes one.
+    kind : "pi" or "pid". form : form to write the settings in; default the rule's own.
+
+    Raises
+    ------
+    ValueError
+        The rule or kind is not known, or the rule has no answer for this model (named).
+    """
+    if rule not in RULES:
+        raise ValueError(f"rule {rule!r} is not known; give one of {', '.join(RULES)}")
+    if kind not in set(ControllerKind):
+        raise ValueError(f"kind {kind!r} is not known to rule {rule}; give one of {', '.join(ControllerKind)}")
+    tuning = simc(model, tau_c, ControllerKind(kind))
+    result = TuneResult(tuning, form or tuning.form, margins(model.linear(), tuning.gains))
+    result.to_dict()  # raises here, not later, when the form does not exist for these gains
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What a record says of its process, and the settings that follow (None when it does not say enough)."""
+
+    estimate: ModelEstimate
+    settings: TuneResult | None
+    margins_in_force: Margins | None
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys identifiable, model, std, gains, margins, margins_in_force, reason, loads, residual, noise."""
+        found = self.settings.to_dict() if self.settings else None
+        in_force = self.margins_in_force.to_dict() if self.margins_in_force else None
+        return {**self.estimate.to_dict(), "gains": found["gains"] if found else None,
+                "form": found["form"] if found else None, "margins": found["margins"] if found else None,
+                "margins_in_force": in_force}  # fmt: skip
+
+
+def identify(
+    t: Numbers, sp: Numbers, pv: Numbers, co: Numbers, *, open_loop: bool = False, gains: PidGains | None = None,
+) -> Identification:  # fmt: skip
+    """Find the process behind a record.
+
+    Parameters
+    ----------
+    t : time in seconds, increasing. sp, pv : setpoint and process value. co : controller output, held between samples.
+        All of shape (n,), n >= 3.
+    open_loop : the record is an experiment in manual that begins at rest. gains : the controller in force, for the sign
+        of the process and its margins now.
+
+    Raises
+    ------
+    ValueError
+        Shapes differ, a value is not finite, time does not increase, or pv or co never moves.
+    """
+    window = Window(*(np.asarray(v, dtype=np.float64) for v in (t, sp, pv, co)))
+    fit = OPEN_LOOP if open_loop else FitSettings()
+    estimate = identify_window(window, gains.direction if gains else None, settings=fit)
+    model = estimate.log.model()
+    settings = tune(model) if estimate.identifiable else None
+    in_force = margins(model.linear(), gains) if gains and estimate.identifiable else None
+    return Identification(estimate, settings, in_force)

@@ -1,0 +1,89 @@
+"""What a run shows on the screen: progress, each decision in a line, and at the end a table per region."""
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from retuner.adaptive.decision import Action, Decision
+from retuner.adaptive.sample import LoopSample
+from retuner.explain import cause_text, change_text, model_text, response_text, settings_text
+from retuner.report import ms_text
+from retuner.scores import RegionScore
+
+COLOURS = {"aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
+REFRESH_SAMPLES = 50
+"""The progress line is renewed every so many samples; more would cost more than the control loop."""
+
+
+class RunScreen:
+    """Progress and decisions of one run.
+
+    Parameters
+    ----------
+    console : where to. unit : of pv. quiet : show nothing (for --json).
+    """
+
+    def __init__(self, console: Console, unit: str, *, quiet: bool = False) -> None:
+        self.console = console
+        self._unit = unit
+        self._quiet = quiet
+        self._progress = Progress(
+            TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.fields[state]}"), TimeElapsedColumn(), console=console, disable=quiet, transient=True,
+        )  # fmt: skip
+        self._task: TaskID | None = None
+        self._samples = 0
+
+    def __enter__(self) -> "RunScreen":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def begin(self, text: str) -> None:
+        """Start a bar."""
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._task = self._progress.add_task(text, total=1.0, state="waiting for the controller")
+        self._samples = 0
+
+    def sample(self, sample: LoopSample, progress: float, region: str) -> None:
+        """One sample has passed."""
+        self._samples += 1
+        if self._task is not None and self._samples % REFRESH_SAMPLES == 0:
+            state = f"t {sample.t_s:,.0f} s  {region}  sp {sample.sp:.1f}  pv {sample.pv:.1f} {self._unit}  co {sample.co:.0f} %"
+            self._progress.update(self._task, completed=progress, state=state)
+
+    def decision(self, decision: Decision) -> None:
+        """A decision was taken."""
+        if self._quiet:
+            return
+        cause = cause_text(decision)
+        colour = COLOURS.get(cause, "magenta")
+        head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):7}[/] [{colour}]{cause:16}[/]"
+        change = "" if decision.action == Action.NONE else f"[bold]{escape(change_text(decision))}[/]"
+        parts = (escape(response_text(decision)), escape(model_text(decision)), escape(decision.reason), change)
+        self._progress.console.print(f"{head} {'; '.join(p for p in parts if p)}", highlight=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """A line of plain text."""
+        if not self._quiet:
+            self._progress.console.print(escape(text), highlight=False)
+
+
+def scores_table(scores: list[RegionScore], unit: str) -> Table:
+    """Gains, Ms and IAE per region, before and after."""
+    table = Table(title="Regions, before and after", title_justify="left")
+    for name in ("region", "commissioned", "final"):
+        table.add_column(name)
+    for name in ("changes", "Ms before", "Ms after", f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]"):
+        table.add_column(name, justify="right")
+    for s in scores:
+        better = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
+        fixed = "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}"
+        retuned = f"{s.iae:,.0f}" if s.iae_fixed is None else f"[{better}]{s.iae:,.0f}[/]"
+        table.add_row(escape(s.region), settings_text(s.before), settings_text(s.after), str(s.changes),
+                      ms_text(s.ms_before), ms_text(s.ms_after), fixed, retuned)  # fmt: skip
+    return table

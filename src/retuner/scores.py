@@ -1,0 +1,129 @@
+"""How a run went, region by region: gains, Ms on the true process, and integrated absolute error (IAE).
+
+IAE is compared with the same run (same noise, same scenario) under fixed gains. Where the plant is simulated its true
+linear model is known at every operating point, and Ms is the largest over the setpoints visited in the region, with
+half a sampling interval of dead time added for the sampled controller.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.decision import gains_dict
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.sample import FloatArray
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+
+Linearise = Callable[[float], LinearProcess]
+Columns = dict[str, FloatArray]
+POINTS = 9
+"""Operating points per region at which the true Ms is looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionScore:
+    """One region of a run. iae in pv units times seconds; ms NaN-free: None where the true process is not known."""
+
+    region: str
+    before: PidGains
+    after: PidGains
+    changes: int
+    ms_before: float | None
+    ms_after: float | None
+    iae: float
+    iae_fixed: float | None
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values; an infinite Ms (unstable) is null with stable_... false."""
+        return {
+            "region": self.region, "before": gains_dict(self.before), "after": gains_dict(self.after),
+            "changes": self.changes,
+            "ms_before": _finite(self.ms_before), "ms_after": _finite(self.ms_after),
+            "stable_before": _stable(self.ms_before), "stable_after": _stable(self.ms_after),
+            "iae": self.iae, "iae_fixed": self.iae_fixed,
+        }  # fmt: skip
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _stable(value: float | None) -> bool | None:
+    return None if value is None else math.isfinite(value)
+
+
+def region_scores(
+    before: GainTable, after: GainTable, commits: list[tuple[float, int]], run: Columns, fixed: Columns | None,
+    linearise: Linearise | None, half_sample_s: float,
+) -> list[RegionScore]:  # fmt: skip
+    """Score every region.
+
+    before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column.
+    linearise : true linear process at a pv, where the plant is simulated.
+    """
+    scores = []
+    for i, name in enumerate(before.regions.names):
+        old, new = before.gains_of(i), after.gains_of(i)
+        truths = _truths(linearise, run, i, half_sample_s)
+        scores.append(
+            RegionScore(
+                region=name,
+                before=old,
+                after=new,
+                changes=sum(1 for _, region in commits if region == i),
+                ms_before=max((sensitivity_peak(p, old) for p in truths), default=None),
+                ms_after=max((sensitivity_peak(p, new) for p in truths), default=None),
+                iae=iae(run, i),
+                iae_fixed=None if fixed is None else iae(fixed, i),
+            )
+        )
+    return scores
+
+
+def _truths(linearise: Linearise | None, run: Columns, region: int, half_sample_s: float) -> list[LinearProcess]:
+    """True processes over the setpoints visited in a region."""
+    visited = run["sp"][run["region"] == region]
+    if linearise is None or not visited.size:
+        return []
+    processes = [linearise(float(pv)) for pv in np.linspace(visited.min(), visited.max(), POINTS)]
+    return [LinearProcess(p.k, p.lags_s, p.leads_s, p.theta_s + half_sample_s, p.integrators) for p in processes]
+
+
+def iae(columns: Columns, region: int) -> float:
+    """Integral of |sp - pv| over the time spent in a region, pv units times seconds."""
+    t, inside = columns["t"], columns["region"] == region
+    dt = np.diff(t, append=t[-1])
+    return float(np.sum(np.abs(columns["sp"] - columns["pv"])[inside] * dt[inside]))
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """The same step twice in one region: indexes of the samples [start, end) of its first and its last occurrence."""
+
+    region: int
+    first: tuple[int, int]
+    last: tuple[int, int]
+    text: str
+
+
+def twin_steps(columns: Columns) -> list[Twin]:
+    """For each region the setpoint step that occurs twice with the longest time between: before and after learning."""
+    sp, region = columns["sp"], columns["region"].astype(int)
+    moves = np.flatnonzero(np.diff(sp)) + 1
+    ends = [*moves[1:].tolist(), len(sp)]
+    seen: dict[tuple[int, float, float], list[tuple[int, int]]] = {}
+    for start, end in zip(moves.tolist(), ends, strict=True):
+        if region[start - 1] == region[min(start + 1, len(sp) - 1)]:
+            seen.setdefault((int(region[start]), float(sp[start - 1]), float(sp[start])), []).append((start, end))
+    best: dict[int, Twin] = {}
+    for (i, low, high), places in seen.items():
+        if len(places) > 1:
+            twin = Twin(i, places[0], places[-1], f"setpoint {low:g} to {high:g}")
+            held = best.get(i)
+            if held is None or twin.last[0] - twin.first[0] > held.last[0] - held.first[0]:
+                best[i] = twin
+    return [best[i] for i in sorted(best)]
