@@ -66,7 +66,7 @@ class GainTable:
         object.__setattr__(self, "lookup", Lookup(self.lookup))
         object.__setattr__(self, "_knots", tuple(self.regions.centre(i) for i in range(len(self.regions))))
 
-    def index_of(self, region: int | str) -> int:
+    def index(self, region: int | str) -> int:
         """Index of a region given by index or name.
 
         Raises
@@ -82,12 +82,12 @@ class GainTable:
         return region
 
     def gains_of(self, region: int | str) -> PidGains:
-        """The set that the table holds for a region, by index or name; errors as index_of."""
-        return self.gains[self.index_of(region)]
+        """The set that the table holds for a region, by index or name; errors as index."""
+        return self.gains[self.index(region)]
 
     def with_gains(self, region: int | str, gains: PidGains) -> "GainTable":
-        """The next revision: the same table with other gains for one region; errors as index_of and GainTable."""
-        i = self.index_of(region)
+        """The next revision: the same table with other gains for one region; errors as index and GainTable."""
+        i = self.index(region)
         return replace(self, gains=(*self.gains[:i], gains, *self.gains[i + 1 :]), revision=self.revision + 1)
 
     def at(self, region: int, x: float) -> PidGains:
@@ -101,8 +101,8 @@ class GainTable:
         if not math.isfinite(x):
             raise ValueError(f"{self.regions.variable} = {x} is not a finite number; keep the gains in force")
         if self.lookup is Lookup.HARD:
-            return self.gains[self.index_of(region)]
-        self.index_of(region)
+            return self.gains[self.index(region)]
+        self.index(region)
         return self._between(x)
 
     def _between(self, x: float) -> PidGains:
