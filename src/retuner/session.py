@@ -145,7 +145,7 @@ class Session:
         self.decisions.append(decision)
         self._record("decision", decision.t_s, decision.to_dict())
         if decision.action == Action.COMMIT and decision.gains_after is not None:
-            self._pending = (self.table.index_of(decision.region), decision.gains_after, decision)
+            self._pending = (self.table.regions.names.index(decision.region), decision.gains_after, decision)
 
     def _keep_gains(self, now_s: float) -> None:
         """Have the controller run what the table, or a decision, says."""
