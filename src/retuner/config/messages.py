@@ -92,7 +92,7 @@ def _real_path(error: ErrorDetails, document: Mapping[str, object]) -> Path:
         if isinstance(node, Mapping) and part == node.get("kind") and not is_last:
             continue
         if (isinstance(node, Mapping) and part in node) or (isinstance(node, list) and isinstance(part, int)):
-            node = node[part]
+            node = _inside(node, part)
         elif not (error["type"] == "missing" and is_last):
             continue
         path = (*path, part)

@@ -42,6 +42,12 @@ class Config(Section):
             return "%", self.loop.co_min_pct, self.loop.co_max_pct
         return self.loop.pv_unit, self.loop.pv_min, self.loop.pv_max
 
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """All borders of the regions, from the lower to the upper end of the scheduling variable."""
+        _, low, high = self.variable_range
+        return (low, *self.schedule.bounds, high)
+
     def regions(self) -> Regions:
         """The regions as the schedule room knows them."""
         return self.schedule.as_regions(*self.variable_range)
@@ -74,8 +80,7 @@ class Config(Section):
             if not low < bound < high:
                 yield Problem(("schedule", "bounds", i), f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
                               f"the range of the scheduling variable {self.schedule.variable}")  # fmt: skip
-        edges = (low, *bounds, high)
-        narrowest = min(b - a for a, b in pairwise(edges))
+        narrowest = min(b - a for a, b in pairwise(self.edges))
         if self.schedule.hysteresis > narrowest / 2 > 0:
             yield Problem(("schedule", "hysteresis"), f"= {self.schedule.hysteresis:g} must be at most half of the "
                           f"narrowest region, {narrowest / 2:g} {unit}")  # fmt: skip

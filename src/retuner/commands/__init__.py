@@ -1,0 +1,1 @@
+"""The work behind the commands of cli.py, one a file, imported when called."""

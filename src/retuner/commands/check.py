@@ -1,0 +1,89 @@
+"""retuner check: what is wrong with a configuration, or what it says."""
+
+import json
+import sys
+from pathlib import Path
+
+from retuner.config.loading import Finding, UnusableError, parse_config, read_text
+from retuner.config.model import Config
+from retuner.errors import ConfigError
+
+UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
+
+
+def check(path: Path, *, as_json: bool) -> int:
+    """Check a configuration file and show the result; the exit status.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be used, one line per problem (with as_json: only when it cannot be read at all).
+    """
+    try:
+        config = parse_config(read_text(path))
+    except UnusableError as unusable:
+        if not as_json:
+            raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
+        _print_json({"ok": False, "file": str(path), "problems": [_problem(f) for f in unusable.findings]})
+        return UNUSABLE
+    if as_json:
+        _print_json({"ok": True, "file": str(path), "problems": [], **summary(config)})
+    else:
+        sys.stdout.write(f"{path}: ok\n" + "".join(f"  {line}\n" for line in described(config)))
+    return 0
+
+
+def summary(config: Config) -> dict[str, object]:
+    """What a configuration says, as JSON values: every setting with its defaults, and the gains of each region."""
+    settings = config.model_dump(mode="json", by_alias=True)
+    unit = config.variable_range[0]
+    edges = config.edges
+    regions = [
+        {
+            "name": region.name, "low": edges[i], "high": edges[i + 1], "unit": unit, "form": region.form,
+            "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
+            "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
+        }
+        for i, (region, gains) in enumerate(zip(config.schedule.regions, config.gains(), strict=True))
+    ]  # fmt: skip
+    return {**settings, "regions": regions}
+
+
+def described(config: Config) -> list[str]:
+    """What a configuration says, in lines for a person."""
+    loop, bus = config.loop, config.bus
+    lines = [
+        f"loop        {loop.name}: pv {loop.pv_min:g} to {loop.pv_max:g} {loop.pv_unit}, "
+        f"output {loop.co_min_pct:g} to {loop.co_max_pct:g} %, every {loop.sample_time_s:g} s",
+        f"schedule    by {config.schedule.variable}, lookup {config.schedule.lookup}",
+        *_region_lines(config),
+        f"adaptation  {config.adaptation.mode}, rule {config.adaptation.rule}, "
+        f"Ms at most {config.adaptation.ms_nominal:g} ({config.adaptation.ms_worst:g} on the worst model)",
+        f"bus         {bus.interface}, channel {bus.channel}, node {bus.node}",
+    ]
+    if config.device is not None:
+        lines.append(f"device      {config.device.kind}, plant {config.device.plant.kind}, seed {config.device.seed}")
+    if config.scenario is not None:
+        lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
+    lines.append(f"output      {config.output.directory}, trend as {config.output.trend}")
+    return lines
+
+
+def _region_lines(config: Config) -> list[str]:
+    unit = config.variable_range[0]
+    edges = config.edges
+    width = max(len(region.name) for region in config.schedule.regions)
+    lines = []
+    for region, low, high in zip(config.schedule.regions, edges[:-1], edges[1:], strict=True):
+        tau_i = "no integral action" if region.integral_time_s is None else f"tau_i {region.integral_time_s:g} s"
+        lines.append(f"  {region.name:<{width}}  {low:g} to {high:g} {unit}: kc {region.kc:g} %/{config.loop.pv_unit}, "
+                     f"{tau_i}, tau_d {region.tau_d_s:g} s ({region.form})")  # fmt: skip
+    return lines
+
+
+def _problem(finding: Finding) -> dict[str, object]:
+    return {"line": finding.line, "key": finding.key, "message": finding.message}
+
+
+def _print_json(value: object) -> None:
+    sys.stdout.write(json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")

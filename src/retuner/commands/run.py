@@ -1,0 +1,197 @@
+"""retuner run: watch and retune a loop, and leave report, ledger, trend and bus log behind."""
+
+import json
+import platform
+import sys
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+
+from retuner.adaptive.decision import Mode, gains_dict
+from retuner.adaptive.sample import LoopSample
+from retuner.assembly import make_plant
+from retuner.commands.check import summary
+from retuner.config import Config, load_config
+from retuner.console import RunScreen, scores_table
+from retuner.errors import UserError
+from retuner.files import write_whole
+from retuner.ledger import Ledger
+from retuner.outputs import BUS_LOG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, write_json
+from retuner.report import ReportData, render
+from retuner.running import Run, nothing
+from retuner.schedule.document import to_toml
+from retuner.scores import RegionScore, region_scores
+from retuner.session import Session
+from retuner.trend import write_trend
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line adds to the configuration; None leaves the configured value."""
+
+    interface: str | None = None
+    channel: str | None = None
+    speed: str = "max"
+    mode: str | None = None
+    out: Path | None = None
+    compare: bool = True
+    as_json: bool = False
+
+
+def run(path: Path, options: RunOptions) -> int:
+    """Run a configuration; the exit status.
+
+    Raises
+    ------
+    ConfigError, UserError, DeviceError
+        The configuration, the options, the folder or the bus cannot be used, one line each.
+    """
+    config = overridden(load_config(path), options)
+    mode = Mode(options.mode) if options.mode else None
+    simulated = config.bus.interface == "virtual"
+    if simulated and config.scenario is None:
+        raise UserError(f"{path}: a simulated run needs a [scenario] with its length and steps; add one")
+    if simulated:
+        make_plant(config)
+    speed = real_time_speed(options.speed, simulated=simulated)
+    folder = options.out or Path(config.output.directory)
+    console = Console(stderr=options.as_json)
+    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json)
+    moved = fresh_folder(folder)
+    with Ledger(folder / LEDGER) as ledger, screen:
+        if moved:
+            screen.say(f"the earlier run in {folder} was moved to {moved}")
+        return _run(_Job(config, mode, speed, folder, options, simulated), ledger, screen)
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """Everything that is settled before a run begins."""
+
+    config: Config
+    mode: Mode | None
+    speed: float
+    folder: Path
+    options: RunOptions
+    simulated: bool
+
+
+def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
+    """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
+    config = job.config
+    ledger.append("session", {"config": summary(config), "retuner": version("retuner")}, 0.0)
+
+    def on_sample(session: Session, sample: LoopSample) -> None:
+        region = session.retuner.region or 0
+        screen.sample(sample, session.scenario.progress, config.schedule.region[region].name)
+
+    def record(kind: str, t_s: float, body: object) -> None:
+        assert isinstance(body, dict)
+        ledger.append(kind, body, t_s)
+        if kind == "decision" and job_run.session is not None:
+            screen.decision(job_run.session.decisions[-1])
+        elif kind in TOLD:
+            screen.say(f"{t_s:8,.0f} s {kind}: " + ", ".join(f"{k} {v}" for k, v in body.items() if k in TOLD[kind]))
+
+    job_run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample)
+    screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
+    interrupted = False
+    try:
+        session = job_run.simulated() if job.simulated else job_run.live(job.speed)
+    except KeyboardInterrupt:
+        interrupted = True
+        if job_run.session is None or not job_run.session.trend.rows:
+            raise
+        session = job_run.session
+    ledger.append("end", {"interrupted": interrupted, "samples": len(session.trend.rows)}, session.trend.rows[-1][0])
+    fixed = None
+    if job.simulated and job.options.compare and not interrupted:
+        screen.begin("the same run with fixed gains")
+        fixed = Run(config, nothing, mode=Mode.OFF, on_sample=on_sample).simulated()
+    _leave(job, ledger, session, fixed, screen)
+    return 130 if interrupted else 0
+
+
+TOLD = {
+    "refused": ("region", "reason"), "link": ("state", "reason"), "restart": ("epoch",), "lost": ("samples",),
+    "command": ("command", "reason"), "unknown": ("reason",), "foreign": ("gains",), "dropped": ("reason",),
+}  # fmt: skip
+"""Rows beside decisions that a person at the screen should see, and which of their values."""
+
+
+def _leave(job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: RunScreen) -> None:
+    """Write everything that the run leaves, and show the result."""
+    config, folder = job.config, job.folder
+    columns = session.trend.columns()
+    before = config.gain_table()
+    linearise = make_plant(config).linearise if config.device else None
+    fixed_columns = fixed.trend.columns() if fixed else None
+    scores = region_scores(before, session.table, session.commits, columns, fixed_columns, linearise,
+                           config.loop.sample_time_s / 2)  # fmt: skip
+    trend = write_trend(folder / TREND, session.trend, config.output.trend)
+    write_whole(folder / GAINS, to_toml(session.table))
+    facts = {
+        "retuner": version("retuner"), "Python": platform.python_version(),
+        "bus": f"{config.bus.interface} {config.bus.channel}, node {config.bus.node}",
+        "seed": str(config.device.seed) if config.device else "a real controller",
+        "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
+        "trend": trend.name, "bus log": BUS_LOG, "gains": GAINS,
+    }  # fmt: skip
+    data = ReportData(config.loop.name, config.loop.pv_unit, before, session.table, scores, session.decisions,
+                      columns, fixed_columns, [t for t, _ in session.commits], facts)  # fmt: skip
+    write_whole(folder / REPORT, render(data))
+    document = result(session, scores, ledger, folder)
+    write_json(folder / SUMMARY, document)
+    if job.options.as_json:
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        return
+    screen.console.print(scores_table(scores, config.loop.pv_unit))
+    screen.console.print(f"{len(session.decisions)} decisions, {len(session.commits)} changes of gains; "
+                         f"report: {folder / REPORT}", highlight=False)  # fmt: skip
+
+
+def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:
+    """The run as one JSON document: decisions, gains before and after per region, scores."""
+    return {
+        "loop": session.table.loop,
+        "folder": str(folder),
+        "decisions": [decision.to_dict() for decision in session.decisions],
+        "gains": [{"region": name, **gains_dict(gains)} for name, gains in
+                  zip(session.table.regions.names, session.table.gains, strict=True)],
+        "scores": [score.to_dict() for score in scores],
+        "revision": session.table.revision,
+        "ledger_head": ledger.head(),
+    }  # fmt: skip
+
+
+def overridden(config: Config, options: RunOptions) -> Config:
+    """The configuration with the bus that the command line names."""
+    named = {"interface": options.interface, "channel": options.channel}
+    changes = {name: value for name, value in named.items() if value is not None}
+    if not changes:
+        return config
+    return config.model_copy(update={"bus": config.bus.model_copy(update=changes)})
+
+
+def real_time_speed(text: str, *, simulated: bool) -> float:
+    """--speed as a number: "max" is simulated time; a number is how much faster than real time the far side runs.
+
+    Raises
+    ------
+    UserError
+        Neither "max" nor a positive number, or "max" for a bus that leaves this process.
+    """
+    if text == "max":
+        return 1.0
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise UserError(f"--speed {text}: give max, or a positive number (1 is real time)")
+    if simulated:
+        raise UserError("--speed: the virtual bus runs in simulated time as fast as it goes; leave the option out, or "
+                        "give --interface of a bus on which `retuner device` runs")  # fmt: skip
+    return speed

@@ -1,0 +1,41 @@
+"""Whole files or none: what is written under a name is complete and on disk, whenever the power goes."""
+
+import os
+from pathlib import Path
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file by way of a temporary one beside it: write, fsync, rename, fsync of the folder.
+
+    Parameters
+    ----------
+    path : where; a symbolic link stays and its target is replaced. content : text is written as UTF-8.
+
+    Raises
+    ------
+    OSError
+        The system refused; the old file, if any, is as it was.
+    """
+    target = path.resolve()
+    raw = content.encode("utf-8") if isinstance(content, str) else content
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as stream:
+            stream.write(raw)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(target)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(target.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Put a folder's names on disk; where a folder cannot be opened for that (Windows) the system does it itself."""
+    if os.name == "posix":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
