@@ -1,11 +1,21 @@
 """From the configuration to the objects of the rooms, each made in one place."""
 
 import math
+from dataclasses import replace
 
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.retuner import Retuner, RetunerSettings
 from retuner.config import Config
+from retuner.config.bench import OvenPlantConfig
+from retuner.drivers.bus import LinkSettings
+from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.linear_plant import LinearPlant
+from retuner.drivers.oven_plant import OvenPlant
+from retuner.drivers.plant import Plant
+from retuner.drivers.virtual_device import VirtualDeviceSettings
+from retuner.errors import UserError
 
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
@@ -33,3 +43,60 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
     """A retuner that knows nothing yet, on the table as commissioned."""
     return Retuner(config.gain_table(), retuner_settings(config, mode))
+
+
+def make_plant(config: Config) -> Plant:
+    """The simulated plant behind the virtual device.
+
+    Raises
+    ------
+    UserError
+        The configuration has no [device] section.
+    """
+    if config.device is None:
+        raise UserError("the configuration has no [device] section: there is no virtual device to run; add one, or give "
+                        "--interface and --channel of the bus that the controller hangs on")  # fmt: skip
+    plant, seed = config.device.plant, config.device.seed
+    if isinstance(plant, OvenPlantConfig):
+        return OvenPlant(plant.settings(), plant.start_c, seed)
+    process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
+    return LinearPlant(process, start_pv=plant.start_pv, start_co=plant.start_co_pct, noise=plant.noise, seed=seed,
+                       co_min=config.loop.co_min_pct, co_max=config.loop.co_max_pct)  # fmt: skip
+
+
+def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
+    """The virtual device's firmware; it starts on the gains of the region in which the plant starts."""
+    loop, table = config.loop, config.gain_table()
+    return VirtualDeviceSettings(
+        gains=table.gains[0],
+        node=config.bus.node,
+        sample_time_s=loop.sample_time_s,
+        sp_min=loop.pv_min,
+        sp_max=loop.pv_max,
+        co_min=loop.co_min_pct,
+        co_max=loop.co_max_pct,
+        co_rate_per_s=loop.co_rate_pct_per_s,
+        b=loop.b,
+        tau_f_s=loop.tau_f_s,
+    )
+
+
+def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
+    """How to open the bus; patience is in the far side's seconds."""
+    bus = config.bus
+    patience = max(10.0 * speed, 10.0 * config.loop.sample_time_s)
+    return LinkSettings(bus.interface, bus.channel, bus.hop_limit, silent_after_s=patience,
+                        reopen_first_s=0.2 * speed, reopen_max_s=5.0 * speed)  # fmt: skip
+
+
+def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
+    """The host's address book entry for the controller; floors are in the machine's seconds, so they grow with speed."""
+    standard = CanDeviceSettings()
+    return replace(
+        standard,
+        node=config.bus.node,
+        sample_time_s=config.loop.sample_time_s,
+        variable=config.schedule.variable,
+        reply_floor_s=standard.reply_floor_s * speed,
+        connect_floor_s=standard.connect_floor_s * speed,
+    )

@@ -1,10 +1,13 @@
 """The trend of a run: every sample with the region and the gains that were in force."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from retuner.adaptive.sample import FloatArray, LoopSample
+from retuner.errors import UserError
+from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
 
 COLUMNS = ("t", "sp", "pv", "co", "x", "mode", "limited", "region", "sequence", "kp", "ki", "kd")
@@ -27,3 +30,32 @@ class Trend:
         """Arrays by column name, each of shape (n,)."""
         table = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), len(COLUMNS))
         return {name: table[:, i] for i, name in enumerate(COLUMNS)}
+
+
+def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
+    """Write a trend as stem.csv or stem.parquet, whole or not at all; returns the path.
+
+    Raises
+    ------
+    UserError
+        Parquet is wanted and pyarrow is not installed.
+    """
+    path = stem.with_suffix(f".{kind}")
+    if kind == "parquet":
+        write_whole(path, _parquet(trend))
+    else:
+        lines = (",".join(repr(value) for value in row) for row in trend.rows)
+        write_whole(path, "\n".join((",".join(COLUMNS), *lines)) + "\n")
+    return path
+
+
+def _parquet(trend: Trend) -> bytes:
+    """The trend as the bytes of a Parquet file."""
+    try:
+        import pyarrow  # noqa: PLC0415  an extra, loaded when wanted
+        import pyarrow.parquet  # noqa: PLC0415
+    except ImportError:
+        raise UserError('output.trend = "parquet" needs pyarrow; pip install "retuner[parquet]", or set it to "csv"') from None
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.table(trend.columns()), sink)
+    return bytes(sink.getvalue())

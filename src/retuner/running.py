@@ -1,0 +1,112 @@
+"""Running a session: on a virtual device in simulated time, or on whatever hangs on a bus in real time.
+
+In simulated time device and host take turns on python-can's `virtual` bus in one thread: the device makes a sample, the
+host takes it in and answers, the device takes the answers in before its next sample. Nothing waits and nothing races,
+so the same seed gives the same bytes.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from retuner.adaptive.decision import Mode
+from retuner.adaptive.sample import LoopSample
+from retuner.assembly import device_settings, link_settings, make_plant, make_retuner, virtual_device_settings
+from retuner.config import Config
+from retuner.drivers.bus import CanLink
+from retuner.drivers.can_device import CanDevice
+from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
+from retuner.drivers.virtual_device import VirtualDevice
+from retuner.scenario import ScenarioPlayer
+from retuner.session import Recorder, Session
+
+POLLS_PER_SAMPLE = 4
+"""In real time the host looks at least this often per sample, even when no frame wakes it."""
+_channels = itertools.count()
+
+
+def nothing(kind: str, t_s: float, body: object) -> None:
+    """A recorder that keeps nothing: for the comparison run."""
+    del kind, t_s, body
+
+
+class Run:
+    """One run of a configuration.
+
+    Parameters
+    ----------
+    config : what to run. record : keeps rows for good. mode : overrides the configured one. log : file for bus traffic.
+    on_sample : told of every sample and of the session, for progress.
+    """
+
+    def __init__(
+        self, config: Config, record: Recorder, *, mode: Mode | None = None, log: Path | None = None,
+        on_sample: Callable[[Session, LoopSample], None] = lambda session, sample: None,
+    ) -> None:  # fmt: skip
+        self.config = config
+        self.mode = mode
+        self._record = record
+        self._log = log
+        self._on_sample = on_sample
+        self.session: Session | None = None
+
+    def simulated(self) -> Session:
+        """Run the whole scenario against the virtual device in this process, as fast as it goes.
+
+        Raises
+        ------
+        DeviceError
+            The bus log cannot be opened.
+        """
+        with self._bench() as (session, clock, turn):
+            while not session.finished:
+                clock.advance(self.config.loop.sample_time_s)
+                turn()
+                session.poll(clock.now_s())
+            return session
+
+    @contextmanager
+    def _bench(self) -> Iterator[tuple[Session, SimulatedClock, Callable[[], None]]]:
+        """Device and host on a virtual bus of their own; `turn` lets the device take in what came and make a sample."""
+        config, clock = self.config, SimulatedClock()
+        settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
+        device = VirtualDevice(virtual_device_settings(config), make_plant(config))
+        with CanLink(settings, clock) as far, CanLink(settings, clock, self._log) as near:
+
+            def turn() -> None:
+                for message in far.receive_all():
+                    for answer in device.receive(message):
+                        far.send(answer)
+                for message in device.step():
+                    far.send(message)
+
+            yield self._session(near), clock, turn
+
+    def live(self, speed: float = 1.0) -> Session:
+        """Run against whatever answers on the configured bus, until the scenario is over or the user stops it.
+
+        speed : how much faster than real time the far side's clock runs (a simulated plant on a bench).
+
+        Raises
+        ------
+        DeviceError
+            The bus does not open, or nobody (or the wrong one) answers at first.
+        """
+        clock: Clock = MonotonicClock(speed)
+        with CanLink(link_settings(self.config, speed), clock, self._log) as link:
+            session = self._session(link, speed)
+            while not session.finished:
+                session.poll(clock.now_s())
+                link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
+            return session
+
+    def _session(self, link: CanLink, speed: float = 1.0) -> Session:
+        """The host's side on an open link."""
+        device = CanDevice(link, device_settings(self.config, speed))
+        retuner = make_retuner(self.config, self.mode)
+        session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record,
+                          lambda sample: self._on_sample(session, sample))  # fmt: skip
+        self.session = session
+        return session
