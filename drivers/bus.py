@@ -104,7 +104,7 @@ class CanLink:
         self._writer: can.io.generic.MessageWriter | None = None
         self._bus: can.BusABC | None = None
         self._last_frame_s: float | None = None
-        self._heard = False
+        self._heard = self._silence_is_normal = False
         self._pause_s = settings.reopen_first_s
         self._next_open_s = clock.now_s()
         self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
@@ -162,9 +162,13 @@ class CanLink:
             self._heard = True
             self._last_frame_s = self._clock.now_s()
             self._pause_s = self.settings.reopen_first_s
-        elif self._heard and self.state is LinkState.SILENT:
+        elif self._heard and not self._silence_is_normal and self.state is LinkState.SILENT:
             self._fail()  # a socket whose interface was made anew is deaf without any error
         return messages
+
+    def expect_silence(self) -> None:
+        """Do not open the bus anew when nothing comes: this end hears only who has something to say to it."""
+        self._silence_is_normal = True
 
     def wait_until(self, t_s: float) -> None:
         """Return when a frame may be there or the clock has reached t_s (only the latter on buses without a file)."""

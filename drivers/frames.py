@@ -228,3 +228,14 @@ def newer(seq: int, than: int, bits: int = 16) -> bool:
     """Whether a wrapping number is newer than another: less than half the circle ahead (serial numbers, RFC 1982)."""
     half = 1 << (bits - 1)
     return 0 < (seq - than) % (2 * half) < half
+
+
+def reason_text(ack: Ack) -> str:
+    """A refusal in words."""
+    try:
+        reason = Reason(ack.reason)
+    except ValueError:
+        return f"reason {ack.reason}"
+    text = reason.name.lower().replace("_", " ")
+    about = {Reason.OUTSIDE_BOX, Reason.RATIO, Reason.NOT_FINITE, Reason.INCOMPLETE}
+    return f"{text} ({Item(ack.item).name.lower()})" if reason in about else text

@@ -2,7 +2,7 @@
 
 A set is staged gain by gain, read back, and committed as a whole; it runs from the next sample on. The promise: the
 running set is always one that was committed complete, newer than its predecessor, built on it, with the right CRC-32
-and inside the box. A sequence number that was refused or fenced off is burnt: a late copy of its commit changes nothing.
+and inside the box. A sequence number that was refused or fenced off is burnt: a late copy of its commit does nothing.
 """
 
 import struct

@@ -1,0 +1,303 @@
+"""The host's side of one controller on CAN: everything happens in poll(), nothing blocks, no thread, no clock.
+
+Connecting is SEARCHING (who is there: protocol, frame layout, sample time) -> READING (what runs) -> CONNECTED. What
+runs is known from read-back alone (running_belief.py); when the device falls silent it is unknown until read again.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+
+from retuner.adaptive.sample import LoopMode
+from retuner.drivers import frames
+from retuner.drivers.bus import CanLink
+from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.checksum import to_wire
+from retuner.drivers.codec import Codec, FrameError, Refusal, Refused
+from retuner.drivers.command_sender import CommandSender
+from retuner.drivers.device import (
+    DeviceMismatchError,
+    DeviceRestarted,
+    DeviceSilentError,
+    Event,
+    LinkChanged,
+    LinkState,
+    RunningChanged,
+    RunningSet,
+    SamplesLost,
+    WriteRefusedError,
+)
+from retuner.drivers.identity import mismatch
+from retuner.drivers.page_reader import PageReader, ReadBack
+from retuner.drivers.running_belief import Belief, RunningBelief
+from retuner.drivers.sample_joiner import SampleJoiner
+from retuner.drivers.write_protocol import Sequence, WriteOrder, WritePhase, WriteProtocol
+from retuner.schedule.gains import PidGains
+
+__all__ = ["CanDevice", "CanDeviceSettings", "ConnectPhase"]
+
+LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a restart
+GAIN_KINDS = (frames.Kind.STAGE, frames.Kind.COMMIT, frames.Kind.ABORT)
+
+
+class ConnectPhase(Enum):
+    """How far the connection is."""
+
+    SEARCHING = "searching"
+    READING = "reading"
+    CONNECTED = "connected"
+
+
+class CanDevice:
+    """A controller on CAN: device.Device says what its methods promise.
+
+    Parameters
+    ----------
+    link : open bus; one CanDevice per link.
+    settings : address and patience.
+    """
+
+    def __init__(self, link: CanLink, settings: CanDeviceSettings) -> None:
+        self.link, self.settings = link, settings
+        self.phase = ConnectPhase.SEARCHING
+        self.foreign_commands = 0  # frames to this node from another host
+        self.refused_frames = 0
+        self._codec = Codec(settings.node)
+        self._reader = PageReader()
+        self._belief = RunningBelief(settings.node)
+        self._write = WriteProtocol(self._reader, settings.reply_s)
+        self._commands = CommandSender(settings.reply_s)
+        self._joiner = SampleJoiner(settings.sample_time_s, settings.variable)
+        self._sequence = Sequence()
+        self._first_poll_s: float | None = None
+        self._heard_s = self._sample_s = self._ask_s = float("-inf")
+        self._ever_connected = False
+        self._events: list[Event] = []
+
+    @property
+    def connected(self) -> bool:
+        """Whether the device is heard and its running set is known."""
+        return self.phase is ConnectPhase.CONNECTED and self._belief.running is not None
+
+    @property
+    def running(self) -> RunningSet | None:
+        """The set that runs, from read-back; None while unknown."""
+        return self._belief.running
+
+    @property
+    def writing(self) -> bool:
+        """Whether a write is under way or its result unknown."""
+        return self._write.busy
+
+    @property
+    def write_phase(self) -> WritePhase:
+        """Where the write stands."""
+        return self._write.phase
+
+    def poll(self, now_s: float) -> list[Event]:
+        """Take what has arrived, send what is due, tell what happened: see device.Device."""
+        if self._first_poll_s is None:
+            self._first_poll_s = now_s
+        self._events = []
+        for message in self.link.receive_all():
+            frame = self._codec.decode(message)
+            if isinstance(frame, Refused):
+                self.refused_frames += frame.refusal is not Refusal.FOREIGN
+            elif isinstance(frame, frames.DeviceFrame):
+                self._heard_s = now_s
+                self._take(frame, now_s)
+            else:
+                self.foreign_commands += 1
+        self._notice_silence(now_s)
+        self._ask(now_s)
+        self._send_due(now_s)
+        return self._events
+
+    def _take(self, frame: frames.DeviceFrame, now_s: float) -> None:
+        """One frame of the device, by its type."""
+        match frame:
+            case frames.TelemetryPv() | frames.TelemetrySp():
+                self._on_telemetry(frame, now_s)
+            case frames.Heartbeat():
+                if self._belief.on_heartbeat(frame):
+                    self._joiner.set_reference(frame.sample)
+            case frames.Status():
+                self._sequence.note(frame.latest)
+            case frames.Identity():
+                self._on_identity(frame, now_s)
+            case frames.PageItem() | frames.PageEnd():
+                self._on_page(self._reader.take(frame), now_s)
+            case frames.Ack():
+                self._on_ack(frame)
+
+    def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
+        """Half a sample; a sequence number that is not the known one means that somebody else has written."""
+        if self.phase is not ConnectPhase.CONNECTED:
+            return
+        joined = self._joiner.take(half)
+        if joined is None:
+            return
+        self._sample_s = now_s
+        if joined.lost:
+            self._events.append(SamplesLost(joined.lost, joined.sample.t_s))
+        self._events.append(joined.sample)
+        running = self._belief.running
+        if running is not None and joined.sample.revision != running.seq and not self._write.busy:
+            self._belief.doubt()
+
+    def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
+        """Who is there: go on only with the right one."""
+        if self.phase is not ConnectPhase.SEARCHING:
+            return
+        wrong = mismatch(identity, self.settings.sample_time_s)
+        if not wrong:
+            self.phase = ConnectPhase.READING
+            self._ask_s = now_s
+        elif not self._ever_connected:
+            raise DeviceMismatchError(f"{self._where}: {wrong}")
+
+    def _on_page(self, page: ReadBack | None, now_s: float) -> None:
+        """A whole read-back, or none yet."""
+        if page is None:
+            return
+        if page.page == frames.Page.STAGED:
+            self._write.on_staged(page)
+        elif page.page == frames.Page.RUNNING:
+            self._on_running(page, now_s)
+
+    def _on_running(self, page: ReadBack, now_s: float) -> None:
+        """What runs."""
+        verdict = self._belief.on_page(page)
+        running = self._belief.running
+        if verdict is Belief.NOTHING or running is None:
+            return
+        if verdict is Belief.FIRST:
+            self._joiner.set_reference(self._belief.boot_sample)
+        if verdict is Belief.RESTARTED:
+            gap = (now_s - self._sample_s) / self.settings.sample_time_s
+            self._joiner.restart(self._belief.boot_sample, round(gap) if 1 < gap < LONGEST_GAP else 1)
+            self._write.on_restart()
+            self._events.append(DeviceRestarted(self._belief.epoch or 0, running))
+        if self.phase is ConnectPhase.READING:
+            self.phase, self._ever_connected = ConnectPhase.CONNECTED, True
+            self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))
+        outcome = self._write.on_running(running)
+        if outcome is not None:
+            self._events.append(outcome)
+        elif verdict is Belief.CHANGED and not self._write.busy:
+            self._events.append(RunningChanged(running))
+
+    def _on_ack(self, ack: frames.Ack) -> None:
+        """An answer to a command."""
+        if ack.kind in GAIN_KINDS:
+            self._sequence.note(ack.latest)
+            self._write.on_ack(ack)
+            return
+        event = self._commands.on_ack(ack)
+        if event is not None:
+            self._events.append(event)
+
+    def _notice_silence(self, now_s: float) -> None:
+        """Nothing heard for too long, or no bus: nothing is known any more."""
+        down = self.link.state is LinkState.DOWN
+        if self.phase is ConnectPhase.SEARCHING or not (down or now_s - self._heard_s > self.settings.silent_s):
+            self._notice_nobody(now_s)
+            return
+        if self.phase is ConnectPhase.CONNECTED:
+            reason = "the bus is gone" if down else f"no frame for {now_s - self._heard_s:.3g} s"
+            self._events.append(LinkChanged(LinkState.DOWN if down else LinkState.SILENT, reason))
+        self.phase = ConnectPhase.SEARCHING
+        self._belief.doubt()
+        self._joiner.forget()
+
+    def _notice_nobody(self, now_s: float) -> None:
+        """The first connection takes too long."""
+        started_s = self._first_poll_s if self._first_poll_s is not None else now_s
+        if not self._ever_connected and now_s - started_s > self.settings.connect_s:
+            raise DeviceSilentError(
+                f"{self._where}: no answer within {self.settings.connect_s:g} s; "
+                "is the device running there, under this node number?"
+            )
+
+    @property
+    def _where(self) -> str:
+        """The node in words."""
+        return f"node {self.settings.node} on {self.link.settings.interface} {self.link.settings.channel}"
+
+    def _ask(self, now_s: float) -> None:
+        """Ask who is there, or what runs, as long as it is not known."""
+        if self.phase is ConnectPhase.SEARCHING:
+            page = frames.Page.IDENTITY
+        elif self._belief.doubtful and self._write.phase is not WritePhase.READING:
+            page = frames.Page.RUNNING
+        else:
+            self._ask_s = now_s
+            return
+        if now_s >= self._ask_s:
+            self._ask_s = now_s + self.settings.reply_s
+            self._send(self._reader.ask(page))
+
+    def _send_due(self, now_s: float) -> None:
+        """What the write and the commands want to send now."""
+        for frame in self._write.due(now_s):
+            self._send(frame)
+        unknown = self._write.unknown()
+        if unknown is not None:
+            self._events.append(unknown)
+        commands, failed = self._commands.due(now_s)
+        self._events += failed
+        for frame in commands:
+            self._send(frame)
+
+    def _send(self, frame: frames.Frame) -> None:
+        """Put a frame on the bus; what is lost is sent again by whoever waits for its answer."""
+        self.link.send(self._codec.encode(frame))
+
+    def begin_write(self, gains: PidGains, now_s: float) -> int:
+        """Start the two-phase write: see device.Device."""
+        running, epoch = self._belief.running, self._belief.epoch
+        if running is None or epoch is None or not self.connected:
+            raise WriteRefusedError(f"{self._where}: not connected, what runs is unknown; wait for LinkChanged(UP)")
+        if self._write.busy:
+            raise WriteRefusedError(f"{self._where}: a write is under way; wait for its WriteDone or WriteFailed")
+        try:
+            wire = to_wire(gains)
+            order = WriteOrder(self.settings.node, epoch, self._sequence.after(running.seq), running.seq, wire)
+            for frame in order.stage():
+                self._codec.encode(frame)
+        except ValueError as error:
+            raise WriteRefusedError(f"{self._where}: {error}") from error
+        self._sequence.note(order.seq)
+        self._write.begin(order)
+        self._send_due(now_s)
+        return order.seq
+
+    def send_setpoint(self, sp: float, now_s: float) -> None:
+        """Set the target in pv units: see device.Device."""
+        self._command(frames.Kind.SETPOINT, lambda counter: frames.Setpoint(counter, sp), now_s)
+
+    def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
+        """Auto, or manual with co percent: see device.Device."""
+        mode = LoopMode.AUTO if auto else LoopMode.MANUAL
+        self._command(frames.Kind.MODE, lambda counter: frames.Mode(counter, mode, co), now_s)
+
+    def send_load(self, load: float, now_s: float) -> None:
+        """Disturb a simulated plant, percent of co: see device.Device."""
+        self._command(frames.Kind.LOAD, lambda counter: frames.Load(counter, load), now_s)
+
+    def store(self, now_s: float) -> None:
+        """Keep the running set: see device.Device."""
+        running = self._belief.running
+        if running is None:
+            raise WriteRefusedError(f"{self._where}: what runs is unknown, so it cannot be stored")
+        self._command(frames.Kind.STORE, lambda _: frames.Store(running.seq), now_s, running.seq)
+
+    def _command(
+        self, kind: frames.Kind, make: Callable[[int], frames.Frame], now_s: float, number: int | None = None
+    ) -> None:
+        """Check a command, then send it until it is answered."""
+        try:
+            self._codec.encode(make(0))
+        except FrameError as error:
+            raise WriteRefusedError(f"{self._where}: {error}") from error
+        self._commands.put(kind, make, number)
+        self._send_due(now_s)

@@ -1,0 +1,68 @@
+"""Read-back: asks for a gain page and puts the answers together, whatever their order.
+
+Every request carries a new token and only answers to the newest request of a page count, so a late answer to an older
+question cannot pass for the present state.
+"""
+
+from typing import NamedTuple
+
+from retuner.drivers.frames import TOKENS, Item, PageEnd, PageItem, Read
+from retuner.schedule.gains import PidGains
+
+
+class ReadBack(NamedTuple):
+    """A page as the device has it: its sequence, the gains (None when not all are there or no PID takes them), CRC."""
+
+    page: int
+    seq: int
+    gains: PidGains | None
+    crc: int
+
+
+class _Question(NamedTuple):
+    """What is being put together."""
+
+    token: int
+    items: dict[int, PageItem]
+    ends: list[PageEnd]
+
+
+class PageReader:
+    """Questions under way, at most one per page."""
+
+    def __init__(self) -> None:
+        self._token = 0
+        self._asked: dict[int, _Question] = {}
+
+    def ask(self, page: int) -> Read:
+        """The frame that asks for a page; answers to earlier questions about it no longer count."""
+        self._token = (self._token + 1) % TOKENS
+        self._asked[page] = _Question(self._token, {}, [])
+        return Read(page, self._token)
+
+    def take(self, frame: PageItem | PageEnd) -> ReadBack | None:
+        """Note an answer; the page once it is whole."""
+        question = self._asked.get(frame.page)
+        if question is None or frame.token != question.token:
+            return None
+        if isinstance(frame, PageEnd):
+            question.ends[:] = [frame]
+        else:
+            question.items[frame.item] = frame
+        return self._whole(question) if question.ends else None
+
+    def _whole(self, question: _Question) -> ReadBack | None:
+        """The page if all parts are here and belong together."""
+        end = question.ends[0]
+        if not end.complete:
+            del self._asked[end.page]
+            return ReadBack(end.page, end.seq, None, end.crc)
+        items = question.items
+        if len(items) < len(Item) or any(item.seq != end.seq for item in items.values()):
+            return None
+        del self._asked[end.page]
+        try:
+            gains = PidGains(items[Item.KP].value, items[Item.KI].value, items[Item.KD].value)
+        except ValueError:
+            return ReadBack(end.page, end.seq, None, end.crc)
+        return ReadBack(end.page, end.seq, gains, end.crc)

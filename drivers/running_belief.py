@@ -1,0 +1,81 @@
+"""What a host may believe about the set that a device runs.
+
+Only a read-back whose CRC-32 fits a boot epoch that a heartbeat has told. A heartbeat with another epoch alone proves
+nothing (it may be an old one come late): it raises a doubt, and the next read-back, asked for after it, settles it.
+"""
+
+from enum import Enum
+
+from retuner.drivers.checksum import set_crc
+from retuner.drivers.device import RunningSet
+from retuner.drivers.frames import Heartbeat
+from retuner.drivers.page_reader import ReadBack
+
+
+class Belief(Enum):
+    """What a read-back has shown."""
+
+    NOTHING = "its CRC fits no epoch"
+    FIRST = "the first set known"
+    SAME = "the set known before"
+    CHANGED = "another set in the same epoch"
+    RESTARTED = "the device has booted"
+
+
+class RunningBelief:
+    """The running set and the epoch of one node.
+
+    Parameters
+    ----------
+    node : for the CRC.
+    """
+
+    def __init__(self, node: int) -> None:
+        self._node = node
+        self._before: RunningSet | None = None
+        self._candidate: Heartbeat | None = None
+        self.running: RunningSet | None = None
+        self.epoch: int | None = None
+        self.boot_sample = 0
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether what runs has to be read (again)."""
+        return self.running is None or self._candidate is not None
+
+    def doubt(self) -> None:
+        """What runs is not known any more."""
+        self.running = None
+
+    def on_heartbeat(self, heartbeat: Heartbeat) -> bool:
+        """Take a life sign; whether it belongs to the epoch that is known."""
+        if heartbeat.epoch == self.epoch:
+            return True
+        self._candidate = heartbeat
+        return False
+
+    def on_page(self, page: ReadBack) -> Belief:
+        """Take a read-back of the running page."""
+        candidate = self._candidate
+        if self.epoch is not None and self._fits(page, self.epoch):
+            self._candidate = None
+            return self._believe(page, Belief.SAME)
+        if candidate is not None and self._fits(page, candidate.epoch):
+            verdict = Belief.FIRST if self.epoch is None else Belief.RESTARTED
+            self.epoch, self.boot_sample, self._candidate = candidate.epoch, candidate.sample, None
+            return self._believe(page, verdict)
+        return Belief.NOTHING
+
+    def _fits(self, page: ReadBack, epoch: int) -> bool:
+        """Whether the device's CRC is that of these gains in this epoch."""
+        return page.gains is not None and page.crc == set_crc(self._node, epoch, page.seq, page.gains)
+
+    def _believe(self, page: ReadBack, verdict: Belief) -> Belief:
+        """Make it the known set."""
+        if page.gains is None:
+            return Belief.NOTHING
+        before, self._before = self._before, RunningSet(page.seq, page.gains, page.crc)
+        self.running = self._before
+        if verdict is Belief.SAME and before is not None and before != self.running:
+            return Belief.CHANGED
+        return verdict

@@ -1,0 +1,94 @@
+"""Telemetry to samples: joins the two halves of a sample, unwraps their 8-bit counter and notices what is missing.
+
+The heartbeat carries the full 32-bit sample counter and is the reference; a half belongs to the sample nearest to it
+with these low 8 bits. Older or repeated halves are dropped. Across a restart of the device time goes on.
+"""
+
+from typing import NamedTuple
+
+from retuner.adaptive.sample import LoopSample
+from retuner.drivers.frames import TelemetryPv, TelemetrySp
+
+WRAP = 256  # of the counter in the telemetry frames
+HALF = WRAP // 2
+PENDING_MAX = 8  # unmatched halves that are kept for their partners
+
+
+class Joined(NamedTuple):
+    """A sample, and how many before it never arrived."""
+
+    sample: LoopSample
+    lost: int
+
+
+class SampleJoiner:
+    """Unwrapped and joined telemetry of one device.
+
+    Parameters
+    ----------
+    sample_time_s : of the controller, s.
+    variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co".
+
+    Raises
+    ------
+    ValueError
+        No such variable.
+    """
+
+    def __init__(self, sample_time_s: float, variable: str = "sp") -> None:
+        if variable not in {"sp", "pv", "co"}:
+            raise ValueError(f'variable = "{variable}"; give "sp", "pv" or "co"')
+        self._sample_time_s = sample_time_s
+        self._field = LoopSample._fields.index(variable)
+        self._offset = 0
+        self._reference: int | None = None
+        self._last: int | None = None
+        self._halves: dict[int, TelemetryPv | TelemetrySp] = {}
+        self.dropped = 0
+
+    def set_reference(self, sample: int) -> None:
+        """The device says that its counter stands here; never moves back."""
+        if self._reference is None or sample > self._reference:
+            self._reference = sample
+
+    def forget(self) -> None:
+        """Contact was lost: the counter may have wrapped any number of times; the next reference tells."""
+        self._reference = None
+        self._halves.clear()
+
+    def restart(self, sample: int, gap: int) -> None:
+        """The device counts anew from sample; its time goes on gap samples (at least 1) after the last one."""
+        last = self._last
+        if last is not None:
+            self._offset += last + max(gap, 1) - sample
+            self._last = sample - 1
+        self._reference = sample
+        self._halves.clear()
+
+    def take(self, half: TelemetryPv | TelemetrySp) -> Joined | None:
+        """Note half a sample; the sample once both halves are here."""
+        if self._reference is None:
+            return None
+        ahead = (half.counter - self._reference) % WRAP
+        number = self._reference + (ahead if ahead < HALF else ahead - WRAP)
+        if self._last is not None and number <= self._last:
+            self.dropped += 1
+            return None
+        other = self._halves.get(number)
+        if isinstance(half, TelemetryPv) and isinstance(other, TelemetrySp):
+            return self._join(number, half, other)
+        if isinstance(half, TelemetrySp) and isinstance(other, TelemetryPv):
+            return self._join(number, other, half)
+        self._halves[number] = half
+        if len(self._halves) > PENDING_MAX:
+            del self._halves[min(self._halves)]
+        return None
+
+    def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> Joined:
+        """The sample; what is older is given up."""
+        lost = 0 if self._last is None else number - self._last - 1
+        self._last = self._reference = number
+        self._halves = {n: half for n, half in self._halves.items() if n > number}
+        t_s = (number + self._offset) * self._sample_time_s
+        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, 0.0, sp.running)
+        return Joined(sample._replace(x=sample[self._field]), lost)

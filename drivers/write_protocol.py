@@ -1,0 +1,237 @@
+"""The two-phase write of a gain set, host side, as a state machine without bus or clock.
+
+    IDLE -> STAGING -> COMMITTING -> READING -> IDLE          the good way
+    any trouble -> FENCING -> READING -> IDLE                 every other way
+
+STAGING sends the gains and reads them back as they stand in the device; it may be repeated, for nothing runs yet.
+COMMITTING sends one commit and never repeats it. A refusal, a lost acknowledge, a restart: all lead to FENCING, which
+burns the sequence number in the device, so that no late copy of the commit can take effect afterwards. READING then
+asks what runs, and only that answer decides between done and failed. While the device is silent, FENCING and READING go
+on asking and the result is unknown, and said to be.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from retuner.drivers.checksum import commit_crc, set_crc
+from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
+from retuner.drivers.frames import Abort, Ack, Commit, Frame, Item, Kind, Page, Reason, Stage, newer, reason_text
+from retuner.drivers.page_reader import PageReader, ReadBack
+from retuner.schedule.gains import PidGains
+
+
+class WritePhase(Enum):
+    """Where a write stands."""
+
+    IDLE = "idle"
+    STAGING = "staging"
+    COMMITTING = "committing"
+    FENCING = "fencing"
+    READING = "reading"
+
+
+class WriteInput(Enum):
+    """What can happen to it."""
+
+    BEGIN = "begin"
+    STAGED_RIGHT = "staged page read back right"
+    STAGED_WRONG = "staged page read back wrong"
+    ACCEPTED = "commit acknowledged"
+    REFUSED = "refused by the device"
+    TIMEOUT = "no answer, another try is left"
+    EXHAUSTED = "no answer, no try is left"
+    RESTARTED = "device restarted"
+    FENCED = "abort acknowledged"
+    RUNNING_READ = "running set read back"
+
+
+P, W = WritePhase, WriteInput
+TRANSITIONS: dict[tuple[WritePhase, WriteInput], WritePhase] = {
+    (P.IDLE, W.BEGIN): P.STAGING,
+    (P.STAGING, W.STAGED_RIGHT): P.COMMITTING,
+    (P.STAGING, W.STAGED_WRONG): P.STAGING,
+    (P.STAGING, W.TIMEOUT): P.STAGING,
+    (P.STAGING, W.EXHAUSTED): P.FENCING,
+    (P.STAGING, W.REFUSED): P.FENCING,
+    (P.STAGING, W.RESTARTED): P.FENCING,
+    (P.COMMITTING, W.ACCEPTED): P.READING,
+    (P.COMMITTING, W.REFUSED): P.FENCING,
+    (P.COMMITTING, W.EXHAUSTED): P.FENCING,
+    (P.COMMITTING, W.RESTARTED): P.FENCING,
+    (P.FENCING, W.FENCED): P.READING,
+    (P.FENCING, W.TIMEOUT): P.FENCING,
+    (P.FENCING, W.RESTARTED): P.FENCING,
+    (P.READING, W.TIMEOUT): P.READING,
+    (P.READING, W.RESTARTED): P.FENCING,
+    (P.READING, W.RUNNING_READ): P.IDLE,
+}
+"""Everything that is not here leaves the phase as it is: a late or foreign answer."""
+
+SEQUENCES = 1 << 16
+TRIES = {P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
+UNKNOWN_AFTER = 3  # tries of FENCING or READING without an answer after which the result is said to be unknown
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOrder:
+    """What is to be written: the gains as float32, built on set base, in this boot epoch of the node."""
+
+    node: int
+    epoch: int
+    seq: int
+    base: int
+    gains: PidGains
+
+    def commit(self) -> Commit:
+        """The commit of this order."""
+        return Commit(self.seq, self.base, commit_crc(self.set_crc, self.base))
+
+    @property
+    def set_crc(self) -> int:
+        """CRC-32 of the set."""
+        return set_crc(self.node, self.epoch, self.seq, self.gains)
+
+    def stage(self) -> list[Frame]:
+        """The frames that stage it."""
+        values = zip(Item, (self.gains.kp, self.gains.ki, self.gains.kd), strict=True)
+        return [Stage(item, value, self.seq) for item, value in values]
+
+
+class Sequence:
+    """The newest sequence number that this host has used or the device has told of."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+
+    def note(self, number: int) -> None:
+        """Remember a number if it is the newest."""
+        if self._newest is None or newer(number, self._newest):
+            self._newest = number
+
+    def after(self, running: int) -> int:
+        """The number for the next write: newer than the running set's and than any other seen."""
+        self.note(running)
+        newest = running if self._newest is None else self._newest
+        return (newest + 1) % SEQUENCES
+
+
+Outcome = WriteDone | WriteFailed | WriteUnknown
+
+
+class WriteProtocol:
+    """One write after another over one device.
+
+    Parameters
+    ----------
+    reader : asks for pages; shared with whoever else reads pages of this device.
+    timeout_s : how long to wait for an answer, s.
+    """
+
+    def __init__(self, reader: PageReader, timeout_s: float) -> None:
+        self._reader, self._timeout_s = reader, timeout_s
+        self._order: WriteOrder | None = None
+        self._why = ""
+        self._tries = 0
+        self._told_unknown = False
+        self._deadline_s: float | None = None
+        self.phase = WritePhase.IDLE
+
+    @property
+    def busy(self) -> bool:
+        """Whether a write is under way."""
+        return self.phase is not WritePhase.IDLE
+
+    def begin(self, order: WriteOrder) -> None:
+        """Start a write; only when not busy."""
+        self._order, self._why = order, "no answer to the commit"
+        self._told_unknown = False
+        self._move(WriteInput.BEGIN)
+
+    def due(self, now_s: float) -> list[Frame]:
+        """Frames to send now: those of a phase just entered, or again after its time-out."""
+        if self._order is None or not self.busy:
+            return []
+        if self._deadline_s is not None:
+            if now_s < self._deadline_s:
+                return []
+            self._time_out()
+        self._deadline_s = now_s + self._timeout_s
+        self._tries += 1
+        return self._actions()[self.phase](self._order)
+
+    def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[Frame]]]:
+        """What each phase sends."""
+        return {
+            WritePhase.STAGING: lambda order: [*order.stage(), self._reader.ask(Page.STAGED)],
+            WritePhase.COMMITTING: lambda order: [order.commit()],
+            WritePhase.FENCING: lambda order: [Abort(order.seq)],
+            WritePhase.READING: lambda _: [self._reader.ask(Page.RUNNING)],
+        }
+
+    def _time_out(self) -> None:
+        """The phase's time is over."""
+        if self._tries < TRIES.get(self.phase, self._tries + 1):
+            self._move(WriteInput.TIMEOUT)
+            return
+        if self.phase is WritePhase.STAGING:
+            self._why = "the staged gains could not be read back"
+        self._move(WriteInput.EXHAUSTED)
+
+    def unknown(self) -> WriteUnknown | None:
+        """That the result is unknown, once, when the device has not answered several times."""
+        resolving = self.phase in {WritePhase.FENCING, WritePhase.READING}
+        if self._order is None or not resolving or self._told_unknown or self._tries < UNKNOWN_AFTER:
+            return None
+        self._told_unknown = True
+        return WriteUnknown(self._order.seq, f"{self._why}; the device does not say what it runs; asking on")
+
+    def on_ack(self, ack: Ack) -> None:
+        """An acknowledge has come."""
+        if self._order is None or ack.seq != self._order.seq:
+            return
+        if ack.kind == Kind.ABORT:
+            self._move(WriteInput.FENCED)
+        elif ack.kind == Kind.COMMIT and ack.reason == Reason.OK:
+            self._move(WriteInput.ACCEPTED)
+        elif ack.kind in {Kind.COMMIT, Kind.STAGE}:
+            if self.phase in {WritePhase.STAGING, WritePhase.COMMITTING}:
+                self._why = f"the device refused it: {reason_text(ack)}"
+            self._move(WriteInput.REFUSED)
+
+    def on_staged(self, page: ReadBack) -> None:
+        """The staged page has been read back."""
+        order = self._order
+        if order is None:
+            return
+        right = page.seq == order.seq and page.gains == order.gains and page.crc == order.set_crc
+        self._move(WriteInput.STAGED_RIGHT if right else WriteInput.STAGED_WRONG)
+
+    def on_restart(self) -> None:
+        """The device has booted."""
+        if self.busy:
+            self._why = "the device restarted"
+        self._move(WriteInput.RESTARTED)
+
+    def on_running(self, running: RunningSet) -> Outcome | None:
+        """The running page has been read back and its CRC is right; the outcome if that was the last step."""
+        order, phase = self._order, self.phase
+        if order is None or phase is not WritePhase.READING:
+            return None
+        self._move(WriteInput.RUNNING_READ)
+        if running.seq == order.seq and running.gains == order.gains:
+            return WriteDone(order.seq, running.gains, running)
+        return WriteFailed(order.seq, self._why, running)
+
+    def _move(self, event: WriteInput) -> None:
+        """Go where the table says."""
+        old = self.phase
+        new = TRANSITIONS.get((old, event))
+        if new is None:
+            return
+        self.phase = new
+        if event is WriteInput.TIMEOUT:
+            return
+        if event is not WriteInput.STAGED_WRONG:
+            self._tries = 0
+            self._deadline_s = None
