@@ -24,6 +24,8 @@ from retuner.session import Recorder, Session
 
 POLLS_PER_SAMPLE = 4
 """In real time the host looks at least this often per sample, even when no frame wakes it."""
+NEVER_S = 1e9
+"""Longer than any run."""
 _channels = itertools.count()
 
 
@@ -73,7 +75,8 @@ class Run:
         config, clock = self.config, SimulatedClock()
         settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
         device = VirtualDevice(virtual_device_settings(config), make_plant(config))
-        with CanLink(settings, clock) as far, CanLink(settings, clock, self._log) as near:
+        deaf = replace(settings, silent_after_s=NEVER_S)  # a host at rest has nothing to say, and that is no fault
+        with CanLink(deaf, clock) as far, CanLink(settings, clock, self._log) as near:
 
             def turn() -> None:
                 for message in far.receive_all():
