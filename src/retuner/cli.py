@@ -65,6 +65,84 @@ def check(file: ConfigFile, json: Json = False) -> int:
     return work(file, as_json=json)
 
 
+Interface = Annotated[str | None, typer.Option("--interface", "-i", help="python-can interface, as python-can spells it.")]
+Channel = Annotated[str | None, typer.Option("--channel", "-c", help="Channel of the interface.")]
+
+
+@app.command(epilog="Example: retuner run examples/oven.toml --out runs/oven")
+def run(
+    config: ConfigFile,
+    interface: Interface = None,
+    channel: Channel = None,
+    speed: Annotated[
+        str, typer.Option(help="max: simulated time; a number: how much faster than real time the device runs.")
+    ] = "max",
+    mode: Annotated[str | None, typer.Option(help="off, advise or auto; overrides the configuration.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None,
+    compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True,
+    json: Json = False,
+) -> int:
+    """Watch a loop, retune it over CAN, and leave a report."""
+    from retuner.commands.run import RunOptions
+    from retuner.commands.run import run as work
+
+    return work(config, RunOptions(interface, channel, speed, mode, out, compare, json))
+
+
+@app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")
+def device(
+    config: ConfigFile,
+    interface: Interface = None,
+    channel: Channel = None,
+    speed: Annotated[float, typer.Option(help="How much faster than real time the simulated plant runs.")] = 1.0,
+    duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
+) -> int:
+    """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped."""
+    from retuner.commands.device import device as work
+
+    return work(config, interface=interface, channel=channel, speed=speed, duration_s=duration)
+
+
+@app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
+def tune(
+    process: Annotated[
+        str, typer.Option("--type", help="fopdt, sopdt, integrating, integrating-lag, double-integrating or delay.")
+    ],
+    k: Annotated[float, typer.Option(help="Steady-state gain; slope gain per second for integrating types.")],
+    tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0,
+    tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0,
+    theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0,
+    rule: Annotated[str, typer.Option(help="Tuning rule.")] = "simc",
+    tau_c: Annotated[float | None, typer.Option(help="Closed-loop time constant, s; default theta.")] = None,
+    kind: Annotated[str, typer.Option(help="pi or pid.")] = "pi",
+    form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None,
+    json: Json = False,
+) -> int:
+    """Settings for a known process by a tuning rule, with their margins."""
+    from retuner.commands.tune import TuneOptions
+    from retuner.commands.tune import tune as work
+
+    return work(TuneOptions(process, k, tau1, tau2, theta, rule, tau_c, kind, form), as_json=json)
+
+
+@app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
+def identify(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or Parquet with columns t, sp, pv, co.")],
+    open_loop: Annotated[bool, typer.Option("--open-loop", help="A step in manual that begins at rest.")] = False,
+    columns: Annotated[str, typer.Option(help="Other names: t=time,pv=temp,co=out,sp=target.")] = "",
+    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force.")] = None,
+    tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None,
+    tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0,
+    form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series",
+    json: Json = False,
+) -> int:
+    """Find the process behind a record: model, standard deviations, and the settings that follow."""
+    from retuner.commands.identify import IdentifyOptions
+    from retuner.commands.identify import identify as work
+
+    return work(file, IdentifyOptions(open_loop, columns, kc, tau_i, tau_d, form), as_json=json)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status. Arguments are those of the process unless given."""
     if not os.environ.get("RETUNER_TRACEBACK"):

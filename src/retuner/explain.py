@@ -67,5 +67,10 @@ def change_text(decision: Decision) -> str:
 
 def one_line(decision: Decision) -> str:
     """The decision in one line."""
-    parts = [response_text(decision), f"{cause_text(decision)}: {decision.reason}", model_text(decision), change_text(decision)]
+    parts = [
+        response_text(decision),
+        f"{cause_text(decision)}: {decision.reason}",
+        model_text(decision),
+        change_text(decision),
+    ]
     return " | ".join(part for part in parts if part)

@@ -77,7 +77,9 @@ def _lead(data: ReportData) -> str:
     saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
     if saved:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
-        text += f" The integrated error is {abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than with fixed gains."
+        text += (
+            f" The integrated error is {abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than with fixed gains."
+        )
     return text
 
 

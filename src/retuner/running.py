@@ -18,14 +18,13 @@ from retuner.config import Config
 from retuner.drivers.bus import CanLink
 from retuner.drivers.can_device import CanDevice
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
+from retuner.drivers.device_process import DeviceOnBus
 from retuner.drivers.virtual_device import VirtualDevice
 from retuner.scenario import ScenarioPlayer
 from retuner.session import Recorder, Session
 
 POLLS_PER_SAMPLE = 4
 """In real time the host looks at least this often per sample, even when no frame wakes it."""
-NEVER_S = 1e9
-"""Longer than any run."""
 _channels = itertools.count()
 
 
@@ -75,17 +74,9 @@ class Run:
         config, clock = self.config, SimulatedClock()
         settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
         device = VirtualDevice(virtual_device_settings(config), make_plant(config))
-        deaf = replace(settings, silent_after_s=NEVER_S)  # a host at rest has nothing to say, and that is no fault
-        with CanLink(deaf, clock) as far, CanLink(settings, clock, self._log) as near:
-
-            def turn() -> None:
-                for message in far.receive_all():
-                    for answer in device.receive(message):
-                        far.send(answer)
-                for message in device.step():
-                    far.send(message)
-
-            yield self._session(near), clock, turn
+        with CanLink(settings, clock) as far, CanLink(settings, clock, self._log) as near:
+            on_bus = DeviceOnBus(device, far)
+            yield self._session(near), clock, on_bus.sample
 
     def live(self, speed: float = 1.0) -> Session:
         """Run against whatever answers on the configured bus, until the scenario is over or the user stops it.
