@@ -9,6 +9,7 @@ import cantools.database
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from retuner.drivers import frames
 from retuner.drivers.checksum import commit_crc, crc8, set_crc, to_wire
 from retuner.drivers.codec import COMMAND_BITS, Codec, FrameError, Refusal, Refused, _database, _plans, schema
