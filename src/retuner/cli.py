@@ -65,7 +65,9 @@ def check(file: ConfigFile, json: Json = False) -> int:
     return work(file, as_json=json)
 
 
-Interface = Annotated[str | None, typer.Option("--interface", "-i", help="python-can interface, as python-can spells it.")]
+Interface = Annotated[
+    str | None, typer.Option("--interface", "-i", help="python-can interface, as python-can spells it.")
+]
 Channel = Annotated[str | None, typer.Option("--channel", "-c", help="Channel of the interface.")]
 
 
@@ -160,6 +162,8 @@ def main(arguments: list[str] | None = None) -> int:
         return _tell(2, str(error))
     except OSError as error:
         return _tell(2, f"{error.filename or 'retuner'}: {error.strerror or error}")
+    if status == INTERRUPTED:  # newer typer turns Ctrl-C into a status, older ones into Abort
+        return _tell(INTERRUPTED, "retuner: interrupted")
     return status if isinstance(status, int) else 0
 
 

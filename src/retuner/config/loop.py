@@ -1,13 +1,16 @@
 """[loop] and [schedule]: the controller, its ranges, and which gains are in force where."""
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from retuner.config.setting import Many, Problem, Section, setting
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 
+IntegralTime = Annotated[float, Field(gt=0, le=1e9)]
 NO_INTEGRAL = "none"  # how a person writes "no integral action": leaving it out by mistake must not mean the same
 
 
@@ -63,9 +66,8 @@ class RegionConfig(Section):
         "Controller gain of the named form, negative for a reverse-acting process", unit="%/pv", low=-1e9, high=1e9,
         source="the gains in force",
     )  # fmt: skip
-    tau_i_s: float | Literal["none"] = setting(
-        'Integral time of the named form, or "none" for no integral action', unit="s", above=0, high=1e9,
-        source="the gains in force",
+    tau_i_s: IntegralTime | Literal["none"] = setting(
+        'Integral time of the named form, or "none" for no integral action', unit="s", source="the gains in force"
     )  # fmt: skip
     tau_d_s: float = setting(
         "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the gains in force"
