@@ -14,12 +14,17 @@ MAY_IMPORT = {
     "drivers": {"schedule", "adaptive", "drivers"},
 }
 PURE = ("schedule", "adaptive")
-PURE_MAY_IMPORT = set(
-    "abc bisect cmath collections contextlib dataclasses enum functools hashlib heapq itertools json math operator re "
-    "string sys textwrap tomllib types typing filterpy numpy scipy retuner".split()
-)
+# fmt: off
+PURE_MAY_IMPORT = {
+    "abc", "bisect", "cmath", "collections", "contextlib", "dataclasses", "enum", "functools", "hashlib", "heapq",
+    "itertools", "json", "math", "operator", "re", "string", "sys", "textwrap", "tomllib", "types", "typing",
+    "filterpy", "numpy", "scipy", "retuner",
+}
 IMPURE_NAMES = {"open", "print", "input", "exec", "eval", "compile", "breakpoint", "__import__", "id", "hash"}
-IMPURE_ATTRIBUTES = set("random load loadtxt genfromtxt fromfile save savez savetxt tofile memmap rvs".split())
+IMPURE_ATTRIBUTES = {
+    "random", "load", "loadtxt", "genfromtxt", "fromfile", "save", "savez", "savetxt", "tofile", "memmap", "rvs",
+}
+# fmt: on
 PURE_OF_SYS = {"float_info", "maxsize"}
 LONGEST_FILE = 300  # lines; the house rules
 LONGEST_FUNCTION = 30  # lines of code without docstring, comments and blank lines
@@ -126,7 +131,8 @@ def test_the_check_sees_imports_that_run_the_wrong_way(room: str, source: str) -
     [
         "import time", "from datetime import datetime", "import os.path", "from numpy.random import default_rng",
         "from numpy import random", "import numpy as np\nx = np.random.default_rng()", "def f():\n    open('x')",
-        "import numpy as np\nnp.load('x')", "import logging", "import sys\nsys.stdout", "import can", "counter = 0\ndef f():\n    global counter",
+        "import numpy as np\nnp.load('x')", "import logging", "import sys\nsys.stdout", "import can",
+        "counter = 0\ndef f():\n    global counter",
     ],
 )  # fmt: skip
 def test_the_check_sees_what_is_not_pure(source: str) -> None:
