@@ -10,14 +10,13 @@ ki changes; the derivative by backward difference, which is stable for every dt 
 [0, 1), whereas forward difference is unstable for dt > 2 tau_f and Tustin rings at z = -1). The derivative acts on pv
 only: a setpoint step gives no kick. I is kept in units of co, so a change of ki alone needs no action at all.
 
-Anti-windup, without a setting and without an integral time (which a controller without integral does not have):
-  - beyond the range (co_min, co_max) the integral may move inward only, and never further than to the limit itself
-    (conditional integration). Back-calculation would let it run to the limit while P holds co there, and overshoot.
-  - beyond the rate limit, I += a (co - wish), a = ki dt / (kp + ki dt): back-calculation with the tracking time
-    kp/ki written so that it is 0 without integral and 1 without P. Conditional integration would stall here, when
-    noise alone exceeds the rate: every sample would be limited on the side on which its own error pushes.
+Anti-windup is conditional integration (Astrom & Hagglund 2006, section 3.5), without a setting and without an integral
+time, which a controller without integral does not have: while range or rate limits co, the integral does not grow in
+the direction in which co cannot follow, and it never carries the wish past the end of the range. Tried and rejected:
+back-calculation with the tracking time kp/ki. It lets the integral run to the limit while P holds co there; a setpoint
+step through a rate limit then overshoots by 3 to 8 %, against 1 % at most (and 20 to 110 % without anti-windup).
 
-Change of gains (Bumpless): I+ = I + P - P+ + D - D+, see `change`.
+Change of gains, bumpless: I+ = I + P - P+ + D - D+, see `change`.
 
 Speed: law is a slotted frozen dataclass, a state is a bare tuple in the order of PidState. On CPython 3.11 a NamedTuple
 costs 75 ns more to build and 13 to 28 more to unpack than a bare tuple, and a step has no more than 250 ns in all
@@ -163,7 +162,7 @@ def step(law: PidLaw, state: StateTuple, sp: float, pv: float, dt_s: float) -> t
     if not math.isfinite(ahead):
         _refuse(sp=sp, pv=pv, dt_s=dt_s)
     co = _limit(law, co, wish, dt_s)
-    return (integral + _growth(law, wish, more, co, dt_s), pv, pv_rate, co, _standing(law, co)), co
+    return (integral + _growth(law, wish, more, co), pv, pv_rate, co, _standing(law, co)), co
 
 
 def track(law: PidLaw, state: StateTuple, sp: float, pv: float, co: float, dt_s: float) -> tuple[StateTuple, float]:
@@ -233,13 +232,13 @@ def _limit(law: PidLaw, co_last: float, wish: float, dt_s: float) -> float:
     return _in_range(law, wish)
 
 
-def _growth(law: PidLaw, wish: float, more: float, co: float, dt_s: float) -> float:
+def _growth(law: PidLaw, wish: float, more: float, co: float) -> float:
     """Growth of the integral in a sample at a limit; `more` is what it would be without (anti-windup, see above)."""
-    if law.co_min < wish < law.co_max and law.ki:
-        more += law.ki * dt_s / (law.kp + law.ki * dt_s) * (co - wish)
     if more > 0.0:
-        return min(more, max(law.co_max - wish, 0.0))
-    return max(more, min(law.co_min - wish, 0.0))
+        return 0.0 if wish > co else min(more, law.co_max - wish)
+    if more < 0.0:
+        return 0.0 if wish < co else max(more, law.co_min - wish)
+    return 0.0
 
 
 def _standing(law: PidLaw, co: float) -> int:

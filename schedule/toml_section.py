@@ -7,6 +7,7 @@ a key written otherwise (inline table, inside a string of several lines) is name
 import re
 import sys
 import tomllib
+from collections import Counter
 
 HEADER = re.compile(r"\s*(\[\[?)\s*([A-Za-z0-9_-]+)\s*\]")
 KEY = re.compile(r"\s*([A-Za-z0-9_-]+)\s*=")
@@ -38,11 +39,13 @@ def find_lines(text: str) -> Lines:
     """Where sections and keys stand; the i-th [[name]] is called "name i", from 0."""
     lines: Lines = {}
     section = ""
+    entries: Counter[str] = Counter()
     for number, line in enumerate(text.split("\n"), start=1):
         if header := HEADER.match(line):
             section = header[2]
             if header[1] == "[[":
-                section = f"{section} {sum(1 for name, key in lines if name.startswith(section + ' ') and not key)}"
+                entries[section] += 1
+                section = f"{section} {entries[section] - 1}"
             lines.setdefault((section, ""), number)
         elif key := KEY.match(line):
             lines.setdefault((section, key[1]), number)

@@ -1,0 +1,314 @@
+"""The PID law: limits, anti-windup, manual and automatic, refusal of what is no number."""
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import LIMITED, PidLaw, PidState, law, start, step, track
+
+sizes = st.just(0.0) | st.floats(1e-3, 1e3)
+signals = st.floats(-1e3, 1e3)
+intervals = st.floats(1e-3, 1e2)
+
+
+@st.composite
+def laws(draw):
+    sign = draw(st.sampled_from((1.0, -1.0)))
+    kp, ki, kd = draw(st.tuples(sizes, sizes, sizes).filter(any))
+    low = draw(st.floats(-100, 100))
+    return PidLaw(
+        sign * kp, sign * ki, sign * kd,
+        b=draw(st.floats(0, 1)),
+        tau_f_s=draw(st.just(0.0) | st.floats(1e-3, 1e2)),
+        co_min=low,
+        co_max=low + draw(st.floats(1e-3, 200)),
+        co_rate_per_s=draw(st.none() | st.floats(1e-3, 1e3)),
+    )  # fmt: skip
+
+
+samples = st.lists(st.tuples(signals, signals, intervals), min_size=1, max_size=20)
+
+
+def run(settings, state, steps):
+    """States and outputs of a row of (sp, pv, dt)."""
+    states, outputs = [], []
+    for sp, pv, dt_s in steps:
+        state, co = step(settings, state, sp, pv, dt_s)
+        states.append(state)
+        outputs.append(co)
+    return states, outputs
+
+
+def test_one_step_by_hand():
+    """Every term: P = 2 (0.5 x 60 - 50), D over a filter of 3 s and 1 s of sampling, I for the next sample."""
+    settings = PidLaw(2.0, 0.5, 4.0, b=0.5, tau_f_s=3.0)
+    state = PidState(integral=100.0, pv=48.0, pv_rate=0.4, co=50.0, limited=0)
+    after, co = step(settings, state, 60.0, 50.0, 1.0)
+    slope = (3.0 * 0.4 + 2.0) / 4.0
+
+    assert co == pytest.approx(2.0 * (30.0 - 50.0) + 100.0 - 4.0 * slope)
+    assert PidState(*after) == pytest.approx((105.0, 50.0, slope, co, 0))
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, st.floats(-200, 300), samples)
+def test_range_and_rate_hold_always(settings, sp, pv, co, steps):
+    begin = start(settings, sp, pv, co)
+    last = begin.co
+    for state, now, (_, _, dt_s) in zip(*run(settings, begin, steps), steps, strict=True):
+        assert settings.co_min <= now <= settings.co_max
+        assert state[LIMITED] == (now >= settings.co_max) - (now <= settings.co_min)
+        if settings.co_rate_per_s is not None:
+            assert abs(now - last) <= settings.co_rate_per_s * dt_s * (1 + 1e-12) + 1e-12
+        last = now
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, st.floats(-200, 300), samples)
+def test_reverse_action_is_the_mirror_image(settings, sp, pv, co, steps):
+    """Negative gains on negated signals give the same outputs, bit for bit."""
+    mirror = replace(settings, kp=-settings.kp, ki=-settings.ki, kd=-settings.kd)
+    _, outputs = run(settings, start(settings, sp, pv, co), steps)
+    _, mirrored = run(mirror, start(mirror, -sp, -pv, co), [(-s, -p, d) for s, p, d in steps])
+
+    assert mirrored == outputs
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, st.floats(-200, 300), samples)
+def test_both_limits_are_treated_alike(settings, sp, pv, co, steps):
+    """Turning the output's axis round (co -> -co) turns everything round, bit for bit: no side is special."""
+    turned = replace(settings, kp=-settings.kp, ki=-settings.ki, kd=-settings.kd,
+                     co_min=-settings.co_max, co_max=-settings.co_min)  # fmt: skip
+    _, outputs = run(settings, start(settings, sp, pv, co), steps)
+    _, other = run(turned, start(turned, sp, pv, -co), steps)
+
+    assert other == [-u for u in outputs]
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, st.floats(-200, 300), samples)
+def test_the_integral_never_grows_where_the_output_cannot_follow(settings, sp, pv, co, steps):
+    """Range or rate, whichever side; and it never moves against the error or further than the error asks."""
+    state = start(settings, sp, pv, co)
+    for new, now, (r, y, dt_s) in zip(*run(settings, state, steps), steps, strict=True):
+        growth, asked = new[0] - state[0], settings.ki * (r - y) * dt_s
+        wish = settings.kp * (settings.b * r - y) + state[0] - settings.kd * new[2]
+        if wish > now:
+            assert growth <= 0.0
+        if wish < now:
+            assert growth >= 0.0
+        assert growth * asked >= 0.0
+        assert abs(growth) <= abs(asked) + 1e-9 * (1.0 + abs(state[0]))
+        state = new
+
+
+@pytest.mark.parametrize("rate", [None, 5.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("gains", [PidGains(2.0, 0.5), PidGains(2.0, 0.5, 1.0), PidGains(0.0, 0.5), PidGains(2.0, 0.0)])
+def test_time_spent_in_saturation_leaves_no_trace(gains, side, rate):
+    """A setpoint out of reach for 1000 s instead of 100 s changes nothing in what follows."""
+    settings = law(gains, tau_f_s=0.5, co_rate_per_s=rate)
+
+    def after(stay_s: int) -> PidState:
+        state = start(settings, 50.0, 50.0, 50.0)
+        for _ in range(stay_s):
+            state, co = step(settings, state, 50.0 + side * 500.0, 50.0, 1.0)
+        assert co == (100.0 if side > 0 else 0.0)
+        assert state[LIMITED] == side
+        return PidState(*state)
+
+    assert after(1000) == after(100)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("gains", "sign"), [(PidGains(2.0, 0.5), 1.0), (PidGains(-2.0, -0.5), -1.0)])
+def test_saturation_ends_at_once_when_the_error_turns(gains, sign, side):
+    settings = law(gains)
+    state = start(settings, 50.0, 50.0, 50.0)
+    for _ in range(500):
+        state, co = step(settings, state, 50.0 + sign * side * 30.0, 50.0, 1.0)
+    limit = 100.0 if side > 0 else 0.0
+    assert co == limit
+    state, co = step(settings, state, 50.0 - sign * side * 1.0, 50.0, 1.0)
+
+    assert (limit - co) * side > 0.0
+
+
+def test_coarse_steps_do_not_throw_the_integral_beyond_the_limit():
+    """ki e dt is eight times the range here: the integral stops at the limit, not beyond it."""
+    settings = law(PidGains(0.0, 1.0))
+    state, _ = step(settings, start(settings, 0.0, 0.0, 50.0), 80.0, 0.0, 10.0)
+    assert state[0] == 100.0
+    state, co = step(settings, state, 80.0, 0.0, 10.0)
+    assert (state[0], co) == (100.0, 100.0)
+    state, _ = step(settings, state, -1.0, 0.0, 10.0)
+
+    assert step(settings, state, -1.0, 0.0, 10.0)[1] == 90.0
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, st.floats(-200, 300), samples)
+def test_without_integral_action_the_bias_stays(settings, sp, pv, co, steps):
+    """P and PD controllers keep their bias, also while range and rate limit them."""
+    settings = replace(settings, kp=settings.kp or settings.ki or settings.kd, ki=0.0)
+    state = start(settings, sp, pv, co)
+
+    assert {s[0] for s in run(settings, state, steps)[0]} == {state.integral}
+
+
+def test_noise_beyond_the_rate_limit_does_not_stall_the_integral():
+    """Noise of 3 times kp 5 wants 15 a sample, the rate allows 1: from 20 below, the mean comes to sp."""
+    settings = law(PidGains(5.0, 0.1), co_rate_per_s=1.0)
+    rng = random.Random(1)
+    state, pv, errors = start(settings, 50.0, 30.0, 30.0), 30.0, []
+    for k in range(8000):
+        state, co = step(settings, state, 50.0, pv + rng.gauss(0.0, 3.0), 1.0)
+        pv += (co - pv) / 50.0
+        if k >= 4000:
+            errors.append(50.0 - pv)
+
+    assert abs(sum(errors) / len(errors)) < 0.3
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("size", [10.0, 30.0, 50.0, -15.0])
+def test_a_rate_limit_does_not_wind_up(rate, size):
+    """A setpoint step through a slow actuator, of a loop that has no overshoot of its own."""
+    settings = law(PidGains(4.0, 0.2), co_rate_per_s=rate)
+    state, pv, peak = start(settings, 20.0, 20.0, 20.0), 20.0, 0.0
+    for _ in range(1000):
+        state, co = step(settings, state, 20.0 + size, pv, 0.5)
+        pv += 0.5 * (co - pv) / 20.0
+        peak = max(peak, (pv - 20.0) / size)
+
+    assert 0.99 < peak < 1.001
+    assert pv == pytest.approx(20.0 + size, abs=0.1)
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, st.floats(-200, 300), intervals)
+def test_start_takes_over_without_a_bump(settings, sp, pv, co, dt_s):
+    held = min(max(co, settings.co_min), settings.co_max)
+    state = start(settings, sp, pv, co)
+
+    assert state.co == held
+    assert step(settings, state, sp, pv, dt_s)[1] == pytest.approx(held, abs=1e-9)
+
+
+moves_by_hand = st.lists(st.tuples(signals, st.floats(-200, 300), intervals), min_size=1, max_size=9)
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, moves_by_hand)
+def test_manual_moves_keep_range_and_rate(settings, sp, pv, moves):
+    state = start(settings, sp, pv, 0.0)
+    for y, wanted, dt_s in moves:
+        last = state[3]
+        state, co = track(settings, state, sp, y, wanted, dt_s)
+        reach = math.inf if settings.co_rate_per_s is None else settings.co_rate_per_s * dt_s
+        nearest = min(max(wanted, last - reach), last + reach)
+        assert co == state[3] == min(max(nearest, settings.co_min), settings.co_max)
+        assert state[LIMITED] == (co >= settings.co_max) - (co <= settings.co_min)
+
+
+@settings(deadline=None)
+@given(laws(), signals, signals, moves_by_hand)
+def test_automatic_goes_on_from_manual_without_a_bump(settings, sp, pv, moves):
+    """Whatever the error: when pv goes on with its slope, D is as it was and only P follows pv."""
+    state = start(settings, sp, pv, 0.0)
+    for y, wanted, dt_s in moves:
+        state, co = track(settings, state, sp, y, wanted, dt_s)
+    going_on = y + state[2] * dt_s
+    p_follows = settings.kp * (y - going_on)
+    reach = math.inf if settings.co_rate_per_s is None else settings.co_rate_per_s * dt_s
+    expected = min(max(co + p_follows, co - reach, settings.co_min), co + reach, settings.co_max)
+    rounding = 1e-12 * (abs(settings.kp) * (abs(sp) + abs(y) + abs(going_on)) + abs(settings.kd * state[2]) + 1e3)
+
+    assert step(settings, state, sp, going_on, dt_s)[1] == pytest.approx(expected, abs=rounding)
+
+
+BAD = (math.nan, math.inf, -math.inf)
+
+
+@pytest.mark.parametrize("gains", [PidGains(1, 1, 1), PidGains(1, 0, 0), PidGains(0, 1, 0), PidGains(0, 0, -1)])
+@pytest.mark.parametrize("b", [0.0, 0.5])
+@pytest.mark.parametrize("tau_f_s", [0.0, 2.0])
+@pytest.mark.parametrize("rate", [None, 3.0])
+def test_what_is_no_number_is_refused_and_named(gains, b, tau_f_s, rate):
+    """Whichever gains are zero, no NaN or infinity gets in; the next good sample goes on as if nothing had been."""
+    settings = law(gains, b=b, tau_f_s=tau_f_s, co_rate_per_s=rate)
+    state, _ = step(settings, start(settings, 50.0, 50.0, 50.0), 52.0, 51.0, 1.0)
+    expected = step(settings, state, 52.0, 51.5, 1.0)
+    for bad in BAD:
+        for name, sp, pv, dt_s in (("sp", bad, 51.0, 1.0), ("pv", 52.0, bad, 1.0), ("dt_s", 52.0, 51.0, bad)):
+            with pytest.raises(ValueError, match=name):
+                step(settings, state, sp, pv, dt_s)
+            with pytest.raises(ValueError, match=name):
+                track(settings, state, sp, pv, 50.0, dt_s)
+        with pytest.raises(ValueError, match="co"):
+            track(settings, state, 52.0, 51.0, bad, 1.0)
+        for sp, pv, co in ((bad, 50.0, 50.0), (50.0, bad, 50.0), (50.0, 50.0, bad)):
+            with pytest.raises(ValueError, match="not a finite number"):
+                start(settings, sp, pv, co)
+
+    assert step(settings, state, 52.0, 51.5, 1.0) == expected
+
+
+@pytest.mark.parametrize("dt_s", [0.0, -0.0, -1.0])
+@pytest.mark.parametrize("tau_f_s", [0.0, 2.0])
+def test_time_must_go_forward(dt_s, tau_f_s):
+    settings = law(PidGains(1.0, 1.0, 1.0), tau_f_s=tau_f_s)
+    state = start(settings, 50.0, 50.0, 50.0)
+    with pytest.raises(ValueError, match=r"dt_s = .* must be positive"):
+        step(settings, state, 50.0, 50.0, dt_s)
+    with pytest.raises(ValueError, match=r"dt_s = .* must be positive"):
+        track(settings, state, 50.0, 50.0, 50.0, dt_s)
+
+
+def test_a_result_too_large_for_a_number_is_refused():
+    settings = law(PidGains(1e300, 1.0))
+    with pytest.raises(ValueError, match="too large"):
+        step(settings, start(settings, 0.0, 0.0, 50.0), 1e300, 0.0, 1.0)
+
+
+@settings(deadline=None)
+@given(laws(), samples, st.sampled_from((5e-324, 1e-300, 1e-9, 1e9, 1e300)))
+def test_whatever_happens_the_state_stays_finite(settings, steps, odd_dt):
+    state = start(settings, 0.0, 0.0, 0.0)
+    for sp, pv, dt_s in [*steps, (*steps[0][:2], odd_dt), *steps]:
+        try:
+            state, _ = step(settings, state, sp, pv, dt_s)
+        except ValueError:
+            assert dt_s == odd_dt
+        assert all(math.isfinite(value) for value in state)
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ({"b": 1.1}, "b = 1.1"), ({"b": -0.1}, "b = -0.1"), ({"b": math.nan}, "b = nan"),
+        ({"tau_f_s": -1.0}, "tau_f_s"), ({"tau_f_s": math.inf}, "tau_f_s"), ({"tau_f_s": math.nan}, "tau_f_s"),
+        ({"co_min": 100.0}, "co_min < co_max"), ({"co_max": math.inf}, "= inf"), ({"co_min": math.nan}, "co_min"),
+        ({"co_rate_per_s": 0.0}, "co_rate_per_s"), ({"co_rate_per_s": math.nan}, "co_rate_per_s"),
+        ({"co_rate_per_s": math.inf}, "None for no limit"),
+    ],
+)  # fmt: skip
+def test_settings_out_of_range_are_refused(settings, what):
+    with pytest.raises(ValueError, match=what):
+        law(PidGains(1.0, 1.0), **settings)
+
+
+def test_law_takes_its_gains_and_gives_them_back():
+    settings = law(PidGains(1.0, 2.0, 3.0), b=0.5, tau_f_s=1.0, co_min=5.0, co_max=95.0, co_rate_per_s=2.0)
+    other = settings.with_gains(PidGains(4.0, 5.0, 6.0))
+
+    assert settings.gains == PidGains(1.0, 2.0, 3.0)
+    assert other == PidLaw(4.0, 5.0, 6.0, 0.5, 1.0, 5.0, 95.0, 2.0)
+    with pytest.raises(ValueError, match="different signs"):
+        PidLaw(1.0, -1.0, 0.0)
