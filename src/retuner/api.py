@@ -99,6 +99,11 @@ def identify(
         Shapes differ, a value is not finite, time does not increase, or pv or co never moves.
     """
     window = Window(*(np.asarray(v, dtype=np.float64) for v in (t, sp, pv, co)))
+    return identify_record(window, open_loop=open_loop, gains=gains)
+
+
+def identify_record(window: Window, *, open_loop: bool = False, gains: PidGains | None = None) -> Identification:
+    """The same for a record that is a Window already; see identify."""
     fit = OPEN_LOOP if open_loop else FitSettings()
     estimate = identify_window(window, gains.direction if gains else None, settings=fit)
     model = estimate.log.model()

@@ -54,8 +54,10 @@ def make_plant(config: Config) -> Plant:
         The configuration has no [device] section.
     """
     if config.device is None:
-        raise UserError("the configuration has no [device] section: there is no virtual device to run; add one, or give "
-                        "--interface and --channel of the bus that the controller hangs on")  # fmt: skip
+        raise UserError(
+            "the configuration has no [device] section: there is no virtual device to run; add one, or give "
+            "--interface and --channel of the bus that the controller hangs on"
+        )
     plant, seed = config.device.plant, config.device.seed
     if isinstance(plant, OvenPlantConfig):
         return OvenPlant(plant.settings(), plant.start_c, seed)
@@ -90,7 +92,7 @@ def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
 
 
 def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
-    """The host's address book entry for the controller; floors are in the machine's seconds, so they grow with speed."""
+    """The host's address book entry for the controller; floors are machine seconds, so they grow with speed."""
     standard = CanDeviceSettings()
     return replace(
         standard,

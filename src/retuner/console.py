@@ -7,7 +7,7 @@ from rich.table import Table
 
 from retuner.adaptive.decision import Action, Decision
 from retuner.adaptive.sample import LoopSample
-from retuner.explain import cause_text, change_text, model_text, response_text, settings_text
+from retuner.explain import cause_text, change_text, model_text, short_settings
 from retuner.report import ms_text
 from retuner.scores import RegionScore
 
@@ -53,7 +53,8 @@ class RunScreen:
         """One sample has passed."""
         self._samples += 1
         if self._task is not None and self._samples % REFRESH_SAMPLES == 0:
-            state = f"t {sample.t_s:,.0f} s  {region}  sp {sample.sp:.1f}  pv {sample.pv:.1f} {self._unit}  co {sample.co:.0f} %"
+            values = f"sp {sample.sp:.1f}  pv {sample.pv:.1f} {self._unit}  co {sample.co:.0f} %"
+            state = f"t {sample.t_s:,.0f} s  {region}  {values}"
             self._progress.update(self._task, completed=progress, state=state)
 
     def decision(self, decision: Decision) -> None:
@@ -62,10 +63,10 @@ class RunScreen:
             return
         cause = cause_text(decision)
         colour = COLOURS.get(cause, "magenta")
-        head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):7}[/] [{colour}]{cause:16}[/]"
-        change = "" if decision.action == Action.NONE else f"[bold]{escape(change_text(decision))}[/]"
-        parts = (escape(response_text(decision)), escape(model_text(decision)), escape(decision.reason), change)
-        self._progress.console.print(f"{head} {'; '.join(p for p in parts if p)}", highlight=False, soft_wrap=True)
+        head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):6}[/] [{colour}]{cause:10}[/]"
+        change = decision.reason if decision.action == Action.NONE else f"[bold]{escape(change_text(decision))}[/]"
+        model = f" [dim]{escape(model_text(decision))}[/]"
+        self._progress.console.print(f"{head} {change}{model}", highlight=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
         """A line of plain text."""
@@ -75,15 +76,16 @@ class RunScreen:
 
 def scores_table(scores: list[RegionScore], unit: str) -> Table:
     """Gains, Ms and IAE per region, before and after."""
-    table = Table(title="Regions, before and after", title_justify="left")
+    title = f"\nGains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s, against the same run with fixed gains"
+    table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 2, 0, 0))
     for name in ("region", "commissioned", "final"):
-        table.add_column(name)
-    for name in ("changes", "Ms before", "Ms after", f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]"):
-        table.add_column(name, justify="right")
+        table.add_column(name, no_wrap=True)
+    for name in ("changes", "Ms", "Ms now", "IAE fixed", "IAE now"):
+        table.add_column(name, justify="right", no_wrap=True)
     for s in scores:
         better = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
         fixed = "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}"
         retuned = f"{s.iae:,.0f}" if s.iae_fixed is None else f"[{better}]{s.iae:,.0f}[/]"
-        table.add_row(escape(s.region), settings_text(s.before), settings_text(s.after), str(s.changes),
+        table.add_row(escape(s.region), short_settings(s.before), short_settings(s.after), str(s.changes),
                       ms_text(s.ms_before), ms_text(s.ms_after), fixed, retuned)  # fmt: skip
     return table

@@ -1,8 +1,11 @@
-"""A decision in one readable line: what was seen, the cause, what the process is, what changes and how sure that is."""
+"""A decision in one readable line: what was seen, the cause, what the process is, what changes."""
 
 from retuner.adaptive.decision import Action, Decision
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
+
+WHOLE_STEP = 0.999
+"""A step of at least this share is the whole one to a reader."""
 
 
 def settings_text(gains: PidGains) -> str:
@@ -21,6 +24,11 @@ def settings_text(gains: PidGains) -> str:
     if shown["tau_d"]:
         text += f" tau_D {shown['tau_d']:.3g} s ({form})"
     return text
+
+
+def short_settings(gains: PidGains) -> str:
+    """Gains for a narrow table: the numbers of settings_text without their names."""
+    return settings_text(gains).replace("Kc ", "").replace(" tau_I ", ", ").replace(" tau_D ", ", ").replace(" s", "")
 
 
 def response_text(decision: Decision) -> str:
@@ -59,9 +67,9 @@ def change_text(decision: Decision) -> str:
         return "no change"
     verb = "write" if decision.action == Action.COMMIT else "advise"
     before = "unstable" if v.ms_before == float("inf") else f"{v.ms_before:.2f}"
-    step = "" if v.step > 0.999 else f", {v.step:.0%} of the step"
+    step = "" if v.step > WHOLE_STEP else f", {v.step:.0%} of the step"
     worst = "unstable at worst" if v.ms_worst == float("inf") else f"at worst {v.ms_worst:.2f}"
-    return (f"{verb} {settings_text(decision.gains_before)} -> {settings_text(v.gains)}; "
+    return (f"{verb} {settings_text(decision.gains_before)} -> {settings_text(v.gains)}, "
             f"Ms {before} -> {v.ms_nominal:.2f} ({worst}{step})")  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from retuner.schedule.regions import Regions
 from retuner.scores import Columns, Twin
 
 BANDS = ("#e8f1fb", "#fdf3e3", "#fbe9e7", "#e9f5ec", "#f1ebf8")
-PV, SP, FIXED, MARK = "#1f5fa8", "#333333", "#b9b9b9", "#c0392b"
+PV, SP, FIXED, MARK = "#1f5fa8", "#333333", "#d08a3c", "#c0392b"
 DPI = 110
 
 
@@ -80,8 +80,8 @@ def twin_png(run: Columns, twin: Twin, name: str, unit: str) -> bytes:
         lead = min(start, length // 20)
         part = slice(start - lead, start + length)
         t = run["t"][part] - run["t"][start]
-        top.plot(t, run["pv"][part], color=colour if label == "last" else "#d08a3c", lw=1.4, label=f"{label} time")
-        bottom.plot(t, run["co"][part], color=colour if label == "last" else "#d08a3c", lw=0.9)
+        top.plot(t, run["pv"][part], color=colour, lw=1.4, label=f"{label} time")
+        bottom.plot(t, run["co"][part], color=colour, lw=0.9)
     start, _ = twin.last
     lead = min(start, length // 20)
     part = slice(start - lead, start + length)

@@ -1,4 +1,4 @@
-"""report.html: one self-contained page that a person reads from the top: result, pictures, every decision, provenance."""
+"""report.html: one self-contained page, read from the top: result, pictures, every decision, provenance."""
 
 import base64
 import html
@@ -15,7 +15,8 @@ STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1180px;margin:2em auto;padding:0 1.2em}
 h1{font-size:1.7em;margin:0 0 .2em} h2{font-size:1.2em;margin:1.8em 0 .5em}
 p.lead{font-size:1.08em} .muted{color:#666} img{max-width:100%}
-table{border-collapse:collapse;width:100%;font-size:.92em} th,td{text-align:left;padding:.35em .6em;border-bottom:1px solid #ddd;vertical-align:top}
+table{border-collapse:collapse;width:100%;font-size:.92em} 
+th,td{text-align:left;padding:.35em .6em;border-bottom:1px solid #ddd;vertical-align:top}
 th{background:#f4f6f8} td.n,th.n{text-align:right;white-space:nowrap} .good{color:#1a7f37} .bad{color:#b42318}
 .twins{display:flex;flex-wrap:wrap;gap:1em} .twins img{flex:1 1 340px;max-width:560px} tr.commit td{background:#fff8e6}
 code{background:#f4f6f8;padding:0 .25em}
@@ -27,7 +28,7 @@ class ReportData:
     """What a report tells of.
 
     run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
-    facts : provenance, name to value, shown at the end.
+    events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
     """
 
     loop: str
@@ -39,6 +40,7 @@ class ReportData:
     run: Columns
     fixed: Columns | None
     commits: list[float]
+    events: list[float] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)
 
 
@@ -120,7 +122,7 @@ def _twins(data: ReportData) -> str:
     """The same step before and after, per region."""
     names = data.after.regions.names
     images = [_image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
-              for twin in twin_steps(data.run)]  # fmt: skip
+              for twin in twin_steps(data.run, data.events)]  # fmt: skip
     if not images:
         return ""
     return f'<h2>The same step, first and last time</h2><div class="twins">{"".join(images)}</div>'

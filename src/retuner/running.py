@@ -44,7 +44,7 @@ class Run:
 
     def __init__(
         self, config: Config, record: Recorder, *, mode: Mode | None = None, log: Path | None = None,
-        on_sample: Callable[[Session, LoopSample], None] = lambda session, sample: None,
+        on_sample: Callable[[Session, LoopSample], None] | None = None,
     ) -> None:  # fmt: skip
         self.config = config
         self.mode = mode
@@ -100,7 +100,10 @@ class Run:
         """The host's side on an open link."""
         device = CanDevice(link, device_settings(self.config, speed))
         retuner = make_retuner(self.config, self.mode)
-        session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record,
-                          lambda sample: self._on_sample(session, sample))  # fmt: skip
-        self.session = session
-        return session
+        self.session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled)
+        return self.session
+
+    def _sampled(self, sample: LoopSample) -> None:
+        """Pass a sample on to whoever shows progress."""
+        if self._on_sample is not None and self.session is not None:
+            self._on_sample(self.session, sample)

@@ -18,6 +18,8 @@ class ScenarioPlayer:
         self.duration_s = scenario.duration_s if scenario else float("inf")
         self._start_s: float | None = None
         self._elapsed_s = 0.0
+        self.played: list[float] = []
+        """Sample times at which steps were taken."""
 
     def due(self, t_s: float) -> list[StepConfig]:
         """Steps whose time has come at sample time t_s; the first call sets the zero of time."""
@@ -27,6 +29,7 @@ class ScenarioPlayer:
         found = []
         while self._left and self._left[0].at_s <= self._elapsed_s:
             found.append(self._left.popleft())
+            self.played.append(t_s)
         return found
 
     @property

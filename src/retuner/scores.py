@@ -20,6 +20,8 @@ from retuner.schedule.table import GainTable
 
 Linearise = Callable[[float], LinearProcess]
 Columns = dict[str, FloatArray]
+SETTLING = 10
+"""Samples after a setpoint step in which another event still counts as the same one."""
 POINTS = 9
 """Operating points per region at which the true Ms is looked at."""
 
@@ -110,13 +112,18 @@ class Twin:
     text: str
 
 
-def twin_steps(columns: Columns) -> list[Twin]:
-    """For each region the setpoint step that occurs twice with the longest time between: before and after learning."""
+def twin_steps(columns: Columns, events_s: list[float]) -> list[Twin]:
+    """For each region the setpoint step that occurs twice with the longest time between: before and after learning.
+
+    events_s : times at which something else begins (loads), where a step's response is cut off.
+    """
     sp, region = columns["sp"], columns["region"].astype(int)
     moves = np.flatnonzero(np.diff(sp)) + 1
-    ends = [*moves[1:].tolist(), len(sp)]
+    others = np.searchsorted(columns["t"], np.asarray(events_s, dtype=np.float64))
+    cuts = np.unique(np.concatenate([moves, others, [len(sp)]]))
     seen: dict[tuple[int, float, float], list[tuple[int, int]]] = {}
-    for start, end in zip(moves.tolist(), ends, strict=True):
+    for start in moves.tolist():
+        end = int(cuts[np.searchsorted(cuts, start + SETTLING, side="left")])
         if region[start - 1] == region[min(start + 1, len(sp) - 1)]:
             seen.setdefault((int(region[start]), float(sp[start - 1]), float(sp[start])), []).append((start, end))
     best: dict[int, Twin] = {}

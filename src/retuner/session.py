@@ -56,6 +56,25 @@ class Recorder(Protocol):
         ...
 
 
+def trouble(event: Event) -> tuple[str, dict[str, object]]:
+    """The row that tells of an event which is neither a sample nor the end of a write or command."""
+    match event:
+        case WriteUnknown():
+            return "unknown", {"sequence": event.seq, "reason": event.reason}
+        case LinkChanged():
+            return "link", {"state": event.state.name.lower(), "reason": event.reason}
+        case DeviceRestarted():
+            return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains)}
+        case RunningChanged():
+            return "foreign", {"gains": gains_dict(event.running.gains)}
+        case SamplesLost():
+            return "lost", {"samples": event.count}
+        case CommandFailed():
+            return "command", {"command": event.command, "reason": event.reason}
+        case _:
+            raise TypeError(f"{type(event).__name__} is not an event that a session records")
+
+
 @dataclass(frozen=True, slots=True)
 class Write:
     """A write under way."""
@@ -82,7 +101,7 @@ class Session:
         retuner: Retuner,
         scenario: ScenarioPlayer,
         record: Recorder,
-        on_sample: Callable[[LoopSample], None] = lambda sample: None,
+        on_sample: Callable[[LoopSample], None] | None = None,
     ) -> None:
         self.device = device
         self.retuner = retuner
@@ -136,7 +155,8 @@ class Session:
         decision = self.retuner.observe(sample)
         if self.retuner.region is not None and self.device.running is not None:
             self.trend.add(sample, self.retuner.region, self.device.running.gains)
-        self._on_sample(sample)
+        if self._on_sample is not None:
+            self._on_sample(sample)
         if decision is not None:
             self._decided(decision)
 
@@ -193,20 +213,11 @@ class Session:
             case WriteFailed():
                 if self._write:
                     self._give_up(self._write.region, event.reason, event.running.gains)
-            case WriteUnknown():
-                self._record("unknown", self._t_s, {"sequence": event.seq, "reason": event.reason})
-            case LinkChanged():
-                self._record("link", self._t_s, {"state": event.state.name.lower(), "reason": event.reason})
-            case DeviceRestarted():
-                self._record("restart", self._t_s, {"epoch": event.epoch, "gains": gains_dict(event.running.gains)})
-            case RunningChanged():
-                self._record("foreign", self._t_s, {"gains": gains_dict(event.running.gains)})
-            case SamplesLost():
-                self._record("lost", event.t_s, {"samples": event.count})
-            case CommandFailed():
-                self._record("command", self._t_s, {"command": event.command, "reason": event.reason})
-            case CommandDone() | LoopSample():
+            case CommandDone():
                 pass
+            case _:
+                kind, body = trouble(event)
+                self._record(kind, self._t_s, body)
 
     def _done(self, event: WriteDone) -> None:
         """The controller runs the set, as read back; only now does the table change."""

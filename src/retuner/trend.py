@@ -52,10 +52,12 @@ def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
 def _parquet(trend: Trend) -> bytes:
     """The trend as the bytes of a Parquet file."""
     try:
-        import pyarrow  # noqa: PLC0415  an extra, loaded when wanted
-        import pyarrow.parquet  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
+        from pyarrow import parquet  # noqa: PLC0415
     except ImportError:
-        raise UserError('output.trend = "parquet" needs pyarrow; pip install "retuner[parquet]", or set it to "csv"') from None
-    sink = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(pyarrow.table(trend.columns()), sink)
+        raise UserError(
+            'output.trend = "parquet" needs pyarrow; pip install "retuner[parquet]", or set it to "csv"'
+        ) from None
+    sink = pa.BufferOutputStream()
+    parquet.write_table(pa.table(trend.columns()), sink)
     return bytes(sink.getvalue())

@@ -27,8 +27,10 @@ def device(path: Path, *, interface: str | None, channel: str | None, speed: flo
     if duration_s is not None and not 0 < duration_s < float("inf"):
         raise UserError(f"--duration {duration_s}: give a positive number of seconds, or leave it out")
     if config.bus.interface == "virtual":
-        raise UserError("bus.interface = virtual reaches no other process: give --interface udp_multicast --channel "
-                        "239.74.163.2, or socketcan and its interface; `retuner run` needs no device for virtual")  # fmt: skip
+        raise UserError(
+            "bus.interface = virtual reaches no other process: give --interface udp_multicast --channel 239.74.163.2, "
+            "or socketcan and its interface; `retuner run` needs no device for virtual"
+        )
     machine = VirtualDevice(virtual_device_settings(config), make_plant(config))
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock) as link:

@@ -5,10 +5,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from retuner.api import Identification
-from retuner.api import identify as identify_record
+from retuner.api import Identification, identify_record
 from retuner.commands.tune import described as tuning_lines
-from retuner.drivers.recording import read_recording
+from retuner.drivers.recording import read_recording, require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
@@ -39,9 +38,10 @@ def identify(path: Path, options: IdentifyOptions, *, as_json: bool) -> int:
     """
     gains = controller(options)
     recording = read_recording(path, renamed(options.columns))
-    with user_input(str(path)):
-        found = identify_record(recording.t_s, recording.sp, recording.pv, recording.co,
-                                open_loop=options.open_loop, gains=gains)  # fmt: skip
+    require_excitation(recording)
+    if not options.open_loop:
+        require_setpoint(recording)
+    found = identify_record(recording.window(), open_loop=options.open_loop, gains=gains)
     if as_json:
         sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
     else:

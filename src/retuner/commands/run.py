@@ -139,8 +139,10 @@ def _leave(job: _Job, ledger: Ledger, session: Session, fixed: Session | None, s
         "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
         "trend": trend.name, "bus log": BUS_LOG, "gains": GAINS,
     }  # fmt: skip
-    data = ReportData(config.loop.name, config.loop.pv_unit, before, session.table, scores, session.decisions,
-                      columns, fixed_columns, [t for t, _ in session.commits], facts)  # fmt: skip
+    data = ReportData(
+        config.loop.name, config.loop.pv_unit, before, session.table, scores, session.decisions,
+        columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
+    )  # fmt: skip
     write_whole(folder / REPORT, render(data))
     document = result(session, scores, ledger, folder)
     write_json(folder / SUMMARY, document)

@@ -59,10 +59,13 @@ def described(result: TuneResult) -> list[str]:
     gains, parallel, m = shown["gains"], shown["parallel"], result.margins
     assert isinstance(gains, dict)
     assert isinstance(parallel, dict)
-    lines = [f"{result.tuning.rule}, tau_c {number(result.tuning.tau_c_s, ' s')}",
-             f"  {result.form:<8}  Kc {number(gains['kc'])}  tau_I {number(gains['tau_i'], ' s')}  "
-             f"tau_D {number(gains['tau_d'], ' s')}",
-             f"  parallel  kp {number(parallel['kp'])}  ki {number(parallel['ki'], '/s')}  kd {number(parallel['kd'], ' s')}"]  # fmt: skip
+    times = f"tau_I {number(gains['tau_i'], ' s')}  tau_D {number(gains['tau_d'], ' s')}"
+    ki, kd = number(parallel["ki"], "/s"), number(parallel["kd"], " s")
+    lines = [
+        f"{result.tuning.rule}, tau_c {number(result.tuning.tau_c_s, ' s')}",
+        f"  {result.form:<8}  Kc {number(gains['kc'])}  {times}",
+        f"  parallel  kp {number(parallel['kp'])}  ki {ki}  kd {kd}",
+    ]
     if not m.stable:
         return [*lines, "  the closed loop would be UNSTABLE"]
     return [*lines, f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
