@@ -80,7 +80,7 @@ def scores_table(scores: list[RegionScore], unit: str) -> Table:
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 2, 0, 0))
     for name in ("region", "commissioned", "final"):
         table.add_column(name, no_wrap=True)
-    for name in ("changes", "Ms", "Ms now", "IAE fixed", "IAE now"):
+    for name in ("writes", "Ms", "Ms now", "IAE fixed", "IAE now"):
         table.add_column(name, justify="right", no_wrap=True)
     for s in scores:
         better = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"

@@ -38,6 +38,16 @@ def fresh_folder(folder: Path) -> Path | None:
     return moved
 
 
+def give_back(folder: Path, moved: Path | None) -> None:
+    """Undo fresh_folder after a run in which nothing happened: our files go, the earlier run comes back."""
+    for path in folder.iterdir():
+        if path.name in OURS or path.name.startswith(LEDGER):
+            path.unlink()
+    folder.rmdir()
+    if moved is not None:
+        moved.rename(folder)
+
+
 def write_json(path: Path, document: object) -> None:
     """A JSON document as a whole file, readable."""
     write_whole(path, json.dumps(document, indent=2, allow_nan=False) + "\n")

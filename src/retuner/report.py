@@ -15,7 +15,7 @@ STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1180px;margin:2em auto;padding:0 1.2em}
 h1{font-size:1.7em;margin:0 0 .2em} h2{font-size:1.2em;margin:1.8em 0 .5em}
 p.lead{font-size:1.08em} .muted{color:#666} img{max-width:100%}
-table{border-collapse:collapse;width:100%;font-size:.92em} 
+table{border-collapse:collapse;width:100%;font-size:.92em}
 th,td{text-align:left;padding:.35em .6em;border-bottom:1px solid #ddd;vertical-align:top}
 th{background:#f4f6f8} td.n,th.n{text-align:right;white-space:nowrap} .good{color:#1a7f37} .bad{color:#b42318}
 .twins{display:flex;flex-wrap:wrap;gap:1em} .twins img{flex:1 1 340px;max-width:560px} tr.commit td{background:#fff8e6}

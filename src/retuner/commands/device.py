@@ -11,6 +11,7 @@ from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.device_process import DeviceOnBus, run_device
 from retuner.drivers.virtual_device import VirtualDevice
 from retuner.errors import UserError
+from retuner.stopping import stoppable
 
 
 def device(path: Path, *, interface: str | None, channel: str | None, speed: float, duration_s: float | None) -> int:
@@ -37,6 +38,7 @@ def device(path: Path, *, interface: str | None, channel: str | None, speed: flo
         sys.stderr.write(f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
                          f"{speed:g} times real time; Ctrl-C ends it\n")  # fmt: skip
         sys.stderr.flush()
-        report = run_device(DeviceOnBus(machine, link), clock, until_s=duration_s or float("inf"))
+        with stoppable():
+            report = run_device(DeviceOnBus(machine, link), clock, until_s=duration_s or float("inf"))
     sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")
     return 0

@@ -15,15 +15,17 @@ from retuner.assembly import make_plant
 from retuner.commands.check import summary
 from retuner.config import Config, load_config
 from retuner.console import RunScreen, scores_table
+from retuner.drivers.device import DeviceError
 from retuner.errors import UserError
 from retuner.files import write_whole
 from retuner.ledger import Ledger
-from retuner.outputs import BUS_LOG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, write_json
+from retuner.outputs import BUS_LOG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, give_back, write_json
 from retuner.report import ReportData, render
 from retuner.running import Run, nothing
 from retuner.schedule.document import to_toml
 from retuner.scores import RegionScore, region_scores
 from retuner.session import Session
+from retuner.stopping import stoppable
 from retuner.trend import write_trend
 
 
@@ -49,6 +51,8 @@ def run(path: Path, options: RunOptions) -> int:
         The configuration, the options, the folder or the bus cannot be used, one line each.
     """
     config = overridden(load_config(path), options)
+    if options.mode is not None and options.mode not in set(Mode):
+        raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
     mode = Mode(options.mode) if options.mode else None
     simulated = config.bus.interface == "virtual"
     if simulated and config.scenario is None:
@@ -60,10 +64,22 @@ def run(path: Path, options: RunOptions) -> int:
     console = Console(stderr=options.as_json)
     screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json)
     moved = fresh_folder(folder)
-    with Ledger(folder / LEDGER) as ledger, screen:
-        if moved:
-            screen.say(f"the earlier run in {folder} was moved to {moved}")
-        return _run(_Job(config, mode, speed, folder, options, simulated), ledger, screen)
+    try:
+        with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
+            if moved:
+                screen.say(f"the earlier run in {folder} was moved to {moved}")
+            return _run(_Job(config, mode, speed, folder, options, simulated), ledger, screen)
+    except NothingHappenedError as nothing_happened:
+        give_back(folder, moved)
+        raise nothing_happened.cause from None
+
+
+class NothingHappenedError(Exception):
+    """The run ended before the first sample: nothing is worth keeping. cause is what the user is told."""
+
+    def __init__(self, cause: BaseException) -> None:
+        self.cause = cause
+        super().__init__(str(cause))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +116,10 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     interrupted = False
     try:
         session = job_run.simulated() if job.simulated else job_run.live(job.speed)
-    except KeyboardInterrupt:
-        interrupted = True
+    except (KeyboardInterrupt, DeviceError) as end:
         if job_run.session is None or not job_run.session.trend.rows:
-            raise
+            raise NothingHappenedError(end) from end
+        interrupted = True
         session = job_run.session
     ledger.append("end", {"interrupted": interrupted, "samples": len(session.trend.rows)}, session.trend.rows[-1][0])
     fixed = None

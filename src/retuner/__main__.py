@@ -1,0 +1,7 @@
+"""`python -m retuner` is the command `retuner`."""
+
+import sys
+
+from retuner.cli import main
+
+sys.exit(main())

@@ -1,0 +1,190 @@
+"""retuner run from end to end on a quick loop: cured, recorded, repeatable, interruptible; and what refuses to run."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+import pytest
+
+from retuner import drivers
+from retuner.cli import main
+from retuner.ledger import LedgerReader
+from retuner.outputs import fresh_folder
+from retuner.schedule.document import from_toml
+
+QUICK = """
+schema = 1
+[loop]
+name = "quick"
+pv_unit = "bar"
+pv_min = 0.0
+pv_max = 10.0
+sample_time_s = 0.1
+[schedule]
+variable = "sp"
+bounds = [5.0]
+hysteresis = 0.2
+[[schedule.region]]
+name = "low"
+kc = 5.0
+tau_i_s = 4.0
+[[schedule.region]]
+name = "high"
+kc = 20.0
+tau_i_s = 4.0
+[adaptation]
+mode = "auto"
+[device]
+kind = "virtual"
+seed = 3
+[device.plant]
+kind = "linear"
+k = 0.1
+lags_s = [5.0, 0.1]
+theta_s = 0.4
+start_pv = 2.0
+start_co_pct = 30.0
+noise = 0.01
+[scenario]
+duration_s = 160.0
+steps = [
+    { at_s = 0.0, sp = 2.0 }, { at_s = 20.0, sp = 3.0 }, { at_s = 50.0, load = -5.0 }, { at_s = 80.0, sp = 2.0 },
+    { at_s = 110.0, sp = 3.0 }, { at_s = 140.0, sp = 7.0 },
+]
+[output]
+directory = "out"
+"""
+
+
+@pytest.fixture
+def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "quick.toml"
+    path.write_text(QUICK, encoding="utf-8")
+    return path
+
+
+def test_a_sluggish_loop_is_cured_over_can_and_everything_is_left_behind(
+    quick: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(quick)]) == 0
+    shown = capsys.readouterr().out
+    assert "sluggish" in shown
+    assert "write Kc 5" in shown
+    out = quick.parent / "out"
+    summary = json.loads((out / "summary.json").read_text())
+    low, high = summary["scores"]
+    assert low["changes"] >= 1
+    assert low["ms_after"] <= 1.8
+    assert low["iae"] < low["iae_fixed"]
+    assert high["changes"] == 0
+    table = from_toml((out / "gains.toml").read_text())
+    assert table.gains_of("low").kp == pytest.approx(low["after"]["kp"])
+    assert table.revision == summary["revision"] == low["changes"]
+    report = (out / "report.html").read_text()
+    assert report.count("data:image/png;base64,") == 2
+    assert "http" not in report.replace("https://", "http").split("</style>")[1].split("base64")[0]
+    trend = np.genfromtxt(out / "trend.csv", delimiter=",", names=True)
+    assert len(trend) == pytest.approx(1600, abs=5)
+    assert np.all(np.diff(trend["t"]) > 0)
+
+
+def test_the_ledger_has_the_row_before_the_effect(quick: Path) -> None:
+    main(["run", str(quick), "--no-compare"])
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as ledger:
+        assert ledger.verify().ok
+        rows = [(row.kind, json.loads(row.text)) for row in ledger.rows()]
+    kinds = [kind for kind, _ in rows]
+    assert kinds[0] == "session"
+    assert kinds[-1] == "end"
+    first = next(i for i, (kind, body) in enumerate(rows) if kind == "intent" and body["why"] == "retune")
+    done = next(i for i, (kind, body) in enumerate(rows) if kind == "committed" and body["why"] == "retune")
+    assert kinds[first - 1] == "decision"
+    assert first < done
+    assert kinds.count("intent") == kinds.count("committed")
+
+
+def test_the_bus_log_decodes_with_the_shipped_dbc(quick: Path) -> None:
+    main(["run", str(quick), "--no-compare"])
+    database = cantools.database.load_file(Path(drivers.__file__).parent / "retuner.dbc")
+    assert isinstance(database, cantools.database.Database)
+    by_command = {message.frame_id & 0x1F: message for message in database.messages}
+    seen = set()
+    for frame in can.BLFReader(quick.parent / "out" / "bus.blf"):
+        message = by_command[frame.arbitration_id & 0x1F]
+        message.decode(bytes(frame.data))
+        seen.add(message.name)
+    assert {"TELEMETRY_PV", "TELEMETRY_SP", "STAGE", "COMMIT", "ACK", "SETPOINT", "HEARTBEAT"} <= seen
+
+
+def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Path) -> None:
+    heads = []
+    for seed in (3, 3, 4):
+        quick.write_text(QUICK.replace("seed = 3", f"seed = {seed}"), encoding="utf-8")
+        main(["run", str(quick), "--no-compare", "--out", f"run{len(heads)}"])
+        with LedgerReader(quick.parent / f"run{len(heads)}" / "ledger.sqlite") as ledger:
+            heads.append(ledger.head())
+    assert heads[0] == heads[1] != heads[2]
+
+
+def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert {d["action"] for d in document["decisions"]} <= {"advise", "none"}
+    assert "advise" in {d["action"] for d in document["decisions"]}
+    assert document["revision"] == 0
+
+
+def test_an_earlier_run_is_moved_aside_and_foreign_folders_are_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    assert fresh_folder(folder) is None
+    (folder / "ledger.sqlite").write_text("old")
+    assert fresh_folder(folder) == tmp_path / "run-1"
+    assert (tmp_path / "run-1" / "ledger.sqlite").read_text() == "old"
+    assert list(folder.iterdir()) == []
+    (folder / "thesis.txt").write_text("precious")
+    assert main(["run", "examples/none.toml", "--out", str(folder)]) == 2
+    assert (folder / "thesis.txt").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--mode", "trial"], "trial"),
+        (["--speed", "fast"], "--speed fast"),
+        (["--speed", "10"], "simulated time"),
+        (["-i", "nosuchbus", "--speed", "1"], "nosuchbus"),
+    ],
+)
+def test_wrong_use_is_one_line_and_status_2_and_leaves_nothing(
+    quick: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert main(["run", str(quick), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (quick.parent / "out").exists()
+
+
+def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
+    longer = QUICK.replace("duration_s = 160.0", "duration_s = 1e7")
+    quick.write_text(longer, encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "retuner", "run", str(quick)], cwd=quick.parent, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert any(b"write Kc" in line for line in process.stdout)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert (quick.parent / "out" / "report.html").stat().st_size > 10_000
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
+        assert reader.verify().ok
+        assert list(reader.rows())[-1].kind == "end"
