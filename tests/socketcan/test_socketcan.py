@@ -131,3 +131,11 @@ def test_the_runner_says_what_is_missing(tmp_path: Path) -> None:
     )
     assert done.returncode == IMPOSSIBLE
     assert "apt-get install -y user-mode-linux" in done.stderr
+
+
+@pytest.mark.slow
+def test_kernel_can_is_used_where_there_is_one() -> None:
+    done = run_inside(sys.executable, RUNNER, "--", "ip", "-brief", "link", "show", "vcan0")
+    assert done.returncode == 0, done.stderr
+    assert "vcan0 of this kernel" in done.stderr
+    assert "vcan0" in done.stdout
