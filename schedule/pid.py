@@ -156,13 +156,13 @@ def step(law: PidLaw, state: StateTuple, sp: float, pv: float, dt_s: float) -> t
     if (
         law.co_min < wish < law.co_max
         and law.co_min <= ahead <= law.co_max
-        and (rate is None or -rate * dt_s <= wish - co <= rate * dt_s)
+        and (rate is None or -(reach := rate * dt_s) <= wish - co <= reach)
     ):
         return (integral + more, pv, pv_rate, wish, 0), wish
-    if not math.isfinite(ahead):
+    if ahead - ahead != 0.0:
         _refuse(sp=sp, pv=pv, dt_s=dt_s)
-    co = _limit(law, co, wish, dt_s)
-    return (integral + _growth(law, wish, more, co), pv, pv_rate, co, _standing(law, co)), co
+    co, limited, more = _hold(law, wish if rate is None else _reachable(wish, co, rate * dt_s), wish, more)
+    return (integral + more, pv, pv_rate, co, limited), co
 
 
 def track(law: PidLaw, state: StateTuple, sp: float, pv: float, co: float, dt_s: float) -> tuple[StateTuple, float]:
@@ -178,7 +178,8 @@ def track(law: PidLaw, state: StateTuple, sp: float, pv: float, co: float, dt_s:
     other = law.kp * (law.b * sp - pv) - law.kd * pv_rate
     if not math.isfinite(co + other + dt_s * 0.0):
         _refuse(sp=sp, pv=pv, co=co, dt_s=dt_s)
-    co = _limit(law, co_last, co, dt_s)
+    rate = law.co_rate_per_s
+    co = _in_range(law, co if rate is None else _reachable(co, co_last, rate * dt_s))
     return (co - other, pv, pv_rate, co, _standing(law, co)), co
 
 
@@ -224,21 +225,28 @@ def _in_range(law: PidLaw, co: float) -> float:
     return min(max(co, law.co_min), law.co_max)
 
 
-def _limit(law: PidLaw, co_last: float, wish: float, dt_s: float) -> float:
-    """The nearest co that rate and range allow; the range has the last word."""
-    if law.co_rate_per_s is not None:
-        reach = law.co_rate_per_s * dt_s
-        wish = min(max(wish, co_last - reach), co_last + reach)
-    return _in_range(law, wish)
+def _reachable(wish: float, co_last: float, reach: float) -> float:
+    """The co nearest to the wish that the rate limit allows."""
+    return min(max(wish, co_last - reach), co_last + reach)
 
 
-def _growth(law: PidLaw, wish: float, more: float, co: float) -> float:
-    """Growth of the integral in a sample at a limit; `more` is what it would be without (anti-windup, see above)."""
+def _hold(law: PidLaw, co: float, wish: float, more: float) -> tuple[float, int, float]:
+    """The slow path of a step: co in its range, at which limit it stands, and how much the integral may grow.
+
+    co : what the rate limit allows of the wish. more : growth of the integral without anti-windup (see above).
+    """
+    limited = 0
+    if co >= law.co_max:
+        co, limited = law.co_max, 1
+    elif co <= law.co_min:
+        co, limited = law.co_min, -1
     if more > 0.0:
-        return 0.0 if wish > co else min(more, law.co_max - wish)
-    if more < 0.0:
-        return 0.0 if wish < co else max(more, law.co_min - wish)
-    return 0.0
+        if wish > co:
+            return co, limited, 0.0
+        return co, limited, more if wish + more <= law.co_max else law.co_max - wish
+    if wish < co:
+        return co, limited, 0.0
+    return co, limited, more if wish + more >= law.co_min else law.co_min - wish
 
 
 def _standing(law: PidLaw, co: float) -> int:

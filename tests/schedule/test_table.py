@@ -92,7 +92,7 @@ def test_a_change_is_a_new_revision_and_leaves_the_old_one():
     assert HARD.gains == GAINS
     assert HARD.revision == 0
     with pytest.raises(FrozenInstanceError):
-        HARD.revision = 7  # type: ignore[misc]  # that it cannot be set is what is tested
+        HARD.revision = 7
 
 
 def test_regions_by_name_and_index():
