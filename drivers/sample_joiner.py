@@ -1,7 +1,9 @@
 """Telemetry to samples: joins the two halves of a sample, unwraps their 8-bit counter and notices what is missing.
 
 The heartbeat carries the full 32-bit sample counter and is the reference; a half belongs to the sample nearest to it
-with these low 8 bits. Older or repeated halves are dropped. Across a restart of the device time goes on.
+with these low 8 bits. Older or repeated halves are dropped, and a half without its partner is soon forgotten. Telemetry
+has no checksum, the heartbeat has one: when two heartbeats in a row say that the counter stands far behind, they are
+right and a stray half was wrong. Time goes on whatever the counter does, across a restart of the device as well.
 """
 
 from typing import NamedTuple
@@ -11,7 +13,8 @@ from retuner.drivers.frames import TelemetryPv, TelemetrySp
 
 WRAP = 256  # of the counter in the telemetry frames
 HALF = WRAP // 2
-PENDING_MAX = 8  # unmatched halves that are kept for their partners
+PATIENCE = 16  # halves after which one that has met no partner is forgotten
+BEHIND = 16  # samples by which a late heartbeat may lag behind the telemetry
 
 
 class Joined(NamedTuple):
@@ -43,11 +46,21 @@ class SampleJoiner:
         self._offset = 0
         self._reference: int | None = None
         self._last: int | None = None
-        self._halves: dict[int, TelemetryPv | TelemetrySp] = {}
+        self._behind: int | None = None
+        self._halves: dict[int, tuple[int, TelemetryPv | TelemetrySp]] = {}
+        self._taken = 0
         self.dropped = 0
 
     def set_reference(self, sample: int) -> None:
-        """The device says that its counter stands here; never moves back."""
+        """The device says that its counter stands here; see the head of this file for when it moves back."""
+        if self._last is not None and sample < self._last - BEHIND:
+            if self._behind is not None and sample > self._behind:
+                self.restart(sample, 1)
+                self._behind = None
+            else:
+                self._behind = sample
+            return
+        self._behind = None
         if self._reference is None or sample > self._reference:
             self._reference = sample
 
@@ -74,21 +87,21 @@ class SampleJoiner:
         if self._last is not None and number <= self._last:
             self.dropped += 1
             return None
-        other = self._halves.get(number)
-        if isinstance(half, TelemetryPv) and isinstance(other, TelemetrySp):
-            return self._join(number, half, other)
-        if isinstance(half, TelemetrySp) and isinstance(other, TelemetryPv):
-            return self._join(number, other, half)
-        self._halves[number] = half
-        if len(self._halves) > PENDING_MAX:
-            del self._halves[min(self._halves)]
+        self._taken += 1
+        since, other = self._halves.get(number, (self._taken, None))
+        if self._taken - since < PATIENCE:
+            if isinstance(half, TelemetryPv) and isinstance(other, TelemetrySp):
+                return self._join(number, half, other)
+            if isinstance(half, TelemetrySp) and isinstance(other, TelemetryPv):
+                return self._join(number, other, half)
+        self._halves[number] = self._taken, half
         return None
 
     def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> Joined:
         """The sample; what is older is given up."""
         lost = 0 if self._last is None else number - self._last - 1
         self._last = self._reference = number
-        self._halves = {n: half for n, half in self._halves.items() if n > number}
+        self._halves = {n: kept for n, kept in self._halves.items() if n > number}
         t_s = (number + self._offset) * self._sample_time_s
         sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, 0.0, sp.running)
         return Joined(sample._replace(x=sample[self._field]), lost)

@@ -94,7 +94,7 @@ def test_malformed_text_is_refused_in_one_line_with_its_place(tmp_path: Path, te
 
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.csv", tmp_path, Path("/dev/zero"), Path("a\0b")):
-        with pytest.raises(RecordingError, match="no such file|cannot be read"):
+        with pytest.raises(RecordingError, match=r"no such file|cannot be read"):
             read_recording(path)
     os.mkfifo(tmp_path / "fifo.csv")
     with pytest.raises(RecordingError, match="no such file"):
@@ -153,11 +153,17 @@ def test_any_mutation_is_a_record_or_one_line(tmp_path: Path, data: st.DataObjec
         place = data.draw(st.integers(0, len(raw) - 1))
         raw[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=2))
     path = written(tmp_path, bytes(raw))
-    try:
-        record = read_recording(path)
-    except RecordingError as error:
-        assert "\n" not in str(error)
-        assert str(path) in str(error)
+    outcome = _read(path)
+    if isinstance(outcome, str):
+        assert "\n" not in outcome
+        assert str(path) in outcome
         return
-    assert np.isfinite(record.pv).all()
-    assert (np.diff(record.t_s) > 0).all()
+    assert np.isfinite(outcome.pv).all()
+    assert (np.diff(outcome.t_s) > 0).all()
+
+
+def _read(path: Path) -> Recording | str:
+    try:
+        return read_recording(path)
+    except RecordingError as error:
+        return str(error)
