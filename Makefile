@@ -1,18 +1,20 @@
-# The two commands of the README; each does all its set-up. VENV and PYTHON may be overridden.
+# The two commands of the README, `make demo` and `make test`; each does all its set-up. PYTHON and VENV may be set.
 PYTHON ?= python3
 VENV   ?= .venv
+PYTEST ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
+PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 
 .PHONY: demo test lint bench clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo
 
-test: $(DEV)  ## set up and pass the tests
+test: $(DEV)  ## set up and pass the tests; PYTEST='-k pid' and the like are handed on
 	$(BIN)/python scripts/link_typing.py
-	$(BIN)/python -P -m pytest -q
+	$(BIN)/python -P -m pytest -q $(PYTEST)
 
 lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/python scripts/link_typing.py
@@ -21,18 +23,23 @@ lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/mypy
 
 bench: $(DEV)  ## speed ratios, measured in one run
+	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/per_sample.py
 
+# The stamp is taken away while something is being installed, so an environment without one is half-installed (or not
+# ours to trust) and is made anew. pip 25.1 is the first that knows the dependency groups of pyproject.toml.
 $(STAMP): pyproject.toml setup.py
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "retuner needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; set PYTHON=...")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[all]'
-	touch $@
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "retuner needs Python 3.11 or newer, and $(PYTHON) is " + sys.version.split()[0] + "; say which with: make PYTHON=python3.11")'
+	@test -f $@ && $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	@rm -f $@ $(DEV)
+	$(PIP) --upgrade 'pip>=25.1'
+	$(PIP) -e '.[all]'
+	@touch $@
 
 $(DEV): $(STAMP)
-	$(BIN)/python -m pip install -q --disable-pip-version-check --group test --group lint --group bench build 'setuptools>=77'
-	touch $@
+	@rm -f $(STAMP)
+	$(PIP) --group test --group lint --group bench build 'setuptools>=77'
+	@touch $(STAMP) $@
 
-clean:
-	rm -rf $(VENV) .typing build dist runs *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+clean:  ## take away everything that the commands above made
+	rm -rf $(VENV) .typing build dist runs *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage
