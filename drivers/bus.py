@@ -107,10 +107,14 @@ class CanLink:
         self._heard = self._silence_is_normal = False
         self._pause_s = settings.reopen_first_s
         self._next_open_s = clock.now_s()
-        self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
-        self.counters.opened += 1
         if log is not None:
             self._writer = open_log(log)
+        try:
+            self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
+        except BusError:
+            self._stop_log()
+            raise
+        self.counters.opened += 1
 
     @property
     def state(self) -> LinkState:
@@ -161,7 +165,8 @@ class CanLink:
         if messages:
             self._heard = True
             self._last_frame_s = self._clock.now_s()
-            self._pause_s = self.settings.reopen_first_s
+            if self._bus is not None:
+                self._pause_s = self.settings.reopen_first_s
         elif self._heard and not self._silence_is_normal and self.state is LinkState.SILENT:
             self._fail()  # a socket whose interface was made anew is deaf without any error
         return messages
@@ -186,12 +191,7 @@ class CanLink:
         """Close bus and log; a second time does nothing."""
         self._shut()
         self._next_open_s = float("inf")
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            try:
-                writer.stop()
-            except OSError:
-                self.counters.log_failures += 1
+        self._stop_log()
 
     def __enter__(self) -> "CanLink":
         return self
@@ -265,12 +265,22 @@ class CanLink:
         if self._writer is None:
             return
         message.timestamp = self._clock.stamp_s()
+        message.channel = None  # a log is of one link; its channel's name must not make equal runs differ
         message.is_rx = received
         try:
             self._writer.on_message_received(message)
         except OSError:
             self.counters.log_failures += 1
-            self._writer = None
+            self._stop_log()
+
+    def _stop_log(self) -> None:
+        """End the log; what cannot be written any more is lost, its file is closed all the same."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.stop()
+            except OSError:
+                self.counters.log_failures += 1
 
 
 def _is_garbage(error: BaseException) -> bool:

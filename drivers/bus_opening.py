@@ -64,5 +64,5 @@ def open_log(path: Path) -> can.io.generic.MessageWriter:
         return can.Logger(path)
     except BUS_ERRORS as error:
         raise BusError(
-            f"{path}: cannot log bus traffic here: {error}; name a .blf or .asc file in a folder that exists"
+            f"{path}: cannot log frames here: {error}; name a .blf or .asc file in a folder that exists"
         ) from error

@@ -1,0 +1,255 @@
+"""The link: what it survives, what it drops, how it says no."""
+
+import can
+import pytest
+
+from retuner.drivers import bus_opening
+from retuner.drivers.bus import CanLink, LinkSettings
+from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.device import BusError, LinkState
+
+FRAME = can.Message(arbitration_id=0x21, is_extended_id=False, data=b"\x01\x02")
+
+
+class FakeBus:
+    """A bus that does as it is told: a list of messages or exceptions to receive, and exceptions to send."""
+
+    def __init__(self) -> None:
+        self.incoming: list[can.Message | Exception] = []
+        self.send_error: Exception | None = None
+        self.sent: list[can.Message] = []
+        self.closed = False
+
+    def recv(self, timeout: float) -> can.Message | None:
+        assert timeout == 0.0
+        if not self.incoming:
+            return None
+        first = self.incoming.pop(0)
+        if isinstance(first, Exception):
+            raise first
+        return first
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        assert 0 < timeout < 1
+        if self.send_error:
+            raise self.send_error
+        self.sent.append(message)
+
+    def fileno(self) -> int:
+        return -1
+
+    def shutdown(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> list[FakeBus]:
+    """Every bus that is opened from now on; a None in the list `refuse` stands for an opening that fails."""
+    opened: list[FakeBus] = []
+
+    def open_bus(*_: object) -> FakeBus:
+        opened.append(FakeBus())
+        return opened[-1]
+
+    monkeypatch.setattr("retuner.drivers.bus.open_bus", open_bus)
+    return opened
+
+
+def linked(clock: SimulatedClock, **settings: object) -> CanLink:
+    return CanLink(LinkSettings(**{"interface": "socketcan", "channel": "can0", **settings}), clock)
+
+
+def os_error() -> can.CanOperationError:
+    error = can.CanOperationError("network is down", 100)
+    error.__cause__ = OSError(100, "network is down")
+    return error
+
+
+def test_state_is_the_age_of_the_last_frame(fakes: list[FakeBus]) -> None:
+    clock = SimulatedClock()
+    link = linked(clock, silent_after_s=5.0)
+    assert link.state is LinkState.SILENT
+    fakes[0].incoming = [FRAME]
+    assert len(link.receive_all()) == 1
+    assert link.state is LinkState.UP
+    clock.advance(5.0)
+    assert link.state is LinkState.UP
+    clock.advance(0.1)
+    assert link.state is LinkState.SILENT
+
+
+def test_a_receive_error_closes_the_bus_and_it_is_opened_anew_with_back_off(
+    fakes: list[FakeBus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimulatedClock()
+    link = linked(clock, reopen_first_s=1.0, reopen_max_s=4.0)
+    fakes[0].incoming = [FRAME, os_error(), FRAME]
+    assert len(link.receive_all()) == 1
+    assert link.state is LinkState.DOWN
+    assert fakes[0].closed
+    assert not link.send(FRAME)
+
+    attempts = []
+
+    def refuse(*_: object) -> None:
+        attempts.append(clock.now_s())
+        raise BusError("gone")
+
+    monkeypatch.setattr("retuner.drivers.bus.open_bus", refuse)
+    for _ in range(200):
+        clock.advance(0.125)
+        assert link.receive_all() == []
+    pauses = [round(b - a, 1) for a, b in zip([0.0, *attempts], attempts, strict=False)]
+    assert pauses[:5] == [1.0, 2.0, 4.0, 4.0, 4.0]
+
+    monkeypatch.setattr("retuner.drivers.bus.open_bus", lambda *_: fakes[0])
+    clock.advance(5.0)
+    fakes[0].incoming = [FRAME]
+    assert len(link.receive_all()) == 1
+    assert link.state is LinkState.UP
+    assert link.counters.opened == 2
+
+
+def test_a_link_that_falls_silent_is_opened_anew_because_its_socket_may_be_deaf(fakes: list[FakeBus]) -> None:
+    clock = SimulatedClock()
+    link = linked(clock, silent_after_s=5.0, reopen_first_s=1.0)
+    fakes[0].incoming = [FRAME]
+    link.receive_all()
+    clock.advance(6.0)
+    link.receive_all()
+    clock.advance(1.0)
+    link.receive_all()
+    assert (len(fakes), fakes[0].closed) == (2, True)
+    clock.advance(100.0)
+    link.receive_all()
+    assert len(fakes) == 2, "once is enough until something has been heard"
+
+
+def test_an_end_that_expects_silence_keeps_its_bus(fakes: list[FakeBus]) -> None:
+    clock = SimulatedClock()
+    link = linked(clock, silent_after_s=5.0)
+    link.expect_silence()
+    fakes[0].incoming = [FRAME]
+    link.receive_all()
+    clock.advance(100.0)
+    link.receive_all()
+    assert (len(fakes), link.state) == (1, LinkState.SILENT)
+
+
+@pytest.mark.parametrize("error", [can.CanTimeoutError("full"), can.CanOperationError("no buffer space", 105)])
+def test_a_full_transmit_queue_is_counted_and_the_bus_stays_open(fakes: list[FakeBus], error: Exception) -> None:
+    link = linked(SimulatedClock())
+    fakes[0].send_error = error
+    assert not link.send(FRAME)
+    assert link.state is not LinkState.DOWN
+    fakes[0].send_error = None
+    assert link.send(FRAME)
+    assert (link.counters.send_failures, link.counters.sent) == (1, 1)
+
+
+def test_a_send_error_closes_the_bus(fakes: list[FakeBus]) -> None:
+    link = linked(SimulatedClock())
+    fakes[0].send_error = os_error()
+    assert not link.send(FRAME)
+    assert link.state is LinkState.DOWN
+
+
+def test_garbage_datagrams_are_counted_and_passed_over(fakes: list[FakeBus]) -> None:
+    garbage = can.CanOperationError("could not unpack received message")
+    garbage.__cause__ = ValueError("not msgpack")
+    link = linked(SimulatedClock(), garbage_limit=5)
+    fakes[0].incoming = [garbage, FRAME, garbage, FRAME]
+    assert len(link.receive_all()) == 2
+    assert link.counters.garbage == 2
+    fakes[0].incoming = [garbage] * 6
+    link.receive_all()
+    assert link.state is LinkState.DOWN
+
+
+def test_own_echoes_and_error_frames_are_left_out(fakes: list[FakeBus]) -> None:
+    link = linked(SimulatedClock(), interface="udp_multicast")
+    link.send(FRAME)
+    other = can.Message(arbitration_id=0x21, is_extended_id=False, data=b"\x01\x03")
+    error = can.Message(is_error_frame=True)
+    fakes[0].incoming = [FRAME, other, error, FRAME]
+    assert [m.data for m in link.receive_all()] == [other.data, FRAME.data]
+    assert (link.counters.echoes, link.counters.error_frames, link.counters.received) == (1, 1, 2)
+
+
+def test_closing_twice_does_nothing_and_a_closed_link_stays_closed(fakes: list[FakeBus]) -> None:
+    clock = SimulatedClock()
+    with linked(clock) as link:
+        link.close()
+    clock.advance(1e6)
+    assert (link.receive_all(), link.send(FRAME), len(fakes)) == ([], False, 1)
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "message"),
+    [
+        ("nonsense", "x", r"bus nonsense x: cannot open it: .*interfaces of python-can: .*socketcan.*virtual"),
+        ("udp_multicast", "10.0.0.1", r"give a multicast group such as 239\.74\.163\.2"),
+        ("socketcan", "nocan0", r"bus socketcan nocan0: cannot open it: .*(ip link add|no CAN)"),
+    ],
+)
+def test_a_bus_that_does_not_exist_is_one_line_with_advice(interface: str, channel: str, message: str) -> None:
+    with pytest.raises(BusError, match=message) as caught:
+        CanLink(LinkSettings(interface=interface, channel=channel), SimulatedClock())
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_msgpack_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("can.interfaces.udp_multicast.utils.msgpack", None)
+    with pytest.raises(BusError, match=r'pip install "retuner\[udp\]"'):
+        CanLink(LinkSettings(interface="udp_multicast", channel="239.74.163.2"), SimulatedClock())
+
+
+def test_udp_multicast_stays_on_this_machine_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = {}
+    monkeypatch.setattr(bus_opening.can, "Bus", lambda **arguments: seen.update(arguments) or FakeBus())
+    CanLink(LinkSettings(interface="udp_multicast", channel="239.74.163.2"), SimulatedClock())
+    assert seen["hop_limit"] == 0
+    CanLink(LinkSettings(interface="socketcan", channel="can0", options={"bitrate": 500000}), SimulatedClock())
+    assert seen["bitrate"] == 500000
+
+
+@pytest.mark.parametrize("settings", [{"hop_limit": 256}, {"silent_after_s": 0.0}, {"reopen_max_s": float("nan")}])
+def test_settings_are_checked(settings: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        LinkSettings(**settings)
+
+
+def test_the_log_has_every_frame_both_ways_and_equal_runs_give_equal_logs(make_bench, tmp_path) -> None:
+    def run(name: str) -> bytes:
+        bench = make_bench(log=tmp_path / name)
+        bench.run(6)
+        bench.host.begin_write(bench.SECOND, bench.now_s)
+        bench.run(10)
+        bench.close()
+        counters = bench.near.counters
+        with can.LogReader(tmp_path / name) as reader:
+            messages = list(reader)
+        assert len(messages) == counters.sent + counters.received
+        assert sum(not m.is_rx for m in messages) == counters.sent > 5
+        assert max(m.timestamp for m in messages) == pytest.approx(2.0 * 16 - 2.0, abs=2.1)
+        return (tmp_path / name).read_bytes()
+
+    assert run("a.blf") == run("b.blf")
+
+
+def test_a_log_that_cannot_be_made_is_one_line(tmp_path) -> None:
+    for path in (tmp_path / "none" / "a.blf", tmp_path / "a.nonsense"):
+        with pytest.raises(BusError, match="cannot log frames here"):
+            CanLink(LinkSettings(), SimulatedClock(), path)
+
+
+def test_a_log_that_fails_ends_and_the_link_goes_on(make_bench, tmp_path) -> None:
+    bench = make_bench(log=tmp_path / "a.blf")
+
+    def full(_: can.Message) -> None:
+        raise OSError(28, "No space left on device")
+
+    bench.near._writer.on_message_received = full
+    bench.run(10)
+    assert bench.host.connected
+    assert bench.near.counters.log_failures == 1
