@@ -14,6 +14,7 @@ from itertools import islice
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.tuning_cause import CauseSettings, tuning_cause
+from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.identify import FitSettings
 from retuner.adaptive.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
@@ -23,7 +24,7 @@ from retuner.adaptive.response import Response
 from retuner.adaptive.rules.simc import simc_at_most_ms
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopMode, LoopSample, Window, finite
-from retuner.adaptive.tracker import Belief, Learned, TrackerSettings, learn
+from retuner.adaptive.tracker import Belief, Learned, TrackerSettings, learn, predicted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import RegionState, choose, enter
 from retuner.schedule.table import GainTable
@@ -214,11 +215,12 @@ class Retuner:
             self.beliefs[region] = learned.belief
         if learned.belief is None:
             return self._decision(region, learned.estimate.reason, response=response, learned=learned)
-        tuning, diagnosis = self._diagnose(learned.belief, in_force)
+        log = predicted(learned.belief, float(window.t_s[-1]), self.settings.tracker)
+        tuning, diagnosis = self._diagnose(log, in_force)
         if not diagnosis.retune:
             return self._decision(region, diagnosis.reason, response=response, learned=learned, diagnosis=diagnosis)
         half_sample = self.settings.sample_time_s / 2
-        verdict = prove(tuning, learned.belief.log, half_sample, in_force, self.settings.guard)
+        verdict = prove(tuning, log, half_sample, in_force, self.settings.guard)
         return self._decision(
             region,
             diagnosis.reason if verdict.accepted else str(verdict.ruling),
@@ -250,17 +252,17 @@ class Retuner:
                 return Diagnosis(Cause.UNKNOWN, 1.0, evidence, f"{name} does not move: nothing to learn from")
         return None
 
-    def _diagnose(self, belief: Belief, in_force: PidGains) -> tuple[Tuning, Diagnosis]:
+    def _diagnose(self, log: LogModel, in_force: PidGains) -> tuple[Tuning, Diagnosis]:
         """What the rule would give, and whether the tuning is the cause."""
-        model = self._tuning_model(belief)
+        model = self._tuning_model(log)
         guard = self.settings.guard
         tuning, _ = simc_at_most_ms(model, guard.ms_nominal, guard.tau_c_max_ratio)
-        diagnosis = tuning_cause(model, in_force, tuning.gains, belief.log.gain_uncertainty(), self.settings.cause)
+        diagnosis = tuning_cause(model, in_force, tuning.gains, log.gain_uncertainty(), self.settings.cause)
         return tuning, diagnosis
 
-    def _tuning_model(self, belief: Belief) -> ProcessModel:
+    def _tuning_model(self, log: LogModel) -> ProcessModel:
         """The model with half a sampling interval of dead time added: what a sampled controller sees."""
-        m = belief.log.model()
+        m = log.model()
         return ProcessModel(m.type, m.k, m.tau1_s, m.tau2_s, m.theta_s + self.settings.sample_time_s / 2)
 
     def _decision(

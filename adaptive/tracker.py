@@ -1,7 +1,13 @@
 """What is known of one region's process, from response to response: a Kalman filter over the log-parameters.
 
-    predict   m stays, P grows by q dt + s^2     (a random walk in the logarithms, and scatter between records)
-    update    z = R x + v, v ~ N(0, I)           (the record linearised at the optimum of its fit, compressed by QR)
+    mu ~ N(m, P)                 the region's process, a random walk in time: P grows by q dt
+    x = mu + e, e ~ N(0, s^2)    the process as one record shows it: the operating point is never quite the same
+    z = R x + v, v ~ N(0, I)     the record, linearised at the optimum of its fit and compressed by QR
+
+The filter predicts x (m, P + q dt + s^2), updates it with z, and takes what it learned back to mu (one step of the
+Rauch-Tung-Striebel smoother, 1965): G = P (P + s^2)^-1, m+ = m + G (x+ - m), P+ = P + G (Px+ - P - s^2) G'. With s = 0
+the two are one. Without s, records of setpoints and of loads, which every too simple structure sees differently, would
+contradict each other for ever.
 
 The state before the update was the prior inside the nonlinear fit that gave R and z, so the update is the last step of
 an iterated extended Kalman filter (Bell & Cathey 1993) and its posterior is the fit's own. Feeding the filter
@@ -40,12 +46,12 @@ class TrackerSettings:
 
     walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
     scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
-        operating point is never quite the same and no structure is quite right; default 0.07 (7 %).
+        operating point is never quite the same and no structure is quite right; default 0.12 (12 %).
     gate : innovation statistic (3 degrees of freedom) above which a record is odd; default 16.3 (99.9 % of chi-square).
     """
 
     walk_per_day: float = 0.1
-    scatter: float = 0.07
+    scatter: float = 0.12
     gate: float = 16.3
 
 
@@ -86,42 +92,68 @@ def learn(belief: Belief | None, window: Window, sign: int, settings: TrackerSet
     """
     t_s = float(window.t_s[-1])
     if belief is None or belief.log.sign != sign:
-        return _first(identify_window(window, sign, None, fit), t_s)
-    prior = predicted(belief, t_s, settings)
+        return _first(identify_window(window, sign, None, fit), t_s, settings)
+    mean = grown(belief, t_s, settings)
+    prior = scattered(mean, settings)
     estimate = identify_window(window, sign, prior, fit)
     innovation, posterior = update(prior, estimate)
     if innovation <= settings.gate:
-        return Learned(Belief(posterior, belief.records + 1, t_s), estimate, Surprise.AGREES, innovation)
+        log = back_to_mean(mean, prior, posterior)
+        return Learned(Belief(log, belief.records + 1, t_s), estimate, Surprise.AGREES, innovation)
     if belief.rival is not None:
-        rival = _against_rival(belief.rival, window, sign, settings, fit)
-        if rival is not None:
-            return Learned(Belief(rival.log, 2, t_s), rival, Surprise.CHANGED, innovation)
+        confirmed = _against_rival(belief.rival, window, sign, settings, fit)
+        if confirmed is not None:
+            log, estimate = confirmed
+            return Learned(Belief(log, 2, t_s), estimate, Surprise.CHANGED, innovation)
     alone = identify_window(window, sign, None, fit)
-    kept = replace(belief, rival=alone.log if alone.identifiable else None)
+    kept = replace(belief, rival=scattered(alone.log, settings) if alone.identifiable else None)
     return Learned(kept, alone, Surprise.ODD, innovation)
 
 
-def _first(estimate: ModelEstimate, t_s: float) -> Learned:
+def _first(estimate: ModelEstimate, t_s: float, settings: TrackerSettings) -> Learned:
     """The first record of a region: believed when it is identifiable."""
-    belief = Belief(estimate.log, 1, t_s) if estimate.identifiable else None
+    belief = Belief(scattered(estimate.log, settings), 1, t_s) if estimate.identifiable else None
     return Learned(belief, estimate, Surprise.FIRST, 0.0)
 
 
 def _against_rival(
     rival: LogModel, window: Window, sign: int, settings: TrackerSettings, fit: FitSettings
-) -> ModelEstimate | None:
-    """The estimate with the rival as prior, if the record agrees with it."""
-    estimate = identify_window(window, sign, rival, fit)
-    innovation, posterior = update(rival, estimate)
-    return replace(estimate, log=posterior) if innovation <= settings.gate else None
+) -> tuple[LogModel, ModelEstimate] | None:
+    """The rival updated with the record, and the record's estimate, if the two agree."""
+    prior = scattered(rival, settings)
+    estimate = identify_window(window, sign, prior, fit)
+    innovation, posterior = update(prior, estimate)
+    return (back_to_mean(rival, prior, posterior), estimate) if innovation <= settings.gate else None
+
+
+def grown(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
+    """The region's mean at a later time: where it was, a covariance grown by the random walk."""
+    days = max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
+    return _widened(belief.log, settings.walk_per_day**2 * days)
+
+
+def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
+    """What one record may show when this is known of the mean, or the other way round."""
+    return _widened(log, settings.scatter**2)
 
 
 def predicted(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
-    """The belief at a later time: the same mean, a covariance grown by the random walk."""
-    days = max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
-    kf = _filter(belief.log)
-    kf.predict(Q=(settings.walk_per_day**2 * days + settings.scatter**2) * np.eye(3))
-    return LogModel(kf.x[:, 0].copy(), kf.P.copy(), belief.log.sign)
+    """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
+    return scattered(grown(belief, t_s, settings), settings)
+
+
+def _widened(log: LogModel, variance: float) -> LogModel:
+    """filterpy's prediction with F = I and Q = variance I."""
+    kf = _filter(log)
+    kf.predict(Q=variance * np.eye(3))
+    return LogModel(kf.x[:, 0].copy(), kf.P.copy(), log.sign)
+
+
+def back_to_mean(mean: LogModel, prior: LogModel, posterior: LogModel) -> LogModel:
+    """What a record's process says of the region's mean (see the head of this file)."""
+    gain = mean.p @ np.linalg.inv(prior.p)
+    p = mean.p + gain @ (posterior.p - prior.p) @ gain.T
+    return LogModel(mean.x + gain @ (posterior.x - mean.x), (p + p.T) / 2, mean.sign)
 
 
 def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:

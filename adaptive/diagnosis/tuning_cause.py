@@ -3,6 +3,7 @@
     Ms high, small gain margin    aggressive: too much gain
     Ms high, LARGE gain margin    slow_integrating: too much integral action for the gain (the loop swings slowly)
     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
+    little gain                   sluggish, or slow_integrating where the integral time is short as well
     otherwise                     ok
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3), so the
@@ -25,7 +26,7 @@ class CauseSettings:
 
     ms_high : Ms above which a loop is not robust enough; 1.5 to 2.2, default 1.8 (design limit).
     gm_large : gain margin above which a high Ms is the integral's fault; 2 to 6, default 3.0 (SIMC's own is 3.14).
-    slack : ratio of SIMC's ki to the one in force from which a loop is sluggish; 1.2 to 3, default 1.3.
+    slack : ratio of SIMC's ki or kp to the one in force from which a loop is sluggish; 1.2 to 3, default 1.3.
     saturated_share : share of limited samples above which nothing is said of the tuning; default 0.5.
     """
 
@@ -54,11 +55,12 @@ def tuning_cause(
         "ki_ratio": slack,
         "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
     }
-    cause, reason = _name(found, slack, settings)
-    return Diagnosis(cause, _confidence(found, slack, cause, gain_uncertainty, settings), evidence, reason)
+    cause, reason = _name(found, slack, evidence["kp_ratio"], settings)
+    room = max(slack, evidence["kp_ratio"])
+    return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
 
 
-def _name(found: Margins, slack: float, settings: CauseSettings) -> tuple[Cause, str]:
+def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) -> tuple[Cause, str]:
     """The table at the head of this file, with the sentence."""
     if not found.stable:
         return Cause.AGGRESSIVE, "the loop is unstable with the gains in force"
@@ -71,17 +73,15 @@ def _name(found: Margins, slack: float, settings: CauseSettings) -> tuple[Cause,
         return Cause.AGGRESSIVE, f"Ms {found.ms:.2f} is over {settings.ms_high:g}, gain margin {found.gm:.2f}"
     if slack > settings.slack:
         return Cause.SLUGGISH, f"loads are rejected {slack:.1f} times slower than Ms {found.ms:.2f} would allow"
+    if weak > settings.slack:
+        cause = Cause.SLOW_INTEGRATING if weak > slack * settings.slack else Cause.SLUGGISH
+        return cause, f"the gain could be {weak:.1f} times as large at Ms {found.ms:.2f}"
     return Cause.OK, f"Ms {found.ms:.2f}, loads rejected at {1 / max(slack, 1e-9):.0%} of the attainable speed"
 
 
 def _confidence(found: Margins, slack: float, cause: Cause, gain_uncertainty: float, settings: CauseSettings) -> float:
     """How many standard deviations of the gain lie between the loop and the nearest limit, as a normal probability."""
-    distance = {
-        Cause.SLUGGISH: math.log(max(slack, 1.0) / settings.slack) if math.isfinite(slack) else math.inf,
-        Cause.AGGRESSIVE: math.log(found.ms / settings.ms_high) if found.stable else math.inf,
-        Cause.SLOW_INTEGRATING: math.log(found.ms / settings.ms_high) if found.stable else math.inf,
-    }.get(
-        cause,
-        min(abs(math.log(max(found.ms, 1.0) / settings.ms_high)), abs(math.log(max(slack, 1e-9) / settings.slack))),
-    )
+    over = math.log(max(found.ms, 1.0) / settings.ms_high) if found.stable else math.inf
+    room = math.log(max(slack, 1e-9) / settings.slack) if math.isfinite(slack) else math.inf
+    distance = min(abs(over), abs(room)) if cause == Cause.OK else max(over, room)
     return 0.5 * (1 + math.erf(distance / max(gain_uncertainty, 1e-6) / math.sqrt(2)))
