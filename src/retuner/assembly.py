@@ -4,18 +4,24 @@ import math
 from dataclasses import replace
 
 from retuner.adaptive.decision import Mode
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard import GuardSettings, change_factor
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.retuner import Retuner, RetunerSettings
 from retuner.config import Config
 from retuner.config.bench import OvenPlantConfig
 from retuner.drivers.bus import LinkSettings
 from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.gain_box import GainBox
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.oven_plant import OvenPlant
 from retuner.drivers.plant import Plant
 from retuner.drivers.virtual_device import VirtualDeviceSettings
 from retuner.errors import UserError
+from retuner.schedule.table import GainTable
+
+
+REGION_ROOM = 4.0
+"""The device takes steps this much larger than those between the commissioned regions, for regions that were retuned."""
 
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
@@ -73,6 +79,7 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         gains=table.gains[0],
         node=config.bus.node,
         sample_time_s=loop.sample_time_s,
+        box=certified_box(table),
         sp_min=loop.pv_min,
         sp_max=loop.pv_max,
         co_min=loop.co_min_pct,
@@ -81,6 +88,13 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         b=loop.b,
         tau_f_s=loop.tau_f_s,
     )
+
+
+def certified_box(table: GainTable) -> GainBox:
+    """Limits that the virtual device's maker would certify: changing from any region to any other is one write."""
+    steps = [change_factor(a, b) for a in table.gains for b in table.gains]
+    widest = max((step for step in steps if math.isfinite(step)), default=1.0)
+    return GainBox(ratio_max=max(GainBox().ratio_max, REGION_ROOM * widest), direction=table.gains[0].direction)
 
 
 def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
