@@ -1,26 +1,44 @@
 """The command line: exit statuses, one line per problem, JSON alone on stdout, never a traceback."""
 
+import io
 import json
 import os
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from typer.main import get_command
 
 from retuner import cli
 from retuner.commands import check as check_module
+from retuner.drivers.device import BusError
+from retuner.drivers.recording import RecordingError
+from retuner.errors import UserError, user_input
 
-PROGRAM = "import sys; from retuner.cli import main; sys.exit(main())"
 HEAVY = ("numpy", "scipy", "filterpy", "matplotlib", "can", "cantools", "pydantic", "pyarrow", "asyncio")
 
 
-def run(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-P", "-c", PROGRAM, *map(str, arguments)],
-        capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "100", **environment},
-    )  # fmt: skip
+class Done(NamedTuple):
+    """What a command left: status, stdout, stderr."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run(*arguments: str | Path) -> Done:
+    """Run a command in this process, as the console script does."""
+    hook = sys.excepthook
+    out, err = io.StringIO(), io.StringIO()
+    try:
+        with redirect_stdout(out), redirect_stderr(err):
+            status = cli.main([str(argument) for argument in arguments])
+    finally:
+        sys.excepthook = hook
+    return Done(status, out.getvalue(), err.getvalue())
 
 
 def all_commands() -> list[str]:
@@ -33,9 +51,10 @@ def test_the_commands_are_there() -> None:
 
 
 @pytest.mark.parametrize("command", all_commands())
-def test_every_help_has_an_example_of_its_own_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([command, "--help"]) == 0
-    assert f"retuner {command}" in capsys.readouterr().out.partition("Example: ")[2]
+def test_every_help_has_an_example_of_its_own_command(command: str) -> None:
+    shown = run(command, "--help")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert f"retuner {command}" in shown.stdout.partition("Example: ")[2]
 
 
 def test_help_and_version_load_nothing_heavy() -> None:
@@ -72,7 +91,7 @@ def test_init_refuses_places_that_cannot_be_written(tmp_path: Path) -> None:
 def test_init_keeps_a_link_and_the_permissions_of_the_umask(tmp_path: Path) -> None:
     (tmp_path / "real.toml").write_text("old")
     (tmp_path / "link.toml").symlink_to("real.toml")
-    assert cli.main(["init", str(tmp_path / "link.toml"), "--force"]) == 0
+    assert run("init", tmp_path / "link.toml", "--force").returncode == 0
     assert (tmp_path / "link.toml").is_symlink()
     assert (tmp_path / "real.toml").read_text().startswith("# retuner")
     umask = os.umask(0)
@@ -85,8 +104,8 @@ def test_check_as_json_has_settings_and_gains(tmp_path: Path) -> None:
     done = run("check", tmp_path / "a.toml", "--json")
     answer = json.loads(done.stdout)
     assert (done.returncode, done.stderr, answer["ok"], answer["problems"]) == (0, "", True, [])
-    assert answer["regions"][1]["gains"] == {"kc": 4.0, "tau_i": 60.0, "tau_d": 0.0}
-    assert answer["regions"][1]["parallel"] == {"kp": 4.0, "ki": 4.0 / 60.0, "kd": 0.0}
+    assert answer["regions"][1]["gains"] == {"kc": 2.2, "tau_i": 150.0, "tau_d": 0.0}
+    assert answer["regions"][1]["parallel"] == {"kp": 2.2, "ki": 2.2 / 150.0, "kd": 0.0}
     assert (answer["regions"][0]["low"], answer["regions"][-1]["high"]) == (0.0, 250.0)
 
 
@@ -131,14 +150,17 @@ def failing(error: BaseException) -> object:
     [
         (KeyboardInterrupt(), 130, "retuner: interrupted\n"),
         (PermissionError(13, "Permission denied", "some/file"), 2, "some/file: Permission denied\n"),
+        (OSError("odd"), 2, "retuner: odd\n"),
+        (UserError("one", "two\n"), 2, "one\ntwo\\n\n"),
+        (BusError("no such bus"), 2, "no such bus\n"),
+        (RecordingError("a.csv:3: text"), 2, "a.csv:3: text\n"),
     ],
 )
 def test_errors_on_the_way_become_a_line_and_a_status(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: BaseException, status: int, told: str
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, told: str
 ) -> None:
     monkeypatch.setattr(check_module, "check", failing(error))
-    assert cli.main(["check", "x"]) == status
-    assert capsys.readouterr().err == told
+    assert run("check", "x") == (status, "", told)
 
 
 @pytest.mark.parametrize(("environment", "status", "lines"), [({}, 70, 1), ({"RETUNER_TRACEBACK": "1"}, 1, 9)])
@@ -155,3 +177,21 @@ def test_a_defect_of_ours_is_one_line_unless_asked_for(environment: dict[str, st
     assert "ZeroDivisionError: division by zero" in done.stderr
     assert ("Traceback" in done.stderr) == bool(environment)
     assert done.stderr.count("\n") >= lines
+
+
+def test_a_value_error_of_the_pure_rooms_is_told_with_its_place() -> None:
+    with pytest.raises(UserError, match=r"^--tau1: must be positive$"), user_input("--tau1"):
+        raise ValueError("must be positive")
+
+
+def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "a.toml").write_text("old")
+    monkeypatch.setattr(os, "fsync", full)
+    done = run("init", tmp_path / "a.toml", "--force")
+    assert done == (2, "", f"{tmp_path / 'a.toml'}: cannot be written: No space left on device\n")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.toml", "old")]

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -9,10 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner.adaptive.guard import GuardSettings
 from retuner.commands.init import starter
 from retuner.config import Config, load_config
+from retuner.config.adaptation import AdaptationConfig
+from retuner.config.bench import OvenPlantConfig
 from retuner.config.loading import LARGEST_FILE, Finding, UnusableError, parse_config
 from retuner.config.setting import Section
+from retuner.drivers.oven_plant import OvenSettings
 from retuner.errors import ConfigError
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -266,3 +271,21 @@ def test_every_setting_has_meaning_unit_source_and_numbers_a_range() -> None:
             assert extra["source"], name
             if field.annotation in {float, int}:
                 assert field.metadata, f"{section.__name__}.{name} has no range"
+
+
+def test_defaults_of_the_guard_are_the_guards_own() -> None:
+    configured, guard = AdaptationConfig(), GuardSettings()
+    for name in ("ms_nominal", "ms_worst", "tau_c_max_ratio", "step_up_max", "step_down_max"):
+        assert getattr(configured, name) == getattr(guard, name), name
+
+
+def test_the_oven_section_knows_every_setting_of_the_plant() -> None:
+    assert OvenPlantConfig(kind="oven").settings() == OvenSettings()
+    assert set(OvenPlantConfig.model_fields) - {"kind", "start_c"} == {field.name for field in fields(OvenSettings)}
+
+
+def test_the_examples_are_accepted() -> None:
+    found = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
+    assert found
+    for path in found:
+        assert load_config(path).gain_table().revision == 0
