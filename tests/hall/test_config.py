@@ -1,5 +1,6 @@
 """A configuration is accepted whole or refused with file, line, key, limit and what to do."""
 
+import runpy
 import tomllib
 from collections.abc import Iterator
 from dataclasses import fields
@@ -289,3 +290,9 @@ def test_the_examples_are_accepted() -> None:
     assert found
     for path in found:
         assert load_config(path).gain_table().revision == 0
+
+
+def test_the_reference_page_is_in_step_with_the_models() -> None:
+    root = Path(__file__).resolve().parents[2]
+    page = runpy.run_path(str(root / "scripts" / "document_config.py"))["page"]()
+    assert (root / "docs" / "configuration.md").read_text() == page, "run: python scripts/document_config.py"

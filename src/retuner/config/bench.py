@@ -78,7 +78,7 @@ class OvenPlantConfig(Section):
 
 
 class LinearPlantConfig(Section):
-    """[device.plant] with kind = "linear": k prod(1 + lead s) / (s^n prod(1 + lag s)) e^(-theta s), exact."""
+    """[device.plant] with kind = "linear": G(s) = k prod(1 + lead s) / (s^n prod(1 + lag s)) e^(-theta s), exact."""
 
     kind: Literal["linear"] = setting("Which plant", unit="-", source="the user")
     k: float = setting("Gain; per second for an integrating plant", unit="pv/%", low=-1e9, high=1e9, source="the user")

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from retuner.errors import LedgerError
+from retuner.files import sync_folder
 from retuner.ledger.canonical import canonical_json
 from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
 from retuner.ledger.schema import connect
@@ -89,6 +90,7 @@ class Ledger(LedgerReader):
         self._lock = _writer_lock(self.path)
         try:
             self._connection = connect(self.path, "rwc")
+            sync_folder(self.path.parent)  # a new file's name must outlast a power cut as its rows do
             report = self.verify()
         except LedgerError:
             self._lock.close()
