@@ -155,7 +155,8 @@ def main(arguments: list[str] | None = None) -> int:
         return _tell(error.exit_status, *error.lines)
     except WRONG_USE as error:
         path = error.ctx.command_path if error.ctx else "retuner"
-        return _tell(2, f"{path}: {error.format_message()} `{path} --help` shows how it is used.")
+        wrong = error.format_message()  # empty without arguments: the help was shown instead
+        return _tell(2, *([f"{path}: {wrong} `{path} --help` shows how it is used."] if wrong else []))
     except (KeyboardInterrupt, typer.Abort):
         return _tell(INTERRUPTED, "retuner: interrupted")
     except _room_errors() as error:

@@ -195,3 +195,9 @@ def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(
     done = run("init", tmp_path / "a.toml", "--force")
     assert done == (2, "", f"{tmp_path / 'a.toml'}: cannot be written: No space left on device\n")
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.toml", "old")]
+
+
+def test_without_arguments_the_help_is_shown() -> None:
+    done = run()
+    assert (done.returncode, done.stderr) == (2, "")
+    assert "Usage: retuner" in done.stdout
