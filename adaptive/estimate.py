@@ -8,6 +8,16 @@ import numpy as np
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.adaptive.sample import FloatArray
 
+SMALLEST_VARIANCE = 1e-12
+"""Of a log-parameter: no record knows a process to a millionth, and rounding makes smaller ones negative."""
+
+
+def proper_covariance(p: FloatArray) -> FloatArray:
+    """The nearest symmetric matrix whose eigenvalues are at least SMALLEST_VARIANCE; shapes (n, n)."""
+    values, vectors = np.linalg.eigh((p + p.T) / 2)
+    kept = (vectors * np.maximum(values, SMALLEST_VARIANCE)) @ vectors.T
+    return np.asarray((kept + kept.T) / 2, dtype=np.float64)
+
 
 @dataclass(frozen=True, slots=True)
 class LogModel:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
-from retuner.adaptive.estimate import LogModel, ModelEstimate
+from retuner.adaptive.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.noise import noise_sigma
 from retuner.adaptive.output_error import PROCESS_PARAMETERS, OutputError
 from retuner.adaptive.sample import FloatArray, Window
@@ -55,6 +55,10 @@ FEWEST_INDEPENDENT = 6.0
 """However smooth a remainder is, it counts as this many independent samples: a tenfold better fit is believed."""
 MODEL_ERROR = 0.02
 """What a first-order model leaves of a real response (order, curvature): rms as a share of pv's range."""
+LEAST_PRECISION = 1e-6
+"""A direction that a record says nothing about has a standard deviation of e^1000, not an infinite one."""
+GAIN_RANGE = 1e9
+"""k' is looked for within this factor round (range of pv) / (range of co, length of the record)."""
 LARGEST_RHO = 0.98
 """Autocorrelations above this are not told apart; a hundred samples then count as one."""
 
@@ -142,8 +146,10 @@ def _refine(misfit: OutputError, start: FloatArray, prior: LogModel | None) -> _
     t = misfit.window.t_s
     dt, span = misfit.window.sample_time_s, float(t[-1] - t[0])
     loads = len(start) - PROCESS_PARAMETERS
-    low = np.array([-60.0, math.log(0.02 * dt), math.log(0.3 * dt), *[float(t[0])] * loads])
-    high = np.array([60.0, math.log(0.9 * span), math.log(100.0 * span), *[float(t[-1]) - dt] * loads])
+    usual = math.log(float(np.ptp(misfit.window.pv)) / float(np.ptp(misfit.window.co)) / span)
+    reach = math.log(GAIN_RANGE)
+    low = np.array([usual - reach, math.log(0.02 * dt), math.log(0.3 * dt), *[float(t[0])] * loads])
+    high = np.array([usual + reach, math.log(0.9 * span), math.log(100.0 * span), *[float(t[-1]) - dt] * loads])
     root = None if prior is None else _root(prior)
 
     def residuals(p: FloatArray) -> FloatArray:
@@ -167,8 +173,8 @@ def _estimate(fit: _Fit, prior: LogModel | None, settings: FitSettings) -> Model
     precision = information.T @ information + (0.0 if prior is None else np.linalg.inv(prior.p))
     x = fit.p[:PROCESS_PARAMETERS]
     weakest = float(np.min(np.linalg.eigvalsh(precision)))
-    covariance = np.linalg.inv(precision + max(1e-6 - weakest, 0.0) * np.eye(PROCESS_PARAMETERS))
-    log = LogModel(x, (covariance + covariance.T) / 2, misfit.sign)
+    covariance = np.linalg.inv(precision + max(LEAST_PRECISION - weakest, 0.0) * np.eye(PROCESS_PARAMETERS))
+    log = LogModel(x, proper_covariance(covariance), misfit.sign)
     residual_std = float(np.std(r[:-1])) * misfit.sigma
     identifiable, reason = _judge(log, residual_std, float(np.std(misfit.window.pv)), settings)
     loads = tuple(float(s) for s in fit.p[PROCESS_PARAMETERS:])

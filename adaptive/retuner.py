@@ -8,63 +8,38 @@ decision, and learns by `committed` what the controller then reported.
 """
 
 from collections import deque
-from dataclasses import dataclass, field
 from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
 
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.tuning_cause import CauseSettings, tuning_cause
+from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
 from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.guard import GuardSettings, Verdict, prove
-from retuner.adaptive.identify import FitSettings
+from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
 from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.recogniser import Phase, RecogniserLaw, RecogniserState, begin, step, take
 from retuner.adaptive.response import Response
+from retuner.adaptive.retuner_settings import RetunerSettings as RetunerSettings
 from retuner.adaptive.rules.simc import simc_at_most_ms
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopMode, LoopSample, Window, finite
-from retuner.adaptive.tracker import Belief, Learned, TrackerSettings, learn, predicted
+from retuner.adaptive.tracker import Belief, Learned, learn, predicted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import RegionState, choose, enter
 from retuner.schedule.table import GainTable
 
 
-@dataclass(frozen=True, slots=True)
-class RetunerSettings:
-    """Settings of one loop's retuner.
+class RetunerState(NamedTuple):
+    """Where a retuner stands in its record; with its table and beliefs, all that later decisions depend on."""
 
-    sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band. mode : what it may do.
-    band : noise band in pv units; None estimates it from the data.
-    band_sigmas : noise standard deviations in the estimated band; 2 to 6, default 4.
-    band_min_share : smallest band as a share of pv_span; default 0.001.
-    wait_s : longest wait for the next peak; None takes wait_tau_i times tau_I in force.
-    wait_tau_i, quiet_tau_i : waiting and settling time in units of tau_I; defaults 10 and 0.7.
-    shortest_wait, shortest_quiet : and at least this many samples; defaults 60 and 12.
-    history : most samples of one response; default 4000. lead_share, lead_samples : how much of the time before a
-        response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
-    gap_samples : a pause in the samples longer than this ends a response; default 5.
-    """
-
-    sample_time_s: float
-    pv_span: float
-    mode: Mode = Mode.ADVISE
-    band: float | None = None
-    band_sigmas: float = 4.0
-    band_min_share: float = 0.001
-    wait_s: float | None = None
-    wait_tau_i: float = 10.0
-    quiet_tau_i: float = 0.7
-    shortest_wait: int = 60
-    shortest_quiet: int = 12
-    history: int = 4000
-    lead_share: float = 0.25
-    lead_samples: int = 20
-    gap_samples: int = 5
-    fit: FitSettings = field(default_factory=FitSettings)
-    tracker: TrackerSettings = field(default_factory=TrackerSettings)
-    cause: CauseSettings = field(default_factory=CauseSettings)
-    guard: GuardSettings = field(default_factory=GuardSettings)
+    region: RegionState | None
+    recogniser: RecogniserState | None
+    noise: NoiseState
+    samples: tuple[LoopSample, ...]
+    decisions: int
 
 
 class Retuner:
@@ -105,6 +80,17 @@ class Retuner:
     def band(self) -> float:
         """Noise band in pv units."""
         return max(self._floor, self._per_median * self._noise.median)
+
+    def state(self) -> RetunerState:
+        """Where it stands: see memory.py, which turns it into plain values."""
+        return RetunerState(self._region, self._state, self._noise, tuple(self._samples), self._decisions)
+
+    def resume(self, state: RetunerState) -> None:
+        """Go on from there."""
+        self._region, self._state, self._noise, samples, self._decisions = state
+        self._samples.clear()
+        self._samples.extend(samples)
+        self._adopt_time_scale()
 
     def observe(self, sample: LoopSample) -> Decision | None:
         """Take one sample; a decision comes with the sample that completes a response.
@@ -210,9 +196,12 @@ class Retuner:
         refusal = self._inadmissible(window, response)
         if refusal is not None:
             return self._decision(region, refusal.reason, response=response, diagnosis=refusal)
-        learned = learn(self.beliefs.get(region), window, in_force.direction, self.settings.tracker, self.settings.fit)
-        if learned.belief is not None:
-            self.beliefs[region] = learned.belief
+        try:
+            learned = learn(
+                self.beliefs.get(region), window, in_force.direction, self.settings.tracker, self.settings.fit
+            )
+        except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
+            return self._decision(region, f"the fit failed: {error}", response=response)
         if learned.belief is None:
             return self._decision(region, learned.estimate.reason, response=response, learned=learned)
         log = predicted(learned.belief, float(window.t_s[-1]), self.settings.tracker)
@@ -230,6 +219,13 @@ class Retuner:
             proposal=tuning,
             verdict=verdict,
         )
+
+    def _learn(self, region: int, window: Window, sign: int) -> Learned:
+        """Take the record into what is known of the region."""
+        learned = learn(self.beliefs.get(region), window, sign, self.settings.tracker, self.settings.fit)
+        if learned.belief is not None:
+            self.beliefs[region] = learned.belief
+        return learned
 
     def _window(self, response: Response) -> Window:
         """The response with some of the time before it."""

@@ -26,7 +26,7 @@ from enum import StrEnum
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from retuner.adaptive.estimate import LogModel, ModelEstimate
+from retuner.adaptive.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.identify import FitSettings, identify_window
 from retuner.adaptive.sample import FloatArray, Window
 
@@ -146,14 +146,14 @@ def _widened(log: LogModel, variance: float) -> LogModel:
     """filterpy's prediction with F = I and Q = variance I."""
     kf = _filter(log)
     kf.predict(Q=variance * np.eye(3))
-    return LogModel(kf.x[:, 0].copy(), kf.P.copy(), log.sign)
+    return LogModel(kf.x[:, 0].copy(), proper_covariance(kf.P), log.sign)
 
 
 def back_to_mean(mean: LogModel, prior: LogModel, posterior: LogModel) -> LogModel:
     """What a record's process says of the region's mean (see the head of this file)."""
     gain = mean.p @ np.linalg.inv(prior.p)
     p = mean.p + gain @ (posterior.p - prior.p) @ gain.T
-    return LogModel(mean.x + gain @ (posterior.x - mean.x), (p + p.T) / 2, mean.sign)
+    return LogModel(mean.x + gain @ (posterior.x - mean.x), proper_covariance(p), mean.sign)
 
 
 def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:
@@ -162,8 +162,8 @@ def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:
     kf.update(estimate.score.reshape(3, 1), R=np.eye(3), H=estimate.information)
     y: FloatArray = kf.y
     statistic = float((y.T @ np.linalg.solve(kf.S, y))[0, 0])
-    covariance = (kf.P + kf.P.T) / 2
-    return statistic if math.isfinite(statistic) else math.inf, LogModel(kf.x[:, 0].copy(), covariance, prior.sign)
+    posterior = LogModel(kf.x[:, 0].copy(), proper_covariance(kf.P), prior.sign)
+    return statistic if math.isfinite(statistic) else math.inf, posterior
 
 
 def _filter(log: LogModel) -> KalmanFilter:

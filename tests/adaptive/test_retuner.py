@@ -1,5 +1,6 @@
 """The retuner as a whole on simulated loops: it cures, it refuses, it repeats itself exactly."""
 
+import json
 import math
 from collections.abc import Iterable, Iterator
 
@@ -9,6 +10,7 @@ import pytest
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.memory import remember, restore
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.retuner import Retuner, RetunerSettings
@@ -173,3 +175,27 @@ def test_a_saturated_loop_is_not_retuned() -> None:
     assert found
     assert {d.diagnosis.cause for d in found if d.diagnosis} == {Cause.SATURATION}
     assert all(d.action == Action.NONE for d in found)
+
+
+def test_a_restored_memory_decides_as_if_never_stopped() -> None:
+    bench, twin = made(scaled(0.25, 0.4), seed=5), made(scaled(0.25, 0.4), seed=5)
+    bench.run(400)
+    twin.run(400)
+    early = bench.run(620, sp=1.0)
+    assert [d.canonical() for d in twin.run(620, sp=1.0)] == [d.canonical() for d in early]
+    bench.run(37, sp=1.0, load=0.5)
+    twin.run(37, sp=1.0, load=0.5)
+    text = json.dumps(remember(bench.retuner), allow_nan=False)
+    bench.retuner = restore(json.loads(text), bench.retuner.settings)
+    later = bench.exercise()
+    assert later
+    assert [d.canonical() for d in later] == [d.canonical() for d in twin.exercise()]
+
+
+@pytest.mark.parametrize("damage", [{"version": 2}, {"table": "x"}, {"beliefs": {"0": {}}}, {"noise": None}])
+def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> None:
+    bench = made(GOOD)
+    bench.run(10)
+    with pytest.raises(ValueError, match=r".") as caught:
+        restore(remember(bench.retuner) | damage, bench.retuner.settings)
+    assert "\n" not in str(caught.value)

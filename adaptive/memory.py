@@ -1,0 +1,107 @@
+"""A retuner's memory as plain values, versioned: what it must not lose over a restart.
+
+Everything that later decisions depend on is in it: the table, what is known of each region, where region, noise band and
+recogniser stand, and the samples of the response under way. A retuner that is restored from it decides byte for byte as
+the one that was never stopped.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.noise import NoiseState
+from retuner.adaptive.recogniser import RecogniserState
+from retuner.adaptive.retuner import Retuner, RetunerSettings, RetunerState
+from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.tracker import Belief
+from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.regions import RegionState
+
+VERSION = 1
+"""Of this layout; newer ones are refused."""
+
+
+def remember(retuner: Retuner) -> dict[str, object]:
+    """The memory as a dict of plain JSON values (infinities as the string "inf")."""
+    state = retuner.state()
+    return {
+        "version": VERSION,
+        "table": to_toml(retuner.table),
+        "beliefs": {str(region): _belief_out(belief) for region, belief in retuner.beliefs.items()},
+        "region": _numbers_out(state.region),
+        "recogniser": _numbers_out(state.recogniser),
+        "noise": _numbers_out(state.noise),
+        "samples": [_numbers_out(sample) for sample in state.samples],
+        "decisions": state.decisions,
+    }
+
+
+def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
+    """A retuner that goes on where the remembered one stood.
+
+    Raises
+    ------
+    ValueError
+        The memory is of another version, or something in it is missing or no number.
+    """
+    if memory.get("version") != VERSION:
+        raise ValueError(
+            f"memory version {memory.get('version')!r} is not {VERSION}; it was written by another release"
+        )
+    try:
+        retuner = Retuner(from_toml(memory["table"]), settings)
+        retuner.beliefs = {int(region): _belief_in(body) for region, body in memory["beliefs"].items()}
+        retuner.resume(
+            RetunerState(
+                region=_region_in(memory["region"]),
+                recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
+                noise=NoiseState(*_numbers_in(memory["noise"])),
+                samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
+                decisions=int(memory["decisions"]),
+            )
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"the memory is damaged: {error!r}") from error
+    return retuner
+
+
+def _numbers_out(values: Sequence[Any] | None) -> list[Any] | None:
+    """A tuple of numbers as JSON can hold it."""
+    return None if values is None else [v if v != float("inf") else "inf" for v in values]
+
+
+def _numbers_in(values: Sequence[Any]) -> list[Any]:
+    """And back."""
+    return [float(v) if isinstance(v, str) else v for v in values]
+
+
+def _region_in(values: Sequence[Any] | None) -> RegionState | None:
+    """A region state, if there was one."""
+    return None if values is None else RegionState(*_numbers_in(values))
+
+
+def _log_out(log: LogModel | None) -> dict[str, object] | None:
+    """A model with its covariance."""
+    return None if log is None else {"x": log.x.tolist(), "p": log.p.tolist(), "sign": log.sign}
+
+
+def _log_in(body: Mapping[str, Any] | None) -> LogModel | None:
+    """And back; checked on the way in."""
+    if body is None:
+        return None
+    return LogModel(np.array(body["x"], dtype=np.float64), np.array(body["p"], dtype=np.float64), int(body["sign"]))
+
+
+def _belief_out(belief: Belief) -> dict[str, object]:
+    """What is known of a region."""
+    return {"log": _log_out(belief.log), "records": belief.records, "t_s": belief.t_s, "rival": _log_out(belief.rival)}
+
+
+def _belief_in(body: Mapping[str, Any]) -> Belief:
+    """And back."""
+    log = _log_in(body["log"])
+    if log is None:
+        raise TypeError("a belief without a model")
+    return Belief(log, int(body["records"]), float(body["t_s"]), _log_in(body["rival"]))

@@ -1,0 +1,46 @@
+"""Settings of a retuner, its parts' settings among them."""
+
+from dataclasses import dataclass, field
+
+from retuner.adaptive.decision import Mode
+from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
+from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.identify import FitSettings
+from retuner.adaptive.tracker import TrackerSettings
+
+
+@dataclass(frozen=True, slots=True)
+class RetunerSettings:
+    """Settings of one loop's retuner.
+
+    sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band. mode : what it may do.
+    band : noise band in pv units; None estimates it from the data.
+    band_sigmas : noise standard deviations in the estimated band; 2 to 6, default 4.
+    band_min_share : smallest band as a share of pv_span; default 0.001.
+    wait_s : longest wait for the next peak; None takes wait_tau_i times tau_I in force.
+    wait_tau_i, quiet_tau_i : waiting and settling time in units of tau_I; defaults 10 and 0.7.
+    shortest_wait, shortest_quiet : and at least this many samples; defaults 60 and 12.
+    history : most samples of one response; default 4000. lead_share, lead_samples : how much of the time before a
+        response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
+    gap_samples : a pause in the samples longer than this ends a response; default 5.
+    """
+
+    sample_time_s: float
+    pv_span: float
+    mode: Mode = Mode.ADVISE
+    band: float | None = None
+    band_sigmas: float = 4.0
+    band_min_share: float = 0.001
+    wait_s: float | None = None
+    wait_tau_i: float = 10.0
+    quiet_tau_i: float = 0.7
+    shortest_wait: int = 60
+    shortest_quiet: int = 12
+    history: int = 4000
+    lead_share: float = 0.25
+    lead_samples: int = 20
+    gap_samples: int = 5
+    fit: FitSettings = field(default_factory=FitSettings)
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    cause: CauseSettings = field(default_factory=CauseSettings)
+    guard: GuardSettings = field(default_factory=GuardSettings)
