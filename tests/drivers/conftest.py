@@ -29,12 +29,19 @@ class Bench:
     FIRST = PidGains(1.0, 0.0625, 0.5)
     SECOND = PidGains(1.5, 0.125, 0.75)
 
-    def __init__(self, *, log: Path | None = None, host: CanDeviceSettings | None = None, **firmware: Any) -> None:
+    def __init__(
+        self,
+        *,
+        log: Path | None = None,
+        host: CanDeviceSettings | None = None,
+        link: LinkSettings | None = None,
+        **firmware: Any,
+    ) -> None:
         plant = LinearPlant(LinearProcess(1.2, (30.0,), (), 4.0), start_pv=50.0, start_co=40.0)
         settings = {"gains": self.FIRST, "box": GainBox(ratio_max=10.0), **firmware}
         self.device = VirtualDevice(VirtualDeviceSettings(**settings), plant)
         self.clock = SimulatedClock()
-        link = LinkSettings(channel=f"bench-{next(CHANNELS)}")
+        link = link or LinkSettings(channel=f"bench-{next(CHANNELS)}")
         self.far, self.near = CanLink(link, self.clock), CanLink(link, self.clock, log)
         self.on_bus = DeviceOnBus(self.device, self.far)
         self.host = CanDevice(self.near, host or CanDeviceSettings())

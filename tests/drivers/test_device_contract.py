@@ -1,0 +1,125 @@
+"""What device.Device promises, over every bus that this machine has: python-can's virtual bus and udp_multicast."""
+
+import itertools
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from retuner.drivers.bus import CanLink, LinkSettings
+from retuner.drivers.can_device import CanDevice
+from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.clock import MonotonicClock, SimulatedClock
+from retuner.drivers.device import BusError, CommandDone, Device, WriteDone, WriteFailed
+from retuner.schedule.gains import PidGains
+
+GROUP = "239.74.163.2"
+PORT = 20_000 + os.getpid() % 20_000  # of this test run alone
+
+
+def udp_settings(port: int) -> LinkSettings:
+    settings = LinkSettings(interface="udp_multicast", channel=GROUP, options={"port": port})
+    try:
+        CanLink(settings, SimulatedClock()).close()
+    except BusError as error:
+        pytest.skip(f"no multicast on this machine: {error}")
+    return settings
+
+
+@pytest.fixture(params=["virtual", "udp_multicast"])
+def pair(request: pytest.FixtureRequest, make_bench):
+    link = udp_settings(PORT) if request.param == "udp_multicast" else None
+    made = make_bench(link=link)
+    made.run(8)
+    assert made.host.connected
+    return made
+
+
+def test_it_is_a_device(pair) -> None:
+    device: Device = pair.host
+    assert device.connected
+    assert device.running is not None
+    assert not device.writing
+
+
+def test_samples_come_one_by_one_in_order(pair) -> None:
+    samples = pair.samples(pair.run(50))
+    assert len(samples) == 50
+    assert [b.t_s - a.t_s for a, b in itertools.pairwise(samples)] == [2.0] * 49
+
+
+def test_a_write_is_done_and_reports_what_runs(pair) -> None:
+    seq = pair.host.begin_write(PidGains(1.1, 0.07), pair.now_s)
+    (done,) = pair.others(pair.run(10))
+    assert isinstance(done, WriteDone)
+    assert (done.seq, done.gains) == (seq, pair.device.running.gains)
+
+
+def test_a_refused_write_ends_on_the_old_set(pair) -> None:
+    pair.host.begin_write(PidGains(100.0, 0.07), pair.now_s)
+    (failed,) = pair.others(pair.run(12))
+    assert isinstance(failed, WriteFailed)
+    assert failed.running.gains == pair.FIRST == pair.device.running.gains
+
+
+def test_commands_are_done(pair) -> None:
+    pair.host.send_setpoint(66.0, pair.now_s)
+    pair.host.send_load(3.0, pair.now_s)
+    pair.host.store(pair.now_s)
+    commands = {e.command for e in pair.run(6) if isinstance(e, CommandDone)}
+    assert commands == {"setpoint", "load", "store"}
+    assert (pair.device.sp, pair.device.load) == (66.0, 3.0)
+
+
+def test_own_frames_do_not_come_back(pair) -> None:
+    pair.host.begin_write(pair.SECOND, pair.now_s)
+    pair.run(20)
+    assert pair.host.foreign_commands == 0
+    assert pair.host.refused_frames == 0
+    assert pair.device.refused == 0
+
+
+DEVICE_PROCESS = """
+    import sys
+    from retuner.adaptive.process import LinearProcess
+    from retuner.drivers.bus import CanLink, LinkSettings
+    from retuner.drivers.clock import MonotonicClock
+    from retuner.drivers.device_process import DeviceOnBus, run_device
+    from retuner.drivers.linear_plant import LinearPlant
+    from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+    from retuner.schedule.gains import PidGains
+
+    clock = MonotonicClock(speed=50.0)
+    plant = LinearPlant(LinearProcess(1.2, (30.0,), (), 4.0), start_pv=50.0, start_co=40.0)
+    device = VirtualDevice(VirtualDeviceSettings(PidGains(1.0, 0.0625)), plant)
+    settings = LinkSettings(interface="udp_multicast", channel=sys.argv[1], options={"port": int(sys.argv[2])})
+    with CanLink(settings, clock) as link:
+        run_device(DeviceOnBus(device, link), clock, until_s=50.0 * 60)
+"""
+
+
+def test_two_processes_in_real_time_at_bench_speed() -> None:
+    port = PORT + 1
+    settings = udp_settings(port)
+    command = [sys.executable, "-P", "-c", textwrap.dedent(DEVICE_PROCESS), GROUP, str(port)]
+    clock = MonotonicClock(speed=50.0)
+    patience = CanDeviceSettings(connect_floor_s=50.0 * 30, silent_samples=50, reply_samples=5)
+    outcomes, samples = [], 0
+    with subprocess.Popen(command) as process, CanLink(settings, clock) as link:
+        try:
+            host = CanDevice(link, patience)
+            while not outcomes:
+                events = host.poll(clock.now_s())
+                outcomes += [e for e in events if isinstance(e, (WriteDone, WriteFailed))]
+                samples += len(events)
+                if host.connected and not host.writing and not outcomes:
+                    host.begin_write(PidGains(1.5, 0.125), clock.now_s())
+                link.wait_until(clock.now_s() + 1.0)
+        finally:
+            process.terminate()
+    assert isinstance(outcomes[0], WriteDone)
+    assert outcomes[0].gains == PidGains(1.5, 0.125)
+    assert samples > 1
+    assert link.counters.echoes > 0
