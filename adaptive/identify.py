@@ -174,7 +174,7 @@ def _estimate(fit: _Fit, prior: LogModel | None, settings: FitSettings) -> Model
     x = fit.p[:PROCESS_PARAMETERS]
     weakest = float(np.min(np.linalg.eigvalsh(precision)))
     covariance = np.linalg.inv(precision + max(LEAST_PRECISION - weakest, 0.0) * np.eye(PROCESS_PARAMETERS))
-    log = LogModel(x, proper_covariance(covariance), misfit.sign)
+    log = LogModel(x, proper_covariance(np.asarray(covariance, dtype=np.float64)), misfit.sign)
     residual_std = float(np.std(r[:-1])) * misfit.sigma
     identifiable, reason = _judge(log, residual_std, float(np.std(misfit.window.pv)), settings)
     loads = tuple(float(s) for s in fit.p[PROCESS_PARAMETERS:])

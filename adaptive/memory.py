@@ -1,8 +1,8 @@
 """A retuner's memory as plain values, versioned: what it must not lose over a restart.
 
-Everything that later decisions depend on is in it: the table, what is known of each region, where region, noise band and
-recogniser stand, and the samples of the response under way. A retuner that is restored from it decides byte for byte as
-the one that was never stopped.
+Everything that later decisions depend on is in it: the table, what is known of each region, where region, noise band
+and recogniser stand, and the samples of the response under way. A retuner that is restored from it decides byte for
+byte as the one that was never stopped.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,8 @@ import numpy as np
 from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.noise import NoiseState
 from retuner.adaptive.recogniser import RecogniserState
-from retuner.adaptive.retuner import Retuner, RetunerSettings, RetunerState
+from retuner.adaptive.retuner import Retuner, RetunerState
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
 from retuner.adaptive.tracker import Belief
 from retuner.schedule.document import from_toml, to_toml

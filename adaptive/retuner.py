@@ -22,7 +22,7 @@ from retuner.adaptive.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noi
 from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.recogniser import Phase, RecogniserLaw, RecogniserState, begin, step, take
 from retuner.adaptive.response import Response
-from retuner.adaptive.retuner_settings import RetunerSettings as RetunerSettings
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.rules.simc import simc_at_most_ms
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopMode, LoopSample, Window, finite
@@ -197,9 +197,7 @@ class Retuner:
         if refusal is not None:
             return self._decision(region, refusal.reason, response=response, diagnosis=refusal)
         try:
-            learned = learn(
-                self.beliefs.get(region), window, in_force.direction, self.settings.tracker, self.settings.fit
-            )
+            learned = self._learn(region, window, in_force.direction)
         except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
             return self._decision(region, f"the fit failed: {error}", response=response)
         if learned.belief is None:

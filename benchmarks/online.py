@@ -16,7 +16,8 @@ from collections import Counter
 from retuner.adaptive.decision import Action, Mode
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.retuner import Retuner, RetunerSettings
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.sample import LoopMode, LoopSample
 from retuner.drivers.linear_plant import LinearPlant

@@ -14,7 +14,8 @@ import sys
 import time
 from collections.abc import Callable
 
-from retuner.adaptive.retuner import Retuner, RetunerSettings
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode, LoopSample
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import PidLaw, law, start, step

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from retuner.adaptive.process import ProcessModel as ProcessModel
     from retuner.adaptive.process import ProcessType as ProcessType
     from retuner.adaptive.retuner import Retuner as Retuner
-    from retuner.adaptive.retuner import RetunerSettings as RetunerSettings
+    from retuner.adaptive.retuner_settings import RetunerSettings as RetunerSettings
     from retuner.adaptive.sample import LoopSample as LoopSample
     from retuner.api import identify as identify
     from retuner.api import tune as tune
@@ -29,7 +29,7 @@ _HOMES = {
     "ProcessModel": "adaptive.process",
     "ProcessType": "adaptive.process",
     "Retuner": "adaptive.retuner",
-    "RetunerSettings": "adaptive.retuner",
+    "RetunerSettings": "adaptive.retuner_settings",
     "identify": "api",
     "load_config": "config",
     "tune": "api",

@@ -6,7 +6,8 @@ from dataclasses import replace
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.guard import GuardSettings, change_factor
 from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.retuner import Retuner, RetunerSettings
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.config import Config
 from retuner.config.bench import OvenPlantConfig
 from retuner.drivers.bus import LinkSettings
@@ -19,9 +20,8 @@ from retuner.drivers.virtual_device import VirtualDeviceSettings
 from retuner.errors import UserError
 from retuner.schedule.table import GainTable
 
-
 REGION_ROOM = 4.0
-"""The device takes steps this much larger than those between the commissioned regions, for regions that were retuned."""
+"""The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
 
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:

@@ -13,7 +13,8 @@ from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.memory import remember, restore
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.recogniser import Phase
-from retuner.adaptive.retuner import Retuner, RetunerSettings
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode, LoopSample
 from retuner.schedule.forms import SeriesGains
 from retuner.schedule.gains import PidGains

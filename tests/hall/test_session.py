@@ -1,4 +1,4 @@
-"""The session against a scripted controller: order of record and effect, and what happens when a write does not come off."""
+"""The session against a scripted controller: order of record and effect, and writes that do not come off."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from retuner.adaptive.decision import Action, Decision
-from retuner.adaptive.retuner import Retuner, RetunerSettings
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
 from retuner.config.bench import ScenarioConfig
 from retuner.drivers.device import (
