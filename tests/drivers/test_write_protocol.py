@@ -1,0 +1,121 @@
+"""The write's state machine by itself: its table is complete, and every way through it ends in a read-back."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
+from retuner.drivers.frames import Abort, Ack, Commit, Kind, Page, Read, Reason, Stage, reason_text
+from retuner.drivers.page_reader import PageReader, ReadBack
+from retuner.drivers.write_protocol import TRANSITIONS, Sequence, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.schedule.gains import PidGains
+
+OLD, NEW = PidGains(1.0, 0.0625), PidGains(1.5, 0.125)
+ORDER = WriteOrder(node=1, epoch=3, seq=7, base=6, gains=NEW)
+OLD_SET, NEW_SET = RunningSet(6, OLD, 1), RunningSet(7, NEW, ORDER.set_crc)
+TIMEOUT_S = 6.0
+
+
+def started() -> WriteProtocol:
+    protocol = WriteProtocol(PageReader(), TIMEOUT_S)
+    protocol.begin(ORDER)
+    return protocol
+
+
+def test_the_table_leads_from_everywhere_to_idle_and_to_idle_only_by_a_read_back() -> None:
+    ways = {phase: {new for (old, _), new in TRANSITIONS.items() if old is phase} for phase in WritePhase}
+    for phase in WritePhase:
+        seen = {phase}
+        while more := {new for old in seen for new in ways[old]} - seen:
+            seen |= more
+        assert WritePhase.IDLE in seen
+    into_idle = {(old, event) for (old, event), new in TRANSITIONS.items() if new is WritePhase.IDLE}
+    assert into_idle == {(WritePhase.READING, WriteInput.RUNNING_READ)}
+    assert {event for _, event in TRANSITIONS} == set(WriteInput)
+
+
+def test_a_commit_is_sent_once_and_only_after_the_right_read_back() -> None:
+    protocol = started()
+    frames = protocol.due(0.0)
+    assert [type(f) for f in frames] == [Stage, Stage, Stage, Read]
+    assert protocol.due(1.0) == []
+    protocol.on_staged(ReadBack(Page.STAGED, 7, OLD, ORDER.set_crc))
+    protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, 1))
+    protocol.on_staged(ReadBack(Page.STAGED, 8, NEW, ORDER.set_crc))
+    assert protocol.phase is WritePhase.STAGING
+    assert len(protocol.due(6.0)) == 4
+    protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, ORDER.set_crc))
+    assert protocol.due(7.0) == [ORDER.commit()]
+    assert protocol.due(8.0) == []
+    assert protocol.due(13.0) == [Abort(7)]
+
+
+def test_only_the_read_back_decides() -> None:
+    for running, outcome in ((NEW_SET, WriteDone), (OLD_SET, WriteFailed)):
+        protocol = started()
+        protocol.due(0.0)
+        protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, ORDER.set_crc))
+        protocol.due(2.0)
+        assert protocol.on_running(NEW_SET) is None
+        protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.OK, 7))
+        assert [type(f) for f in protocol.due(4.0)] == [Read]
+        assert isinstance(protocol.on_running(running), outcome)
+        assert not protocol.busy
+
+
+def test_a_silent_device_is_asked_for_ever_and_called_unknown_once() -> None:
+    protocol = started()
+    unknown = []
+    for t in range(0, 600, 2):
+        protocol.due(float(t))
+        unknown.append(protocol.unknown())
+    assert protocol.phase is WritePhase.FENCING
+    assert sum(u is not None for u in unknown) == 1
+
+
+INPUTS = st.one_of(
+    st.builds(Ack, st.sampled_from(list(Kind)), st.sampled_from([6, 7, 8]), st.sampled_from(list(Reason)), st.just(7)),
+    st.builds(ReadBack, st.just(Page.STAGED), st.sampled_from([6, 7]), st.sampled_from([OLD, NEW, None]),
+              st.sampled_from([1, ORDER.set_crc])),
+    st.sampled_from([OLD_SET, NEW_SET, "restart", "wait"]),
+)  # fmt: skip
+
+
+@given(st.lists(INPUTS, max_size=40))
+@settings(max_examples=500)
+def test_no_order_of_events_sends_a_second_commit_or_ends_without_a_read_back(events: list) -> None:
+    protocol, t, commits = started(), 0.0, 0
+    for event in events:
+        commits += sum(isinstance(f, Commit) for f in protocol.due(t))
+        t += TIMEOUT_S if event == "wait" else 0.5
+        before, outcome = protocol.phase, None
+        if isinstance(event, Ack):
+            protocol.on_ack(event)
+        elif isinstance(event, ReadBack):
+            protocol.on_staged(event)
+        elif isinstance(event, RunningSet):
+            outcome = protocol.on_running(event)
+        elif event == "restart":
+            protocol.on_restart()
+        assert protocol.phase is before or (before, protocol.phase) in {(k[0], v) for k, v in TRANSITIONS.items()}
+        if not protocol.busy:
+            assert before is WritePhase.READING
+            assert isinstance(outcome, WriteDone) == (event == NEW_SET)
+            break
+    assert commits <= 1
+
+
+@pytest.mark.parametrize(("reason", "text"), [(Reason.RATIO, "ratio (ki)"), (Reason.STALE, "stale"), (14, "reason 14")])
+def test_refusals_in_words(reason: int, text: str) -> None:
+    assert reason_text(Ack(Kind.COMMIT, 1, reason, 1, 1)) == text
+
+
+def test_the_next_sequence_is_newer_than_all_seen_and_wraps() -> None:
+    sequence = Sequence()
+    assert sequence.after(4) == 5
+    sequence.note(9)
+    sequence.note(8)
+    assert sequence.after(4) == 10
+    sequence.note(65535)  # older than 9 on the circle: ignored
+    assert sequence.after(9) == 10
+    assert Sequence().after(65535) == 0
