@@ -88,11 +88,6 @@ class CanDevice:
         """Whether a write is under way or its result unknown."""
         return self._write.busy
 
-    @property
-    def write_phase(self) -> WritePhase:
-        """Where the write stands."""
-        return self._write.phase
-
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
         if self._first_poll_s is None:

@@ -1,5 +1,6 @@
 """Lets a virtual device run on a bus: in lock-step with simulated time, or against the machine's clock."""
 
+import secrets
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,6 +9,11 @@ from retuner.drivers.clock import Clock
 from retuner.drivers.virtual_device import VirtualDevice
 
 LATE_SAMPLES = 1.0  # behind by more than this many samples, the device gives up catching up and counts an overrun
+
+
+def fresh_epoch() -> int:
+    """A boot epoch for a device process that remembers none: random, so that a host sees that it is another boot."""
+    return secrets.randbelow(1 << 16)
 
 
 class DeviceOnBus:

@@ -215,8 +215,9 @@ class WriteProtocol:
 
     def on_running(self, running: RunningSet) -> Outcome | None:
         """The running page has been read back and its CRC is right; the outcome if that was the last step."""
-        order, phase = self._order, self.phase
-        if order is None or phase is not WritePhase.READING:
+        order = self._order
+        asked = self.phase is WritePhase.READING and self._tries > 0  # an answer to an older question proves nothing
+        if order is None or not asked:
             return None
         self._move(WriteInput.RUNNING_READ)
         if running.seq == order.seq and running.gains == order.gains:

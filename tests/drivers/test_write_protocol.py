@@ -58,6 +58,7 @@ def test_only_the_read_back_decides() -> None:
         protocol.due(2.0)
         assert protocol.on_running(NEW_SET) is None
         protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.OK, 7))
+        assert protocol.on_running(OLD_SET) is None  # the answer to a question asked before the acknowledge
         assert [type(f) for f in protocol.due(4.0)] == [Read]
         assert isinstance(protocol.on_running(running), outcome)
         assert not protocol.busy
