@@ -13,7 +13,7 @@ from retuner.config.toml_lines import Path
 
 LONGEST_VALUE = 60  # characters of a value that a message repeats
 
-UNKNOWN = "is not a known key"
+MEANING = " (meaning: "
 
 LIMITS: dict[str, str] = {
     "float_type": "must be a number",
@@ -42,11 +42,12 @@ def problems_of(errors: list[ErrorDetails], document: Mapping[str, object]) -> l
     """One problem per key; several findings about one value are joined by "or"."""
     found: dict[Path, list[str]] = {}
     for error in errors:
-        for problem in _told(error, document):
+        path = _real_path(error, document)
+        for problem in _told(error, path, document):
             messages = found.setdefault(problem.path, [])
             if problem.message not in messages:
                 messages.append(problem.message)
-    return [Problem(path, _whole(path, messages, document)) for path, messages in found.items()]
+    return [Problem(path, _joined(messages)) for path, messages in found.items()]
 
 
 def key_name(path: Path) -> str:
@@ -57,30 +58,29 @@ def key_name(path: Path) -> str:
     return name
 
 
-def _whole(path: Path, messages: list[str], document: Mapping[str, object]) -> str:
-    """The message about a key: its findings, and what the setting means."""
+def _joined(messages: list[str]) -> str:
+    """Findings about one value: the first, then what else it might have been."""
     first, *rest = messages
-    alternatives = (message.partition(" must be ")[2] or message for message in rest)
-    field = None if first.startswith(UNKNOWN) else _field(path, document)
-    return " or ".join([first, *alternatives]) + (f" ({_meaning(field)})" if field is not None else "")
+    head, bracket, meaning = first.partition(MEANING)
+    alternatives = [message.partition(" must be ")[2].partition(MEANING)[0] or message for message in rest]
+    return " or ".join([head, *alternatives]) + bracket + meaning
 
 
-def _told(error: ErrorDetails, document: Mapping[str, object]) -> Iterator[Problem]:
+def _told(error: ErrorDetails, path: Path, document: Mapping[str, object]) -> Iterator[Problem]:
     """The problems behind one error: several when a check between settings found them, none when it only follows."""
-    path = _real_path(error, document)
     context: dict[str, Any] = error.get("ctx", {})
     cause = context.get("error")
     if isinstance(cause, CrossCheckError):
         for problem in cause.problems:
             yield Problem((*path, *problem.path), problem.message)
     elif error["type"] == "missing":
-        yield Problem(path, "is missing; add it")
+        yield Problem(path, "is missing; add it" + _meaning(path, document))
     elif error["type"] == "extra_forbidden":
         yield Problem(path, _unknown(path, document))
     elif error["type"] != "too_short" or len(error["input"]) < context["min_length"]:
         # an array counts as too short for pydantic when only its entries are wrong
         limit = LIMITS[error["type"]].format(**context) if error["type"] in LIMITS else f"is wrong: {error['msg']}"
-        yield Problem(path, f"= {_value(error['input'])} {limit}")
+        yield Problem(path, f"= {_value(error['input'])} {limit}{_meaning(path, document)}")
 
 
 def _real_path(error: ErrorDetails, document: Mapping[str, object]) -> Path:
@@ -103,7 +103,7 @@ def _unknown(path: Path, document: Mapping[str, object]) -> str:
     known = [name for model in _models(path[:-1], document) for name in _names(model)]
     close = difflib.get_close_matches(str(path[-1]), known, n=1)
     hint = f"did you mean {close[0]}?" if close else "known here: " + ", ".join(known)
-    return f"{UNKNOWN}; {hint}"
+    return f"is not a known key; {hint}"
 
 
 def _value(value: object) -> str:
@@ -118,10 +118,14 @@ def _value(value: object) -> str:
     return shown if len(shown) <= LONGEST_VALUE else shown[: LONGEST_VALUE - 3] + "..."
 
 
-def _meaning(field: FieldInfo) -> str:
+def _meaning(path: Path, document: Mapping[str, object]) -> str:
+    """What a setting is for, in brackets; empty for what is no declared setting."""
+    field = _field(path, document)
+    if field is None:
+        return ""
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     unit = extra.get("unit")
-    return f"{field.description}" + (f", in {unit}" if unit not in {None, "-", "1"} else "")
+    return f"{MEANING}{field.description}" + (f", in {unit})" if unit not in {None, "-", "1"} else ")")
 
 
 def _names(model: type[Section]) -> list[str]:
