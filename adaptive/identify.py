@@ -30,6 +30,8 @@ class FitSettings:
     """Settings of identification.
 
     most_loads : load steps looked for in one record; 0 to 4, default 2 (0 for an open-loop experiment).
+    most_samples : longer records are condensed to this many; 200 to 10000, default 1500 (a fit then takes well under a
+        second, and the rest of the information is noise averaged away).
     starts : refinements per number of load steps; 1 to 8, default 3 (nested local optima, estimation study).
     gain_std_limit : largest standard deviation of ln(Kc) with which settings may be given; 0.05 to 1, default 0.25
         (SIMC at tau_c = theta has a gain margin of 3, so two such deviations leave a factor of 1.9).
@@ -41,6 +43,7 @@ class FitSettings:
 
     most_loads: int = 2
     starts: int = 3
+    most_samples: int = 1500
     gain_std_limit: float = 0.25
     lag_std_limit: float = 0.7
     start_spread: float = 0.3
@@ -90,6 +93,7 @@ def identify_window(
         co or pv do not change at all in the record: there is nothing to identify from.
     """
     settings = settings or FitSettings()
+    window = window.condensed(settings.most_samples)
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")

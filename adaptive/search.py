@@ -25,17 +25,9 @@ LOAD_GAIN = 10.0
 """A load step must lower the deviance (in units of the noise) by this and more to be a candidate at all."""
 
 
-def thinned(window: Window) -> Window:
-    """Every n-th sample, so that at most MOST_ROWS are left (co is held, so a thin record still is exact enough)."""
-    keep = -(-len(window.t_s) // MOST_ROWS)
-    if keep == 1:
-        return window
-    return Window(window.t_s[::keep], window.sp[::keep], window.pv[::keep], window.co[::keep])
-
-
 def starts(misfit: OutputError, most_loads: int, count: int) -> list[FloatArray]:
     """The best `count` starting points p for every number of load steps from 0 to most_loads."""
-    window = thinned(misfit.window)
+    window = misfit.window.condensed(MOST_ROWS)
     dt, span = window.sample_time_s, float(window.t_s[-1] - window.t_s[0])
     dt_full = misfit.window.sample_time_s
     taus = np.geomspace(TAU_RANGE[0] * dt_full, TAU_RANGE[1] * span, TAU_NODES)

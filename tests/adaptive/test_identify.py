@@ -140,3 +140,19 @@ def test_any_finite_record_gives_a_finite_answer(seed: int) -> None:
     found = identify_window(Window(t, np.zeros(n), np.cumsum(pv), co))
     assert np.all(np.isfinite(found.log.x))
     assert found.reason
+
+
+def test_a_condensed_record_tells_the_same(loop: Callable) -> None:
+    window = loop(sp=1.0, noise=0.01, dt=0.05, n=6000).run(6)
+    small = window.condensed(1500)
+    assert len(small.t_s) == 1500
+    held = np.diff(window.t_s, append=window.t_s[-1] + 0.05)
+    assert float(np.sum(small.co) * 0.2) == pytest.approx(float(np.sum(window.co * held)))
+    log = identify_window(window, 1).log
+    truth = np.log([1 / 50.0, 5.0, 50.0])
+    assert np.all(np.abs(log.x - truth) < np.maximum(4 * np.sqrt(np.diag(log.p)), 0.01))
+
+
+def test_a_short_record_is_not_condensed(loop: Callable) -> None:
+    window = loop(sp=1.0).run()
+    assert window.condensed(500) is window
