@@ -8,7 +8,7 @@ from retuner.commands.run import RunOptions, overridden
 from retuner.config import load_config
 from retuner.drivers.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
-from retuner.drivers.device_process import DeviceOnBus, run_device
+from retuner.drivers.device_process import DeviceOnBus, fresh_epoch, run_device
 from retuner.drivers.virtual_device import VirtualDevice
 from retuner.errors import UserError
 from retuner.stopping import stoppable
@@ -32,7 +32,7 @@ def device(path: Path, *, interface: str | None, channel: str | None, speed: flo
             "bus.interface = virtual reaches no other process: give --interface udp_multicast --channel 239.74.163.2, "
             "or socketcan and its interface; `retuner run` needs no device for virtual"
         )
-    machine = VirtualDevice(virtual_device_settings(config), make_plant(config))
+    machine = VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=fresh_epoch())
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock) as link:
         sys.stderr.write(f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
