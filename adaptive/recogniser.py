@@ -184,47 +184,53 @@ def _move(
 ) -> RecogniserState:
     """Enter a phase: what is remembered belongs to the event that leads there."""
     if event == Event.START or (event == Event.SETPOINT and state.phase == Phase.SETTLE):
-        sp_changed = abs(sp - state.sp) > band
-        started = abs(e) > START_BANDS * band
-        return state._replace(
-            phase=phase,
-            started=started,
-            since_s=t_s,
-            inside_s=_OUTSIDE,
-            sp=sp,
-            sp_changed=sp_changed,
-            t_start_s=t_s,
-            t_peak_s=t_s,
-            e_peak=e,
-            event=event,
-        )
-    if phase == Phase.ADAPT:  # the setpoint stays the old one: the new one is SETTLE's next event
-        verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
-        kept = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
-        if state.phase == Phase.VERIFY_1:
-            return kept._replace(t1_s=state.t_peak_s, e1=state.e_peak)
-        return kept._replace(t2_s=state.t_peak_s, e2=state.e_peak) if state.phase == Phase.VERIFY_2 else kept
+        return _upset(state, event, t_s, sp, e, band)
+    if phase == Phase.ADAPT:
+        return _end(state, event, t_s)
     if phase == Phase.SETTLE:
         return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=event)
     if state.phase == Phase.SETTLE:
         return begin(t_s, sp)._replace(phase=phase)
     if event == Event.CROSS:
-        first = phase == Phase.LOCATE_2
-        return state._replace(
-            phase=phase,
-            since_s=t_s,
-            inside_s=_OUTSIDE,
-            t_peak_s=t_s,
-            e_peak=e,
-            event=event,
-            t1_s=state.t_peak_s if first else state.t1_s,
-            e1=state.e_peak if first else state.e1,
-            t2_s=state.t2_s if first else state.t_peak_s,
-            e2=state.e2 if first else state.e_peak,
-        )
+        return _pass_peak(state, phase, t_s, e)
     if event == Event.NEW_MAX:
         return state._replace(phase=phase, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event)
     return state._replace(phase=phase, event=event)
+
+
+def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
+    """An upset begins: a load, a setpoint change, or a small setpoint change that is only taken note of."""
+    return state._replace(
+        phase=Phase.LOCATE_1,
+        started=abs(e) > START_BANDS * band,
+        since_s=t_s,
+        inside_s=_OUTSIDE,
+        sp=sp,
+        sp_changed=abs(sp - state.sp) > band,
+        t_start_s=t_s,
+        t_peak_s=t_s,
+        e_peak=e,
+        event=event,
+    )
+
+
+def _end(state: RecogniserState, event: Event, t_s: float) -> RecogniserState:
+    """The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the new."""
+    verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
+    ended = state._replace(phase=Phase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
+    if state.phase == Phase.VERIFY_1:
+        return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak)
+    if state.phase == Phase.VERIFY_2:
+        return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
+    return ended
+
+
+def _pass_peak(state: RecogniserState, phase: Phase, t_s: float, e: float) -> RecogniserState:
+    """The error is on the other side: the extreme was a peak, and the next one is followed from here."""
+    moved = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS)
+    if phase == Phase.LOCATE_2:
+        return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
+    return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)
 
 
 _ENDINGS = {
