@@ -48,7 +48,8 @@ def held_lag(t_s: FloatArray, u: FloatArray, tau_s: float, theta_s: float) -> Fl
     i = np.searchsorted(t_s, read_at, side="right") - 1
     before = i < 0
     i = np.maximum(i, 0)
-    moved = u[i] + (x[i] - u[i]) * np.exp(-(read_at - t_s[i]) / tau_s)
+    since = np.maximum(read_at - t_s[i], 0.0)  # before the first sample nothing has moved; exp would overflow there
+    moved = u[i] + (x[i] - u[i]) * np.exp(-since / tau_s)
     return np.where(before, u[0], moved)
 
 

@@ -126,7 +126,7 @@ def _stable(
     size = np.abs(l_jw)
     if size[-1] >= 1:  # the loop gain does not fall at high frequency: any delay makes this unstable
         return False
-    last = int(np.flatnonzero(size >= 0.5)[-1]) + 2 if np.any(size >= 0.5) else 2
+    last = min(int(np.flatnonzero(size >= 0.5)[-1]) + 2 if np.any(size >= 0.5) else 2, len(w) - 1)
     turned = _turn(loop, w[: last + 1], 1 + l_jw[: last + 1])
     end = float(np.angle(1 + l_jw[last]))  # from here on 1 + L stays right of the origin, and ends at arg 0
     poles_at_zero = process.integrators + (1 if gains.ki else 0)

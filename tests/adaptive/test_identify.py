@@ -156,3 +156,12 @@ def test_a_condensed_record_tells_the_same(loop: Callable) -> None:
 def test_a_short_record_is_not_condensed(loop: Callable) -> None:
     window = loop(sp=1.0).run()
     assert window.condensed(500) is window
+
+
+def test_a_dead_time_far_longer_than_the_lag_is_computed_without_overflow() -> None:
+    t = np.arange(2000.0)
+    u = np.where(t < 5, 0.0, 1.0)
+    with np.errstate(all="raise"):
+        moved = held_lag(t, u, 0.3, 1500.0)
+    assert moved[1504] == pytest.approx(0.0)
+    assert moved[1600] == pytest.approx(1.0)

@@ -102,3 +102,12 @@ def test_ms_is_the_largest_sensitivity_on_a_dense_grid() -> None:
     s = 1j * w
     loop = (gains.kp + gains.ki / s + gains.kd * s) * process.response(w)
     assert sensitivity_peak(process, gains) == pytest.approx(float(np.max(1 / np.abs(1 + loop))), rel=1e-6)
+
+
+@pytest.mark.parametrize("kd", [10.0, 30.0, 45.0, 49.0])
+def test_unfiltered_derivative_on_a_first_order_process_ends_at_a_finite_loop_gain(kd: float) -> None:
+    # |L| tends to k kd / tau while the delay turns it for ever: the supremum of |S| there is 1 / (1 - k kd / tau)
+    found = margins(LinearProcess(1.0, (50.0,), (), 10.0), PidGains(2.0, 0.04, kd))
+    assert found.stable
+    assert found.ms >= 0.9 / (1 - kd / 50)
+    assert not margins(LinearProcess(1.0, (50.0,), (), 10.0), PidGains(2.0, 0.04, 60.0)).stable
