@@ -5,6 +5,8 @@
     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
     little gain                   sluggish, or slow_integrating where the integral time is short as well
     otherwise                     ok
+    Ms high with derivative       unknown: what the derivative does hangs on a second lag, which a first-order model
+                                  does not have; it calls good PID loops unstable
 
 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3), so the
 ratio of ki to SIMC's says how much worse than necessary loads are rejected. The margins separate the classes
@@ -44,7 +46,7 @@ def tuning_cause(
     Parameters
     ----------
     model : the process. gains : in force. best : what the rule gives for it.
-    gain_uncertainty : standard deviation of ln(k' theta), for the confidence.
+    gain_uncertainty : standard deviation of ln |G(j/theta)|, for the confidence.
     """
     found = margins(model.linear(), gains)
     slack = best.ki / gains.ki if gains.ki else math.inf
@@ -56,6 +58,9 @@ def tuning_cause(
         "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
     }
     cause, reason = _name(found, slack, evidence["kp_ratio"], settings)
+    if gains.kd and not model.tau2_s and found.ms > settings.ms_high:
+        unsure = "derivative action is in force: a model without a second lag cannot tell whether it does harm"
+        return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
     room = max(slack, evidence["kp_ratio"])
     return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
 
