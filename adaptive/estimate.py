@@ -62,8 +62,12 @@ class LogModel:
         }
 
     def gain_uncertainty(self) -> float:
-        """Standard deviation of ln(k' theta): to first order that of the controller gain it leads to."""
-        a = np.array([1.0, 1.0, 0.0])
+        """Standard deviation of ln |G(j/theta)|: of the process gain where the tuned loop lives, hence of Kc.
+
+        A lag-dominant process shows k' theta there, a delay-dominant one k.
+        """
+        lagging = 1 / (1 + math.exp(2 * float(self.x[1] - self.x[2])))  # r^2 / (1 + r^2), r = tau / theta
+        a = np.array([1.0, lagging, 1 - lagging])
         return math.sqrt(float(a @ self.p @ a))
 
 

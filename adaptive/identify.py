@@ -33,9 +33,9 @@ class FitSettings:
     most_samples : longer records are condensed to this many; 200 to 10000, default 1500 (a fit then takes well under a
         second, and the rest of the information is noise averaged away).
     starts : refinements per number of load steps; 1 to 8, default 3 (nested local optima, estimation study).
-    gain_std_limit : largest standard deviation of ln(Kc) with which settings may be given; 0.05 to 1, default 0.25
+    gain_std_limit : largest standard deviation of ln |G(j/theta)| with which settings may be given; 0.05 to 1, default 0.25
         (SIMC at tau_c = theta has a gain margin of 3, so two such deviations leave a factor of 1.9).
-    lag_std_limit : the same of ln(tau) as far as the integral time depends on it; default 0.7.
+    lag_std_limit : the same of ln(tau) where tau decides (theta < tau < 8 theta); default 0.7.
     start_spread : how far from rest a record may begin, as a fraction of pv's range; default 0.3, 0 for an
         experiment that is known to begin at rest.
     explained_limit : smallest share of pv's variance that must be explained; default 0.5.
@@ -226,7 +226,7 @@ def _judge(log: LogModel, residual_std: float, pv_std: float, settings: FitSetti
             f"{_factor(settings.gain_std_limit)} is needed: the record moves the process too little"
         )
     lag_std = math.sqrt(float(log.p[2, 2]))
-    if model.tau1_s < 8 * model.theta_s and lag_std > settings.lag_std_limit:
+    if model.theta_s < model.tau1_s < 8 * model.theta_s and lag_std > settings.lag_std_limit:
         return False, f"the lag is known to a factor of {_factor(lag_std)}; {_factor(settings.lag_std_limit)} is needed"
     return True, f"first order + dead time explains {explained:.1%} of pv's variance"
 

@@ -1,5 +1,7 @@
 """A decision in one readable line: what was seen, the cause, what the process is, what changes."""
 
+import math
+
 from retuner.adaptive.decision import Action, Decision
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
@@ -66,11 +68,11 @@ def change_text(decision: Decision) -> str:
     if decision.action == Action.NONE or v is None or v.gains is None:
         return "no change"
     verb = "write" if decision.action == Action.COMMIT else "advise"
-    before = "unstable" if v.ms_before == float("inf") else f"{v.ms_before:.2f}"
+    before, after = (f"{ms:.2f}" if math.isfinite(ms) else "unstable" for ms in (v.ms_before, v.ms_nominal))
     step = "" if v.step > WHOLE_STEP else f", {v.step:.0%} of the step"
-    worst = "unstable at worst" if v.ms_worst == float("inf") else f"at worst {v.ms_worst:.2f}"
+    worst = "unstable at worst" if math.isinf(v.ms_worst) else f"at worst {v.ms_worst:.2f}"
     return (f"{verb} {settings_text(decision.gains_before)} -> {settings_text(v.gains)}, "
-            f"Ms {before} -> {v.ms_nominal:.2f} ({worst}{step})")  # fmt: skip
+            f"Ms {before} -> {after} ({worst}{step})")  # fmt: skip
 
 
 def one_line(decision: Decision) -> str:

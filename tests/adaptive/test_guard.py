@@ -64,6 +64,16 @@ def test_a_loop_over_its_limit_may_always_be_made_safer() -> None:
     assert sensitivity_peak(MODEL.linear(), verdict.gains) < sensitivity_peak(MODEL.linear(), wild)
 
 
+def test_an_unstable_loop_takes_the_largest_step_to_less_action_even_if_that_is_not_enough() -> None:
+    wild = times(BEST, 12.0, 200.0)
+    verdict = prove(simc(MODEL), known(), 0.0, wild, SETTINGS)
+    assert verdict.ruling == Ruling.SAFER
+    assert verdict.gains is not None
+    assert math.isinf(verdict.ms_nominal)
+    assert verdict.gains.kp < wild.kp
+    assert verdict.gains.ki == pytest.approx(wild.ki / SETTINGS.step_down_max)
+
+
 def test_the_wrong_direction_is_refused() -> None:
     verdict = prove(simc(MODEL), known(), 0.0, times(BEST, -1.0, -1.0), SETTINGS)
     assert verdict.ruling == Ruling.WRONG_SIGN
@@ -100,7 +110,7 @@ def test_nothing_passes_unproved(kp: float, ki: float, std: float, sign: int) ->
         assert worst <= SETTINGS.ms_worst
     else:
         assert verdict.ruling == Ruling.SAFER
-        assert ms < sensitivity_peak(model.linear(), in_force)
+        assert ms < sensitivity_peak(model.linear(), in_force) or new <= old
 
 
 @given(
