@@ -33,8 +33,8 @@ class FitSettings:
     most_samples : longer records are condensed to this many; 200 to 10000, default 1500 (a fit then takes well under a
         second, and the rest of the information is noise averaged away).
     starts : refinements per number of load steps; 1 to 8, default 3 (nested local optima, estimation study).
-    gain_std_limit : largest standard deviation of ln |G(j/theta)| with which settings may be given; 0.05 to 1, default 0.25
-        (SIMC at tau_c = theta has a gain margin of 3, so two such deviations leave a factor of 1.9).
+    gain_std_limit : largest standard deviation of ln |G(j/theta)| with which settings may be given; 0.05 to 1,
+        default 0.25 (SIMC at tau_c = theta has a gain margin of 3, so two such deviations leave a factor of 1.9).
     lag_std_limit : the same of ln(tau) where tau decides (theta < tau < 8 theta); default 0.7.
     start_spread : how far from rest a record may begin, as a fraction of pv's range; default 0.3, 0 for an
         experiment that is known to begin at rest.
