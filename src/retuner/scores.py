@@ -60,12 +60,12 @@ def _stable(value: float | None) -> bool | None:
 
 def region_scores(
     before: GainTable, after: GainTable, commits: list[tuple[float, int]], run: Columns, fixed: Columns | None,
-    linearise: Linearise | None, half_sample_s: float,
+    linearise: Linearise | None, half_sample_s: float, tau_f_s: float = 0.0,
 ) -> list[RegionScore]:  # fmt: skip
     """Score every region.
 
     before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column.
-    linearise : true linear process at a pv, where the plant is simulated.
+    linearise : true linear process at a pv, where the plant is simulated. tau_f_s : filter of the derivative, s.
     """
     scores = []
     for i, name in enumerate(before.regions.names):
@@ -77,8 +77,8 @@ def region_scores(
                 before=old,
                 after=new,
                 changes=sum(1 for _, region in commits if region == i),
-                ms_before=max((sensitivity_peak(p, old) for p in truths), default=None),
-                ms_after=max((sensitivity_peak(p, new) for p in truths), default=None),
+                ms_before=max((sensitivity_peak(p, old, tau_f_s) for p in truths), default=None),
+                ms_after=max((sensitivity_peak(p, new, tau_f_s) for p in truths), default=None),
                 iae=iae(run, i),
                 iae_fixed=None if fixed is None else iae(fixed, i),
             )

@@ -145,7 +145,7 @@ def _leave(job: _Job, ledger: Ledger, session: Session, fixed: Session | None, s
     linearise = make_plant(config).linearise if config.device else None
     fixed_columns = fixed.trend.columns() if fixed else None
     scores = region_scores(before, session.table, session.commits, columns, fixed_columns, linearise,
-                           config.loop.sample_time_s / 2)  # fmt: skip
+                           config.loop.sample_time_s / 2, config.loop.tau_f_s)  # fmt: skip
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
     facts = {
