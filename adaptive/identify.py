@@ -12,7 +12,7 @@ update (Bell & Cathey 1993); see tracker.py.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import qr
@@ -94,13 +94,16 @@ def identify_window(
     """
     settings = settings or FitSettings()
     window = window.condensed(settings.most_samples)
+    origin_s = float(window.t_s[0])  # seconds since 1970 leave too few digits for derivatives by the dead time
+    window = replace(window, t_s=window.t_s - origin_s)
     for name, values in (("co", window.co), ("pv", window.pv)):
         if np.ptp(values) == 0:
             raise ValueError(f"{name} stays at {values[0]:g} in the whole record: nothing to identify from")
     noise = max(noise_sigma(window.pv), 1e-7 * float(np.ptp(window.pv)))
     signs = (sign or (prior.sign if prior else 0),) if sign or prior else (1, -1)
     fit = _best([OutputError(window, noise, s, settings.start_spread) for s in signs], prior, settings)
-    return _estimate(fit, prior, settings)
+    estimate = _estimate(fit, prior, settings)
+    return replace(estimate, load_times_s=tuple(origin_s + t for t in estimate.load_times_s))
 
 
 def _best(misfits: list[OutputError], prior: LogModel | None, settings: FitSettings) -> _Fit:

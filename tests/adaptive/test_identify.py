@@ -165,3 +165,15 @@ def test_a_dead_time_far_longer_than_the_lag_is_computed_without_overflow() -> N
         moved = held_lag(t, u, 0.3, 1500.0)
     assert moved[1504] == pytest.approx(0.0)
     assert moved[1600] == pytest.approx(1.0)
+
+
+def test_seconds_since_1970_make_no_difference() -> None:
+    t = np.arange(200.0)
+    co = np.where(t < 20, 0.0, 1.0)
+    pv = 2.0 * held_lag(t, co, 30.0, 5.0) + 0.01 * np.random.default_rng(7).standard_normal(len(t))
+    here = identify_window(Window(t, co, pv, co), settings=OPEN_LOOP)
+    there = identify_window(Window(t + 1.7e9, co, pv, co), settings=OPEN_LOOP)
+    np.testing.assert_allclose(there.log.x, here.log.x, rtol=1e-6)
+    loaded = pv - held_lag(t, np.where(t < 120, 0.0, 1.0), 30.0, 0.0)
+    shifted = identify_window(Window(t + 1.7e9, co, loaded, co))
+    assert shifted.load_times_s == pytest.approx([1.7e9 + 120], abs=2)
