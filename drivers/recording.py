@@ -23,6 +23,8 @@ SIZE_MAX = 1 << 30
 """Largest file in bytes; a year at one sample a second is about as long."""
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+")
+LARGEST = 1e30
+"""Largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit."""
 DEAD = 1e-9
 """A signal that varies by less than this share of its magnitude is constant; single precision resolves 1e-7."""
 
@@ -44,7 +46,8 @@ class Recording:
     Raises
     ------
     RecordingError
-        Fewer than three samples, shapes that differ, a value that is not finite, or time that does not increase.
+        Fewer than three samples, shapes that differ, a value that is not finite or beyond LARGEST, or time that does
+        not increase.
     """
 
     source: str
@@ -58,6 +61,11 @@ class Recording:
             self.window()
         except ValueError as error:
             raise RecordingError(f"{self.source}: {error}") from error
+        for name, values in (("t", self.t_s), ("sp", self.sp), ("pv", self.pv), ("co", self.co)):
+            if values is not None and np.max(np.abs(values)) > LARGEST:
+                i = int(np.argmax(np.abs(values)))
+                raise RecordingError(f"{self.source}: sample {i + 1}: {name} = {values[i]:g} is beyond {LARGEST:g}; "
+                                     "give the record in its engineering units")  # fmt: skip
 
     def window(self) -> Window:
         """The whole record for a fit; where it has no setpoint, the first pv stands in."""
@@ -128,11 +136,12 @@ def read_recording(path: Path, columns: Mapping[str, str] | None = None) -> Reco
 def _check_file(path: Path) -> None:
     """Refuse what is no file of a sensible size before it is opened."""
     try:
-        if not path.is_file():
-            raise RecordingError(f"{path}: no such file; give a CSV or Parquet file")
-        size = path.stat().st_size
+        there = path.is_file()
+        size = path.stat().st_size if there else 0
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
+    if not there:
+        raise RecordingError(f"{path}: no such file; give a CSV or Parquet file")
     if size > SIZE_MAX:
         raise RecordingError(f"{path}: {size} bytes are more than {SIZE_MAX}; cut the record into pieces")
 

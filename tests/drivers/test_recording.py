@@ -101,6 +101,22 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
         read_recording(tmp_path / "fifo.csv")
 
 
+def test_what_is_no_file_is_named_once(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError) as told:
+        read_recording(tmp_path / "none.csv")
+    assert str(told.value).count("none.csv") == 1
+
+
+@pytest.mark.parametrize("column", ["t", "pv", "co"])
+def test_numbers_whose_squares_overflow_are_refused(tmp_path: Path, column: str) -> None:
+    path = tmp_path / "huge.csv"
+    rows = ({"t": 1.0 * i, "pv": 0.5 * i, "co": 2.0 * i} for i in range(5))
+    lines = [",".join(str(v * (1e200 if name == column else 1)) for name, v in row.items()) for row in rows]
+    path.write_text("t,pv,co\n" + "\n".join(lines), encoding="utf-8")
+    with pytest.raises(RecordingError, match=f"sample 5: {column} = .*e\\+200 is beyond 1e\\+30"):
+        read_recording(path)
+
+
 def test_roles_and_columns_that_do_not_exist_are_named(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD)
     with pytest.raises(RecordingError, match='no role "mv"'):
