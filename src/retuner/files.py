@@ -25,9 +25,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.replace(target)
-    except OSError:
+    finally:  # also when the user stops it; after the rename there is nothing left
         temporary.unlink(missing_ok=True)
-        raise
     sync_folder(target.parent)
 
 

@@ -1,4 +1,7 @@
-"""Being stopped from outside: SIGTERM ends a run the way Ctrl-C does, with everything whole."""
+"""Being stopped from outside: SIGTERM ends a run the way Ctrl-C does, with everything whole.
+
+What a run leaves behind is written without interruption: a second, impatient Ctrl-C waits for it.
+"""
 
 import signal
 from collections.abc import Iterator
@@ -19,3 +22,22 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def unstoppable() -> Iterator[None]:
+    """Inside, SIGINT and SIGTERM wait; if one came, KeyboardInterrupt is raised at the end."""
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        del frame
+        came.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt

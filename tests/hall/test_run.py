@@ -16,7 +16,9 @@ from retuner import drivers
 from retuner.cli import main
 from retuner.ledger import LedgerReader
 from retuner.outputs import fresh_folder
+from retuner.running import Run
 from retuner.schedule.document import from_toml
+from retuner.session import Session
 
 QUICK = """
 schema = 1
@@ -188,3 +190,23 @@ def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
     with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
         assert reader.verify().ok
         assert list(reader.rows())[-1].kind == "end"
+
+
+def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = Run.simulated
+    began: list[Run] = []
+
+    def simulated(self: Run) -> Session:
+        began.append(self)
+        if len(began) == 2:
+            raise KeyboardInterrupt
+        return runs(self)
+
+    monkeypatch.setattr(Run, "simulated", simulated)
+    assert main(["run", str(quick)]) == 130
+    assert len(began) == 2
+    names = {path.name for path in (quick.parent / "out").iterdir()}
+    assert {"report.html", "summary.json", "gains.toml", "trend.csv"} <= names
+    score = json.loads((quick.parent / "out" / "summary.json").read_text())["scores"][0]
+    assert score["changes"] >= 1
+    assert score["iae_fixed"] is None

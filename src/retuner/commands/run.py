@@ -25,7 +25,7 @@ from retuner.running import Run, nothing
 from retuner.schedule.document import to_toml
 from retuner.scores import RegionScore, region_scores
 from retuner.session import Session
-from retuner.stopping import stoppable
+from retuner.stopping import stoppable, unstoppable
 from retuner.trend import write_trend
 
 
@@ -124,10 +124,20 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     ledger.append("end", {"interrupted": interrupted, "samples": len(session.trend.rows)}, session.trend.rows[-1][0])
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
-        screen.begin("the same run with fixed gains")
-        fixed = Run(config, nothing, mode=Mode.OFF, on_sample=on_sample).simulated()
-    _leave(job, ledger, session, fixed, screen)
+        fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
+        interrupted = fixed is None
+    with unstoppable():
+        _leave(job, ledger, session, fixed, screen)
     return 130 if interrupted else 0
+
+
+def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
+    """The comparison run, or None when the user stops it: the run that counts is over then, and is kept."""
+    screen.begin("the same run with fixed gains")
+    try:
+        return comparison.simulated()
+    except KeyboardInterrupt:
+        return None
 
 
 TOLD = {

@@ -1,0 +1,44 @@
+"""Being stopped: what must be whole is whole, and what must end ends."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from retuner.files import write_whole
+from retuner.stopping import stoppable, unstoppable
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_left_behind_is_written_before_a_signal_takes_effect(number: signal.Signals) -> None:
+    handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    done = []
+
+    def leave() -> None:
+        with stoppable(), unstoppable():
+            os.kill(os.getpid(), number)
+            done.append("written")
+
+    with pytest.raises(KeyboardInterrupt):
+        leave()
+    assert done == ["written"]
+    assert handlers == (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
+
+
+def test_without_a_signal_nothing_is_raised() -> None:
+    with unstoppable():
+        pass
+
+
+def test_a_file_whose_writing_is_interrupted_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(handle: int) -> None:
+        del handle
+        raise KeyboardInterrupt
+
+    (tmp_path / "trend.csv").write_text("old")
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "trend.csv", "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["trend.csv"]
+    assert (tmp_path / "trend.csv").read_text() == "old"
