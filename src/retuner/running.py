@@ -22,6 +22,7 @@ from retuner.drivers.device_process import DeviceOnBus
 from retuner.drivers.virtual_device import VirtualDevice
 from retuner.scenario import ScenarioPlayer
 from retuner.session import Recorder, Session
+from retuner.stopping import unstoppable
 
 POLLS_PER_SAMPLE = 4
 """In real time the host looks at least this often per sample, even when no frame wakes it."""
@@ -65,7 +66,8 @@ class Run:
             while not session.finished:
                 clock.advance(self.config.loop.sample_time_s)
                 turn()
-                session.poll(clock.now_s())
+                with unstoppable():
+                    session.poll(clock.now_s())
             return session
 
     @contextmanager
@@ -92,7 +94,8 @@ class Run:
         with CanLink(link_settings(self.config, speed), clock, self._log) as link:
             session = self._session(link, speed)
             while not session.finished:
-                session.poll(clock.now_s())
+                with unstoppable():
+                    session.poll(clock.now_s())
                 link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
             return session
 

@@ -1,9 +1,11 @@
 """Being stopped from outside: SIGTERM ends a run the way Ctrl-C does, with everything whole.
 
-What a run leaves behind is written without interruption: a second, impatient Ctrl-C waits for it.
+Between two polls of a session, that is: a row of the ledger and what it tells of belong together. What a run leaves
+behind is written without interruption as well: a second, impatient Ctrl-C waits for it.
 """
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -26,7 +28,12 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def unstoppable() -> Iterator[None]:
-    """Inside, SIGINT and SIGTERM wait; if one came, KeyboardInterrupt is raised at the end."""
+    """Inside, SIGINT and SIGTERM wait; if one came, KeyboardInterrupt is raised at the end. Only the main thread hears
+    signals; in another one this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     came: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import can
@@ -14,7 +15,8 @@ import pytest
 
 from retuner import drivers
 from retuner.cli import main
-from retuner.ledger import LedgerReader
+from retuner.ledger import Ledger, LedgerReader
+from retuner.ledger.chain import Row
 from retuner.outputs import fresh_folder
 from retuner.running import Run
 from retuner.schedule.document import from_toml
@@ -210,3 +212,23 @@ def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, mo
     score = json.loads((quick.parent / "out" / "summary.json").read_text())["scores"][0]
     assert score["changes"] >= 1
     assert score["iae_fixed"] is None
+
+
+def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_done(
+    quick: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Ledger.append
+
+    def append(self: Ledger, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
+        if kind == "committed" and body["why"] == "retune":
+            os.kill(os.getpid(), signal.SIGINT)
+        return write(self, kind, body, clock_s)
+
+    monkeypatch.setattr(Ledger, "append", append)
+    assert main(["run", str(quick)]) == 130
+    summary = json.loads((quick.parent / "out" / "summary.json").read_text())
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
+        assert reader.verify().ok
+        rows = list(reader.rows())
+    assert [row.kind for row in rows[-2:]] == ["committed", "end"]
+    assert json.loads(rows[-2].text)["gains"] == summary["scores"][0]["after"]

@@ -116,17 +116,17 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     interrupted = False
     try:
         session = job_run.simulated() if job.simulated else job_run.live(job.speed)
-    except (KeyboardInterrupt, DeviceError) as end:
+    except (KeyboardInterrupt, DeviceError) as stop:
         if job_run.session is None or not job_run.session.trend.rows:
-            raise NothingHappenedError(end) from end
-        interrupted = True
-        session = job_run.session
-    ledger.append("end", {"interrupted": interrupted, "samples": len(session.trend.rows)}, session.trend.rows[-1][0])
+            raise NothingHappenedError(stop) from stop
+        interrupted, session = True, job_run.session
+    end = {"interrupted": interrupted, "samples": len(session.trend.rows)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
         fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
         interrupted = fixed is None
     with unstoppable():
+        ledger.append("end", end, session.trend.rows[-1][0])
         _leave(job, ledger, session, fixed, screen)
     return 130 if interrupted else 0
 
