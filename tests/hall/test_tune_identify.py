@@ -1,0 +1,198 @@
+"""retuner tune and identify: the numbers, the JSON contract, the exit statuses, the one line on bad input."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import retuner
+from retuner import PidGains, ProcessModel, ProcessType, identify, tune
+from retuner.cli import main
+
+HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
+Capture = pytest.CaptureFixture[str]
+
+
+def answer(capsys: Capture, *arguments: str, status: int = 0) -> dict:
+    assert main([*arguments, "--json"]) == status
+    found = capsys.readouterr()
+    assert found.err == ""
+    return json.loads(found.out)
+
+
+def refused(capsys: Capture, *arguments: str) -> str:
+    assert main(list(arguments)) == 2
+    found = capsys.readouterr()
+    assert found.out == ""
+    assert found.err.count("\n") == 1
+    return found.err
+
+
+def test_tune_gives_simc_with_margins(capsys: Capture) -> None:
+    found = answer(
+        capsys, "tune", "--type", "fopdt", "--k", "0.361", "--tau1", "138", "--theta", "14.2", "--rule", "simc"
+    )
+    assert found["rule"] == "simc"
+    assert found["form"] == "series"
+    assert found["gains"] == pytest.approx({"kc": 138 / (0.361 * 28.4), "tau_i": 113.6, "tau_d": 0.0})
+    assert found["parallel"]["ki"] == pytest.approx(found["gains"]["kc"] / 113.6)
+    assert set(found["margins"]) >= {"ms", "mt", "gm", "pm_deg", "delay_margin", "w180", "wc"}
+    assert found["margins"]["ms"] == pytest.approx(1.607, abs=1e-3)
+
+
+def test_tune_has_null_for_no_integral_time_and_for_infinite_margins(capsys: Capture) -> None:
+    delay = answer(capsys, "tune", "--type", "delay", "--k", "2", "--theta", "3")
+    assert delay["gains"] == {"kc": 0.0, "tau_i": None, "tau_d": 0.0}
+    assert delay["parallel"] == pytest.approx({"kp": 0.0, "ki": 1 / 12, "kd": 0.0})
+    assert answer(capsys, "tune", "--type", "fopdt", "--k", "1", "--tau1", "5", "--tau-c", "1")["margins"]["gm"] is None
+
+
+def test_tune_reads_well(capsys: Capture) -> None:
+    assert (
+        main(
+            ["tune", "--type", "sopdt", "--k", "1", "--tau1", "2", "--tau2", "1.2", "--theta", "0.77", "--kind", "pid"]
+        )
+        == 0
+    )
+    shown = capsys.readouterr().out
+    assert "Kc 1.299" in shown
+    assert "tau_D 1.2 s" in shown
+    assert "Ms 1.5" in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--type", "magic", "--k", "1"], "--type magic: give one of fopdt"),
+        (["--type", "fopdt", "--k", "nan", "--tau1", "1", "--theta", "1"], "k = nan"),
+        (["--type", "fopdt", "--k", "1", "--tau1", "1"], "give tau_c"),
+        (["--type", "fopdt", "--k", "1", "--tau1", "-1", "--theta", "1"], "negative"),
+        (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--rule", "voodoo"], "simc"),
+        (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--form", "cubic"], "cubic"),
+        (["--type", "delay", "--k", "1", "--tau1", "1", "--theta", "1"], "has no tau1"),
+    ],
+)
+def test_tune_refuses_in_one_line(capsys: Capture, arguments: list[str], message: str) -> None:
+    assert message in refused(capsys, "tune", *arguments)
+
+
+def test_identify_the_real_heater(capsys: Capture) -> None:
+    found = answer(capsys, "identify", str(HEATER), "--open-loop")
+    assert found["identifiable"] is True
+    assert found["model"]["type"] == "fopdt"
+    assert found["model"]["k"] == pytest.approx(0.361, rel=0.01)
+    assert found["model"]["tau1"] == pytest.approx(138, rel=0.01)
+    assert found["model"]["theta"] == pytest.approx(14.2, rel=0.02)
+    assert 0 < found["std"]["tau1"] < 5
+    assert found["margins"]["ms"] < 1.7
+    assert found["reason"]
+
+
+def write(path: Path, **columns: np.ndarray) -> Path:
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="")
+    return path
+
+
+def closed_loop(path: Path, noise: float = 0.01, names: tuple[str, ...] = ("t", "sp", "pv", "co")) -> Path:
+    """PI with Kc 2, tau_I 20 s on a lag of 20 s with gain 1, sampled every second, one setpoint step."""
+    rng = np.random.default_rng(1)
+    n = 300
+    sp, pv, co = (np.arange(n) >= 60) * 1.0, np.zeros(n), np.zeros(n)
+    x = integral = 0.0
+    for i in range(n):
+        pv[i] = x + noise * rng.standard_normal()
+        integral += 2 / 20 * (sp[i] - pv[i])
+        co[i] = 2 * (sp[i] - pv[i]) + integral
+        x += (1 - np.exp(-1 / 20)) * ((co[i - 3] if i >= 3 else 0.0) - x)
+    return write(path, **dict(zip(names, (np.arange(n) * 1.0, sp, pv, co), strict=True)))
+
+
+def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_path: Path, capsys: Capture) -> None:
+    path = closed_loop(tmp_path / "loop.csv", names=("time", "target", "level", "valve"))
+    found = answer(
+        capsys, "identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve", "--kc", "2", "--tau-i", "20"
+    )
+    assert found["model"]["k"] == pytest.approx(1.0, rel=0.05)
+    assert found["model"]["theta"] == pytest.approx(3.0, rel=0.1)
+    assert found["margins_in_force"]["stable"] is True
+    assert main(["identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve"]) == 0
+    assert "settings that follow" in capsys.readouterr().out
+
+
+def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None:
+    rng = np.random.default_rng(3)
+    quiet = write(
+        tmp_path / "q.csv",
+        t=np.arange(200.0),
+        sp=np.zeros(200),
+        pv=rng.standard_normal(200),
+        co=rng.standard_normal(200),
+    )
+    found = answer(capsys, "identify", str(quiet), status=1)
+    assert found["identifiable"] is False
+    assert found["gains"] is None
+    assert found["reason"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,sp,pv\n1,2,3\n", "co"),
+        ("t,sp,pv,co\n1,2,3,4\n2,2,x,4\n3,2,3,5\n", ":3"),
+        ("t,sp,pv,co\n1,2,3,4\n2,2,nan,4\n3,2,3,5\n", ":3"),
+        ("t,sp,pv,co\n1,2,3,4\n1,2,3,4\n3,2,3,5\n", ":3"),
+        ("t,sp,pv,co\n1,2,3,4\n2,2,3,5\n3,2,3,6\n", "pv"),
+        ("", ""),
+    ],
+    ids=["missing column", "text", "nan", "time stands", "constant", "empty"],
+)
+def test_identify_refuses_in_one_line(tmp_path: Path, capsys: Capture, text: str, message: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    assert message in refused(capsys, "identify", str(path))
+
+
+@pytest.mark.parametrize(
+    "options", [["--columns", "pv"], ["--columns", "pv=a,pv=b"], ["--tau-i", "5"], ["--kc", "0", "--tau-i", "5"]]
+)
+def test_identify_refuses_wrong_options(tmp_path: Path, capsys: Capture, options: list[str]) -> None:
+    path = closed_loop(tmp_path / "loop.csv")
+    assert options[0] in refused(capsys, "identify", str(path), *options)
+
+
+def test_the_python_interface() -> None:
+    data = np.genfromtxt(HEATER, delimiter=",", names=True)
+    found = identify(data["t"], np.zeros(len(data)), data["pv"], data["co"], open_loop=True)
+    assert found.to_dict()["identifiable"] is True
+    result = tune(ProcessModel(ProcessType.FOPDT, 2.0, 10.0, 0.0, 1.0), kind="pi")
+    assert result.tuning.gains == PidGains(2.5, 2.5 / 8)
+    assert set(retuner.__all__) <= set(dir(retuner))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = retuner.nonsense
+    with pytest.raises(ValueError, match="kind 'pd'"):
+        tune(ProcessModel(ProcessType.FOPDT, 2.0, 10.0, 0.0, 1.0), kind="pd")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "reaches no other process"),
+        (["-i", "nosuchbus"], "nosuchbus"),
+        (["--speed", "-1"], "--speed"),
+        (["--duration", "0"], "--duration"),
+    ],
+)
+def test_device_refuses_in_one_line(capsys: Capture, options: list[str], message: str) -> None:
+    oven = Path(__file__).parents[2] / "examples" / "oven.toml"
+    assert message in refused(capsys, "device", str(oven), *options)
+
+
+def test_python_dash_m_is_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "retuner", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("retuner ")
