@@ -76,16 +76,18 @@ class RunScreen:
 
 def scores_table(scores: list[RegionScore], unit: str) -> Table:
     """Gains, Ms and IAE per region, before and after."""
-    title = f"\nGains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s, against the same run with fixed gains"
+    compared = ", against the same run with fixed gains" if any(s.iae_fixed is not None for s in scores) else ""
+    title = f"\nGains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s{compared}"
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 2, 0, 0))
     for name in ("region", "commissioned", "final"):
         table.add_column(name, no_wrap=True)
     for name in ("writes", "Ms", "Ms now", "IAE fixed", "IAE now"):
         table.add_column(name, justify="right", no_wrap=True)
     for s in scores:
-        better = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
         fixed = "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}"
-        retuned = f"{s.iae:,.0f}" if s.iae_fixed is None else f"[{better}]{s.iae:,.0f}[/]"
+        same = s.iae_fixed is None or s.iae == s.iae_fixed
+        colour = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
+        retuned = f"{s.iae:,.0f}" if same else f"[{colour}]{s.iae:,.0f}[/]"
         table.add_row(escape(s.region), short_settings(s.before), short_settings(s.after), str(s.changes),
                       ms_text(s.ms_before), ms_text(s.ms_after), fixed, retuned)  # fmt: skip
     return table

@@ -2,6 +2,7 @@
 
 import base64
 import html
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -29,6 +30,7 @@ class ReportData:
 
     run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
     events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
+    stopped : the run did not have its whole length.
     """
 
     loop: str
@@ -42,6 +44,7 @@ class ReportData:
     commits: list[float]
     events: list[float] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)
+    stopped: bool = False
 
 
 def render(data: ReportData) -> str:
@@ -55,7 +58,7 @@ def render(data: ReportData) -> str:
         _image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit), "Trend with region bands"),
         _twins(data),
         "<h2>Decisions</h2>",
-        '<p class="muted">One row per recognised response; rows with a change of gains are shaded.</p>',
+        '<p class="muted">One row per recognised response; rows that write or advise other gains are shaded.</p>',
         _decisions_table(data.decisions),
         "<h2>Provenance</h2>",
         _table(("what", "value"), ((_e(k), f"<code>{_e(v)}</code>") for k, v in data.facts.items())),
@@ -69,20 +72,29 @@ def _e(text: object) -> str:
 
 
 def _lead(data: ReportData) -> str:
-    """The result in a sentence or two."""
-    changes = sum(s.changes for s in data.scores)
+    """The result in a few sentences."""
     hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
-    text = f"{len(data.decisions)} responses were recognised in {hours:.2g} h; the gains were changed {changes} times."
-    worst = [s.ms_after for s in data.scores if s.ms_after is not None]
-    if worst:
-        text += f" Ms of the final gains on the true process is at most {max(worst):.2f}."
+    parts = ["The run was stopped before its end."] if data.stopped else []
+    parts.append(f"{_counted(len(data.decisions), 'response')} recognised in {hours:.2g} h.")
+    parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
+    advised = sum(d.action == Action.ADVISE for d in data.decisions)
+    if advised:
+        parts.append(f"{_counted(advised, 'change')} advised and not written.")
+    worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
+    if worst is not None:
+        stable = f"is at most {worst:.2f}" if math.isfinite(worst) else "is not finite: the loop is UNSTABLE"
+        parts.append(f"Ms of the final gains on the true process {stable}.")
     saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
     if saved:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
-        text += (
-            f" The integrated error is {abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than with fixed gains."
-        )
-    return text
+        much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
+        parts.append(f"The integrated error is {much} with fixed gains.")
+    return " ".join(parts)
+
+
+def _counted(count: int, what: str) -> str:
+    """A number and its noun with its verb."""
+    return f"{count} {what}{' was' if count == 1 else 's were'}"
 
 
 def _table(heads: Iterable[str], rows: Iterable[Iterable[str]], classes: Iterable[str] = ()) -> str:
@@ -104,8 +116,8 @@ def _scores_table(data: ReportData) -> str:
              f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")  # fmt: skip
     rows = []
     for s in data.scores:
-        better = s.iae_fixed is not None and s.iae < s.iae_fixed
-        mark = "good" if better else "bad" if s.iae_fixed is not None else ""
+        fixed = s.iae if s.iae_fixed is None else s.iae_fixed
+        mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
         rows.append((_e(s.region), _e(settings_text(s.before)), _e(settings_text(s.after)), str(s.changes),
                      ms_text(s.ms_before), ms_text(s.ms_after), "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
                      f'<span class="{mark}">{s.iae:,.0f}</span>'))  # fmt: skip

@@ -168,6 +168,7 @@ def _leave(job: _Job, ledger: Ledger, session: Session, fixed: Session | None, s
     data = ReportData(
         config.loop.name, config.loop.pv_unit, before, session.table, scores, session.decisions,
         columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
+        stopped=config.scenario is not None and not session.finished,
     )  # fmt: skip
     write_whole(folder / REPORT, render(data))
     document = result(session, scores, ledger, folder)
