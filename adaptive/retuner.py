@@ -238,6 +238,9 @@ class Retuner:
         recent = islice(reversed(self._samples), len(window.t_s))
         share = sum(1 for sample in recent if sample.limited) / len(window.t_s)
         evidence = {"limited_share": share, "peaks": float(len(response.peaks))}
+        if response.t_start_s < self._samples[0].t_s:
+            reason = f"the response is longer than the {self.settings.history} samples kept: its beginning is missing"
+            return Diagnosis(Cause.UNKNOWN, 1.0, evidence, reason)
         if share > self.settings.cause.saturated_share:
             reason = f"the controller output stood at a limit for {share:.0%} of the response"
             return Diagnosis(Cause.SATURATION, 1.0, evidence, reason)

@@ -200,3 +200,13 @@ def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> N
     with pytest.raises(ValueError, match=r".") as caught:
         restore(remember(bench.retuner) | damage, bench.retuner.settings)
     assert "\n" not in str(caught.value)
+
+
+def test_a_response_longer_than_what_is_kept_teaches_nothing() -> None:
+    short = RetunerSettings(1.0, 10.0, Mode.AUTO, wait_s=2000.0, history=100)
+    bench = Bench(Retuner(table(scaled(0.25, 0.02)), short))
+    bench.run(100)
+    found = bench.run(900, 1.0) + bench.run(200, 0.0)
+    assert found
+    assert all(d.action == Action.NONE and d.estimate is None for d in found)
+    assert "longer than the 100 samples kept" in found[0].reason
