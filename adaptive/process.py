@@ -1,6 +1,6 @@
 """Process models: the few-parameter models that rules tune for, and the general linear process behind them.
 
-    G(s) = k  prod(1 + lead_i s) / (s^n prod(1 + lag_i s))  e^(-theta s)
+    G(s) = k  prod(1 + lead_i s) / (s^n prod(1 + lag_i s) prod(1 + c1_i s + c2_i s^2))  e^(-theta s)
 
 k is the steady-state gain; for integrating types it is the slope gain k' per second (k'' per second squared).
 """
@@ -38,11 +38,12 @@ class LinearProcess:
     lags_s, leads_s : time constants of poles and zeros in seconds; a negative lead is an inverse response.
     theta_s : dead time in seconds.
     integrators : number of pure integrators.
+    quadratics : pairs (c1_s, c2_s2) of factors 1 + c1 s + c2 s^2 of the denominator: pairs of poles, complex ones too.
 
     Raises
     ------
     ValueError
-        A number is not finite, k is zero, a lag or theta is negative.
+        A number is not finite, k is zero, a lag, theta or a coefficient of a pair is negative.
     """
 
     k: float
@@ -50,6 +51,7 @@ class LinearProcess:
     leads_s: tuple[float, ...] = ()
     theta_s: float = 0.0
     integrators: int = 0
+    quadratics: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         for name, value in (
@@ -57,6 +59,7 @@ class LinearProcess:
             ("theta_s", self.theta_s),
             *(("lags_s", x) for x in self.lags_s),
             *(("leads_s", x) for x in self.leads_s),
+            *(("quadratics", x) for pair in self.quadratics for x in pair),
         ):
             if not math.isfinite(value):
                 raise ValueError(f"{name} = {value} is not a finite number")
@@ -64,6 +67,8 @@ class LinearProcess:
             raise ValueError("k = 0: the controller output does not move this process")
         if min((self.theta_s, *self.lags_s)) < 0:
             raise ValueError(f"theta_s = {self.theta_s}, lags_s = {self.lags_s}: times must not be negative")
+        if any(c1 < 0 or c2 < 0 for c1, c2 in self.quadratics):
+            raise ValueError(f"quadratics = {self.quadratics}: a negative coefficient makes the process unstable")
 
     def response(self, w: FloatArray) -> ComplexArray:
         """G(jw) at the frequencies w in rad/s, shape (n,)."""
@@ -73,6 +78,8 @@ class LinearProcess:
             g = g * (1 + lead * s)
         for lag in self.lags_s:
             g = g / (1 + lag * s)
+        for c1, c2 in self.quadratics:
+            g = g / (1 + c1 * s + c2 * s * s)
         return np.asarray(g, dtype=np.complex128)
 
 
@@ -86,6 +93,8 @@ class ProcessModel:
     k : steady-state gain, or k', k'' for one or two integrators.
     tau1_s, tau2_s : lags, tau1_s >= tau2_s; 0 where the structure has none. For integrating-lag the lag is tau2_s.
     theta_s : (effective) dead time.
+    zeta : damping of a second-order process that swings, 0 < zeta <= 1: its denominator is
+        1 + 2 zeta tau s + tau^2 s^2 with tau = tau1_s = tau2_s. 1 for two real lags and for all other structures.
 
     Raises
     ------
@@ -98,6 +107,7 @@ class ProcessModel:
     tau1_s: float = 0.0
     tau2_s: float = 0.0
     theta_s: float = 0.0
+    zeta: float = 1.0
 
     def __post_init__(self) -> None:
         LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
@@ -109,6 +119,10 @@ class ProcessModel:
             raise ValueError(f"tau2_s = {self.tau2_s}: type {self.type} has no tau2")
         if has_tau1 and self.tau2_s > self.tau1_s:
             raise ValueError(f"tau2_s = {self.tau2_s} is larger than tau1_s = {self.tau1_s}; exchange them")
+        if not 0 < self.zeta <= 1:
+            raise ValueError(f"zeta = {self.zeta} is outside 0 to 1; two real lags have zeta = 1")
+        if self.zeta < 1 and not (self.type == ProcessType.SOPDT and self.tau1_s == self.tau2_s):
+            raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
 
     @property
     def slope(self) -> float:
@@ -118,9 +132,14 @@ class ProcessModel:
     def linear(self) -> LinearProcess:
         """The same as a general linear process."""
         integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
+        if self.zeta < 1:
+            pair = (2 * self.zeta * self.tau1_s, self.tau1_s**2)
+            return LinearProcess(self.k, (), (), self.theta_s, 0, (pair,))
         lags = tuple(lag for lag in (self.tau1_s, self.tau2_s) if lag > 0)
         return LinearProcess(self.k, lags, (), self.theta_s, integrators.get(self.type, 0))
 
     def to_dict(self) -> dict[str, float | str]:
-        """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds)."""
-        return {"type": str(self.type), "k": self.k, "tau1": self.tau1_s, "tau2": self.tau2_s, "theta": self.theta_s}
+        """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings."""
+        swings = {"zeta": self.zeta} if self.zeta < 1 else {}
+        return {"type": str(self.type), "k": self.k, "tau1": self.tau1_s, "tau2": self.tau2_s, "theta": self.theta_s,
+                **swings}  # fmt: skip
