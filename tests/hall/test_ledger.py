@@ -202,6 +202,68 @@ def test_a_second_process_is_refused_while_the_first_lives(tmp_path: Path) -> No
     assert "another run writes this ledger" in second.stderr
 
 
+READ_TWICE = """
+import os, sqlite3, sys
+from retuner.ledger import Ledger, LedgerReader
+ledger = Ledger(sys.argv[1])
+ledger.append("k", {}, 0.0)
+LedgerReader(sys.argv[1]).verify()  # the page that shows the run reads in the same process
+os.write(1, b".")
+sys.stdin.readline()  # meanwhile another process has read, and closed as if it were the last
+ledger.append("k", {}, 1.0)
+os._exit(9)
+"""
+
+
+def test_readers_here_and_elsewhere_do_not_take_the_writers_rows_away(tmp_path: Path) -> None:
+    """A handle opened and closed beside SQLite drops the writer's locks; then a reader elsewhere deletes its WAL."""
+    path = tmp_path / "l.sqlite"
+    command = [sys.executable, "-P", "-c", READ_TWICE, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout is not None
+        assert writer.stdout.read(1) == b"."
+        connection = sqlite3.connect(path)
+        connection.execute("SELECT count(*) FROM ledger").fetchone()
+        connection.close()
+        writer.communicate(b"\n")
+    assert writer.returncode == 9
+    with LedgerReader(path) as ledger:
+        assert ledger.verify().rows == 2
+
+
+def test_a_closed_ledger_leaves_its_file_and_nothing_else(tmp_path: Path) -> None:
+    written(tmp_path / "l.sqlite")
+    assert [path.name for path in tmp_path.iterdir()] == ["l.sqlite"]
+
+
+def test_a_lock_file_that_a_killed_run_left_does_no_harm(tmp_path: Path) -> None:
+    (tmp_path / "l.sqlite.lock").write_bytes(b"")
+    written(tmp_path / "l.sqlite")
+    assert [path.name for path in tmp_path.iterdir()] == ["l.sqlite"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="flock is POSIX's")
+def test_a_lock_whose_file_lost_its_name_is_taken_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another writer ended between our opening of the lock file and our locking it: what we hold nobody else sees."""
+    import fcntl
+
+    path = tmp_path / "l.sqlite"
+    lock, flock, calls = tmp_path / "l.sqlite.lock", fcntl.flock, []
+
+    def late(handle: int, how: int) -> None:
+        flock(handle, how)
+        calls.append(handle)
+        if len(calls) == 1:
+            lock.unlink()
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with Ledger(path):
+        assert len(calls) == 2
+        assert lock.exists()
+        with pytest.raises(LedgerError, match="another run"):
+            Ledger(path)
+
+
 def test_after_a_failed_write_nothing_more_is_promised(tmp_path: Path) -> None:
     path = tmp_path / "l.sqlite"
     with Ledger(path) as ledger:

@@ -11,7 +11,8 @@ from retuner.errors import LedgerError
 
 APPLICATION_ID = 0x72746E72  # "rtnr", at byte 68 of the file
 VERSION = 1
-MAGIC = b"SQLite format 3\0"
+SMALLEST = 512  # bytes; SQLite's smallest page, so no database is smaller
+NO_DATABASE = "is not a database, so not a ledger; give another path"
 BUSY_TIMEOUT_S = 5.0  # longest wait for another process's short lock (a checkpoint, a reader that recovers the WAL)
 
 TABLES = """
@@ -37,12 +38,17 @@ CREATE TRIGGER head_stays BEFORE DELETE ON head BEGIN SELECT RAISE(ABORT, 'the h
 def connect(path: Path, mode: str) -> sqlite3.Connection:
     """Open the file with manual transactions. mode : "ro", "rw" or "rwc", as SQLite's URI has it.
 
+    Nothing here opens the file beside SQLite, not even for a look at its first bytes: closing that handle would drop
+    the locks of a writer in this process, and another process that reads would then take the writer's WAL away.
+
     Raises
     ------
     LedgerError
         It cannot be opened, or is no ledger of this version.
     """
-    _check_kind(path)
+    if path.is_file() and 0 < path.stat().st_size < SMALLEST:  # SQLite would take it for empty and write over it
+        raise LedgerError(f"{path}: {NO_DATABASE}")
+    connection = None
     try:
         connection = sqlite3.connect(
             f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_S
@@ -52,7 +58,13 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
         if mode == "rwc":
             _create(connection)
         _check_version(connection, path)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, LedgerError) as error:
+        if connection is not None:
+            connection.close()
+        if isinstance(error, LedgerError):
+            raise
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
+            raise LedgerError(f"{path}: {NO_DATABASE}") from None
         raise LedgerError(f"{path}: cannot be opened as a ledger: {error}") from None
     return connection
 
@@ -60,20 +72,6 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 def _as_text(raw: bytes) -> str:
     """Text of a column; bytes that are no UTF-8 stay visible to the hash check instead of stopping the reading."""
     return raw.decode("utf-8", errors="surrogateescape")
-
-
-def _check_kind(path: Path) -> None:
-    """Refuse to lay tables into a file that has content and is not SQLite's.
-
-    Raises
-    ------
-    LedgerError
-        It is not.
-    """
-    if path.is_file() and path.stat().st_size:
-        with path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
-                raise LedgerError(f"{path}: is not a database, so not a ledger; give another path")
 
 
 def _create(connection: sqlite3.Connection) -> None:
@@ -96,8 +94,6 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if application != APPLICATION_ID:
-        connection.close()
         raise LedgerError(f"{path}: is an SQLite file of another program, not a ledger; give another path")
     if version != VERSION:
-        connection.close()
         raise LedgerError(f"{path}: is a ledger of version {version}; this release reads version {VERSION}")

@@ -13,6 +13,7 @@ from retuner.errors import LedgerError
 from retuner.files import sync_folder
 from retuner.ledger.canonical import canonical_json
 from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
+from retuner.ledger.lock import WriterLock
 from retuner.ledger.schema import connect
 
 
@@ -87,7 +88,7 @@ class Ledger(LedgerReader):
         self.path = Path(path)
         if not self.path.parent.is_dir():
             raise LedgerError(f"{path}: the folder {self.path.parent} does not exist; make it first")
-        self._lock = _writer_lock(self.path)
+        self._lock = WriterLock(self.path)
         try:
             self._connection = connect(self.path, "rwc")
             sync_folder(self.path.parent)  # a new file's name must outlast a power cut as its rows do
@@ -139,25 +140,3 @@ class Ledger(LedgerReader):
         """Close the file and let another process write; more than once does no harm."""
         super().close()
         self._lock.close()
-
-
-def _writer_lock(path: Path) -> sqlite3.Connection:
-    """Hold path.lock exclusively as long as the connection lives; the system lets go of it when the process dies.
-
-    An SQLite lock, because SQLite has one on every platform; on the ledger itself it would keep readers out.
-
-    Raises
-    ------
-    LedgerError
-        Another process holds it, or the file cannot be made.
-    """
-    lock = path.with_name(path.name + ".lock")
-    connection = sqlite3.connect(lock, isolation_level=None, timeout=0)
-    try:
-        connection.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError as error:
-        connection.close()
-        if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
-            raise LedgerError(f"{path}: another run writes this ledger; end it or give another path") from None
-        raise LedgerError(f"{path}: cannot be locked for writing: {error}") from None
-    return connection
