@@ -3,11 +3,14 @@
 A folder that holds an earlier run is moved aside under a number, never written over: a ledger is evidence.
 """
 
+import contextlib
 import json
 from pathlib import Path
+from typing import NamedTuple
 
-from retuner.errors import UserError
-from retuner.files import write_whole
+from retuner.errors import LedgerError, UserError
+from retuner.files import sync_folder, write_whole
+from retuner.ledger.lock import WriterLock
 
 LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND = (
     "ledger.sqlite", "report.html", "summary.json", "gains.toml", "bus.blf", "trend",
@@ -15,13 +18,21 @@ LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND = (
 OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG}
 
 
-def fresh_folder(folder: Path) -> Path | None:
-    """Make an empty folder for a run; an earlier run there is moved to folder-1, folder-2, ..., whose path is returned.
+class FreshFolder(NamedTuple):
+    """The folder of a run; where the earlier run in it was moved to; the folders made for it, innermost first."""
+
+    path: Path
+    moved: Path | None
+    made: tuple[Path, ...]
+
+
+def fresh_folder(folder: Path) -> FreshFolder:
+    """Make an empty folder for a run; an earlier run there is moved to folder-1, folder-2, ...
 
     Raises
     ------
     UserError
-        The path is a file, or a folder that holds something else than a run of ours.
+        The path is a file, a folder that holds something else than a run of ours, or one in which a run is under way.
     """
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: is a file; give a folder for the run with --out")
@@ -29,23 +40,39 @@ def fresh_folder(folder: Path) -> Path | None:
     if folder.is_dir() and any(folder.iterdir()):
         if not any((folder / name).exists() for name in OURS):
             raise UserError(f"{folder}: is not empty and holds no earlier run; give another folder with --out")
+        if (folder / LEDGER).exists():
+            WriterLock(folder / LEDGER).close()  # nobody writes there, or this refuses
         number = 1
         while folder.with_name(f"{folder.name}-{number}").exists():
             number += 1
         moved = folder.with_name(f"{folder.name}-{number}")
         folder.rename(moved)
+    made = tuple(path for path in (folder, *folder.parents) if not path.exists())
     folder.mkdir(parents=True, exist_ok=True)
-    return moved
+    for path in made:
+        sync_folder(path.parent)  # a ledger outlasts a power cut only if its folder does
+    return FreshFolder(folder, moved, made)
 
 
-def give_back(folder: Path, moved: Path | None) -> None:
-    """Undo fresh_folder after a run in which nothing happened: our files go, the earlier run comes back."""
-    for path in folder.iterdir():
-        if path.name in OURS or path.name.startswith(LEDGER):
-            path.unlink()
-    folder.rmdir()
-    if moved is not None:
-        moved.rename(folder)
+def give_back(fresh: FreshFolder) -> None:
+    """Undo fresh_folder after a run in which nothing happened: our files go, the earlier run comes back.
+
+    What cannot be undone (another run has begun there meanwhile, a disk that refuses) stays.
+    """
+    with contextlib.suppress(LedgerError, OSError):
+        lock = WriterLock(fresh.path / LEDGER)
+        try:
+            for path in fresh.path.iterdir():
+                if path.name in OURS or path.name.startswith(f"{LEDGER}-"):
+                    path.unlink()
+        finally:
+            lock.close()
+        fresh.path.rmdir()
+        if fresh.moved is not None:
+            fresh.moved.rename(fresh.path)
+            return
+        for path in fresh.made[1:]:
+            path.rmdir()
 
 
 def write_json(path: Path, document: object) -> None:

@@ -22,6 +22,7 @@ from retuner.drivers.device import (
     Event,
     LinkChanged,
     RunningChanged,
+    RunningSet,
     SamplesLost,
     WriteDone,
     WriteFailed,
@@ -113,6 +114,7 @@ class Session:
         self._on_sample = on_sample
         self._write: Write | None = None
         self._pending: tuple[int, PidGains, Decision] | None = None
+        self.frozen = ""
         self._t_s = 0.0
         self._retry_at_s = 0.0
 
@@ -123,8 +125,12 @@ class Session:
 
     @property
     def finished(self) -> bool:
-        """Whether the scenario is over and no write is left open."""
-        return self.scenario.finished and self._write is None
+        """Whether the scenario is over, or the session was frozen, and no write is left open."""
+        return (self.scenario.finished or bool(self.frozen)) and self._write is None
+
+    def freeze(self, reason: str) -> None:
+        """Begin no write any more: what cannot be recorded must not be done. A write under way goes to its end."""
+        self.frozen = self.frozen or reason
 
     def poll(self, now_s: float) -> int:
         """Take what the device has to tell; returns the number of samples among it.
@@ -170,15 +176,22 @@ class Session:
     def _keep_gains(self, now_s: float) -> None:
         """Have the controller run what the table, or a decision, says."""
         running = self.device.running
-        if self._write or self.device.writing or not self.device.connected or running is None:
+        if self.frozen or self._write or self.device.writing or not self.device.connected or running is None:
             return
         wanted = self._wanted(running.gains)
         if wanted is None:
             return
-        why, region, gains, decision = wanted
+        self._start(running, *wanted, now_s)
+
+    def _start(
+        self, running: RunningSet, why: Why, region: int, gains: PidGains, decision: Decision | None, now_s: float
+    ) -> None:
+        """Record what is meant, then begin to write it; what could not be recorded is not written."""
         body = {"why": why, "region": self._name(region), "gains": gains_dict(gains), "base": running.seq,
                 "before": gains_dict(running.gains), "decision": decision.digest() if decision else None}  # fmt: skip
         self._record("intent", self._t_s, body)
+        if self.frozen:
+            return
         try:
             seq = self.device.begin_write(gains, now_s)
         except WriteRefusedError as error:

@@ -1,5 +1,6 @@
 """The trend of a run: every sample with the region and the gains that were in force."""
 
+import importlib.util
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from retuner.errors import UserError
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
 
+NO_PYARROW = 'output.trend = "parquet" needs pyarrow; pip install "retuner[parquet]", or set it to "csv"'
 COLUMNS = ("t", "sp", "pv", "co", "x", "mode", "limited", "region", "sequence", "kp", "ki", "kd")
 """t in s, sp and pv in pv units, co in percent, region as index, sequence of the gain set, parallel gains."""
 
@@ -30,6 +32,18 @@ class Trend:
         """Arrays by column name, each of shape (n,)."""
         table = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), len(COLUMNS))
         return {name: table[:, i] for i, name in enumerate(COLUMNS)}
+
+
+def require_writer(kind: str) -> None:
+    """Refuse a kind of trend that cannot be written here, before a run whose trend it would be.
+
+    Raises
+    ------
+    UserError
+        Parquet is wanted and pyarrow is not installed.
+    """
+    if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise UserError(NO_PYARROW)
 
 
 def write_trend(stem: Path, trend: Trend, kind: str) -> Path:
@@ -55,9 +69,7 @@ def _parquet(trend: Trend) -> bytes:
         import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
         from pyarrow import parquet  # noqa: PLC0415
     except ImportError:
-        raise UserError(
-            'output.trend = "parquet" needs pyarrow; pip install "retuner[parquet]", or set it to "csv"'
-        ) from None
+        raise UserError(NO_PYARROW) from None
     sink = pa.BufferOutputStream()
     parquet.write_table(pa.table(trend.columns()), sink)
     return bytes(sink.getvalue())

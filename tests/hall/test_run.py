@@ -83,6 +83,7 @@ def test_a_sluggish_loop_is_cured_over_can_and_everything_is_left_behind(
     assert "write Kc 5" in shown
     out = quick.parent / "out"
     summary = json.loads((out / "summary.json").read_text())
+    assert summary["interrupted"] is False
     low, high = summary["scores"]
     assert low["changes"] >= 1
     assert low["ms_after"] <= 1.8
@@ -147,9 +148,9 @@ def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str])
 
 def test_an_earlier_run_is_moved_aside_and_foreign_folders_are_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    assert fresh_folder(folder) is None
+    assert fresh_folder(folder).moved is None
     (folder / "ledger.sqlite").write_text("old")
-    assert fresh_folder(folder) == tmp_path / "run-1"
+    assert fresh_folder(folder).moved == tmp_path / "run-1"
     assert (tmp_path / "run-1" / "ledger.sqlite").read_text() == "old"
     assert list(folder.iterdir()) == []
     (folder / "thesis.txt").write_text("precious")
@@ -174,6 +175,76 @@ def test_wrong_use_is_one_line_and_status_2_and_leaves_nothing(
     assert message in error
     assert error.count("\n") == 1
     assert not (quick.parent / "out").exists()
+
+
+def test_a_failed_start_leaves_no_folder_that_was_not_there(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = quick.parent / "deep" / "er" / "out"
+    assert main(["run", str(quick), "-i", "nosuchbus", "--speed", "1", "--out", str(out)]) == 2
+    assert "nosuchbus" in capsys.readouterr().err
+    assert not (quick.parent / "deep").exists()
+    (quick.parent / "deep").mkdir()
+    assert main(["run", str(quick), "-i", "nosuchbus", "--speed", "1", "--out", str(out)]) == 2
+    assert list((quick.parent / "deep").iterdir()) == []
+
+
+def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing_away(
+    quick: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = quick.parent / "out"
+    folder.mkdir()
+    with Ledger(folder / "ledger.sqlite") as ledger:
+        ledger.append("k", {}, 0.0)
+        assert main(["run", str(quick)]) == 2
+        assert "another run writes this ledger" in capsys.readouterr().err
+        assert [path.name for path in quick.parent.iterdir() if path.is_dir()] == ["out"]
+        assert ledger.append("k", {}, 1.0).seq == 2
+
+
+def test_parquet_without_pyarrow_is_refused_before_the_run(
+    quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick.write_text(QUICK + 'trend = "parquet"\n', encoding="utf-8")
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert main(["run", str(quick)]) == 2
+    assert 'pip install "retuner[parquet]"' in capsys.readouterr().err
+    assert not (quick.parent / "out").exists()
+
+
+@pytest.mark.parametrize(("failing", "rows"), [("session", 0), ("decision", 1), ("intent", 2), ("committed", 3)])
+def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
+    quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, failing: str, rows: int
+) -> None:
+    write = Ledger.append
+    wrote: list[str] = []
+
+    def append(self: Ledger, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
+        if kind == failing or len(wrote) > rows:
+            self._connection.execute("PRAGMA max_page_count = 1")  # a full disk, as SQLite sees it
+            body = {**body, "long": "x" * 200_000}
+        row = write(self, kind, body, clock_s)
+        wrote.append(kind)
+        return row
+
+    monkeypatch.setattr(Ledger, "append", append)
+    assert main(["run", str(quick), "--no-compare"]) == 2
+    error = capsys.readouterr().err
+    assert "database or disk is full" in error
+    assert error.count("\n") == 1
+    out = quick.parent / "out"
+    if failing == "session":
+        assert not out.exists()
+        return
+    with LedgerReader(out / "ledger.sqlite") as reader:
+        kinds = [row.kind for row in reader.rows()]
+        assert reader.verify().ok
+    assert kinds == wrote
+    assert failing not in kinds
+    summary = json.loads((out / "summary.json").read_text())
+    database = cantools.database.load_file(Path(drivers.__file__).parent / "retuner.dbc")
+    assert isinstance(database, cantools.database.Database)
+    commit = database.get_message_by_name("COMMIT").frame_id & 0x1F
+    commits = sum(frame.arbitration_id & 0x1F == commit for frame in can.BLFReader(out / "bus.blf"))
+    assert commits == kinds.count("intent") == summary["revision"]
 
 
 def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
@@ -207,6 +278,7 @@ def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, mo
     monkeypatch.setattr(Run, "simulated", simulated)
     assert main(["run", str(quick)]) == 130
     assert len(began) == 2
+    assert json.loads((quick.parent / "out" / "summary.json").read_text())["interrupted"] is True
     names = {path.name for path in (quick.parent / "out").iterdir()}
     assert {"report.html", "summary.json", "gains.toml", "trend.csv"} <= names
     score = json.loads((quick.parent / "out" / "summary.json").read_text())["scores"][0]

@@ -38,7 +38,11 @@ def device(path: Path, *, interface: str | None, channel: str | None, speed: flo
         sys.stderr.write(f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
                          f"{speed:g} times real time; Ctrl-C ends it\n")  # fmt: skip
         sys.stderr.flush()
-        with stoppable():
-            report = run_device(DeviceOnBus(machine, link), clock, until_s=duration_s or float("inf"))
+        try:
+            with stoppable():
+                report = run_device(DeviceOnBus(machine, link), clock, until_s=duration_s or float("inf"))
+        except KeyboardInterrupt:
+            sys.stderr.write(f"{machine.sample} samples\n")
+            raise
     sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")
     return 0

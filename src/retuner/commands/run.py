@@ -3,6 +3,7 @@
 import json
 import platform
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,7 @@ from retuner.commands.check import summary
 from retuner.config import Config, load_config
 from retuner.console import RunScreen, scores_table
 from retuner.drivers.device import DeviceError
-from retuner.errors import UserError
+from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
 from retuner.ledger import Ledger
 from retuner.outputs import BUS_LOG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, give_back, write_json
@@ -24,9 +25,9 @@ from retuner.report import ReportData, render
 from retuner.running import Run, nothing
 from retuner.schedule.document import to_toml
 from retuner.scores import RegionScore, region_scores
-from retuner.session import Session
+from retuner.session import Recorder, Session
 from retuner.stopping import stoppable, unstoppable
-from retuner.trend import write_trend
+from retuner.trend import require_writer, write_trend
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +64,19 @@ def run(path: Path, options: RunOptions) -> int:
     folder = options.out or Path(config.output.directory)
     console = Console(stderr=options.as_json)
     screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json)
-    moved = fresh_folder(folder)
+    require_writer(config.output.trend)
+    fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
-            if moved:
-                screen.say(f"the earlier run in {folder} was moved to {moved}")
+            if fresh.moved:
+                screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
             return _run(_Job(config, mode, speed, folder, options, simulated), ledger, screen)
     except NothingHappenedError as nothing_happened:
-        give_back(folder, moved)
+        give_back(fresh)
         raise nothing_happened.cause from None
+    except LedgerError:  # it could not be opened
+        give_back(fresh)
+        raise
 
 
 class NothingHappenedError(Exception):
@@ -97,38 +102,60 @@ class _Job:
 def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
     config = job.config
-    ledger.append("session", {"config": summary(config), "retuner": version("retuner")}, 0.0)
+    try:
+        ledger.append("session", {"config": summary(config), "retuner": version("retuner")}, 0.0)
+    except LedgerError as error:
+        raise NothingHappenedError(error) from error
 
     def on_sample(session: Session, sample: LoopSample) -> None:
         region = session.retuner.region or 0
         screen.sample(sample, session.scenario.progress, config.schedule.region[region].name)
 
-    def record(kind: str, t_s: float, body: object) -> None:
-        assert isinstance(body, dict)
-        ledger.append(kind, body, t_s)
-        if kind == "decision" and job_run.session is not None:
-            screen.decision(job_run.session.decisions[-1])
-        elif kind in TOLD:
-            screen.say(f"{t_s:8,.0f} s {kind}: " + ", ".join(f"{k} {v}" for k, v in body.items() if k in TOLD[kind]))
-
-    job_run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample)
+    record = _recorder(ledger, screen, lambda: job_run.session)
+    job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample)
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
-    interrupted = False
-    try:
-        session = job_run.simulated() if job.simulated else job_run.live(job.speed)
-    except (KeyboardInterrupt, DeviceError) as stop:
-        if job_run.session is None or not job_run.session.trend.rows:
-            raise NothingHappenedError(stop) from stop
-        interrupted, session = True, job_run.session
+    session, interrupted = _play(job, job_run)
     end = {"interrupted": interrupted, "samples": len(session.trend.rows)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
         fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
         interrupted = fixed is None
     with unstoppable():
-        ledger.append("end", end, session.trend.rows[-1][0])
-        _leave(job, ledger, session, fixed, screen)
+        record("end", session.trend.rows[-1][0], end)
+        _leave(job, ledger, session, fixed, screen, interrupted=interrupted)
+    if session.frozen:
+        raise UserError(f"{session.frozen}; the run was ended, and {job.folder / REPORT} says what the controller runs")
     return 130 if interrupted else 0
+
+
+def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session | None]) -> Recorder:
+    """What keeps a run's rows and shows some of them; a ledger that fails freezes the session."""
+
+    def record(kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        session = current()
+        try:
+            ledger.append(kind, body, t_s)
+        except LedgerError as error:  # an alarm; the controller goes on with what it runs
+            if session is not None and not session.frozen:
+                session.freeze(str(error))
+                screen.say(f"{error}; nothing more is changed, and the run ends")
+            return
+        if kind == "decision" and session is not None:
+            screen.decision(session.decisions[-1])
+        elif kind in TOLD:
+            screen.say(f"{t_s:8,.0f} s {kind}: " + ", ".join(f"{k} {v}" for k, v in body.items() if k in TOLD[kind]))
+
+    return record
+
+
+def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:
+    """The run to its end, or until it was stopped: what there is, and whether it was stopped."""
+    try:
+        return (job_run.simulated() if job.simulated else job_run.live(job.speed)), False
+    except (KeyboardInterrupt, DeviceError) as stop:
+        if job_run.session is None or not job_run.session.trend.rows:
+            raise NothingHappenedError(stop) from stop
+        return job_run.session, True
 
 
 def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
@@ -147,7 +174,9 @@ TOLD = {
 """Rows beside decisions that a person at the screen should see, and which of their values."""
 
 
-def _leave(job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: RunScreen) -> None:
+def _leave(
+    job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: RunScreen, *, interrupted: bool
+) -> None:
     """Write everything that the run leaves, and show the result."""
     config, folder = job.config, job.folder
     columns = session.trend.columns()
@@ -171,7 +200,7 @@ def _leave(job: _Job, ledger: Ledger, session: Session, fixed: Session | None, s
         stopped=config.scenario is not None and not session.finished,
     )  # fmt: skip
     write_whole(folder / REPORT, render(data))
-    document = result(session, scores, ledger, folder)
+    document = {**result(session, scores, ledger, folder), "interrupted": interrupted}
     write_json(folder / SUMMARY, document)
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
