@@ -1,0 +1,1 @@
+"""Loops drawn at random with their truth, for measuring identification and diagnosis: pure functions of a seed."""

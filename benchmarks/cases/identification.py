@@ -1,0 +1,277 @@
+"""Records to identify a process from, drawn from a seed, each group a way in which records come about.
+
+Every size is relative: noise 0.5 to 3 % of pv's response, drift a share of it, the output's travel a share of its range.
+Settings in force are SIMC's with kc from a quarter to twice and tau_i from a quarter to four times, stable and with an
+Ms under 5.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cases.case import FloatArray, IdentificationCase, Record
+from cases.loop import Controller, Upsets, run, run_manual
+from cases.processes import FAMILIES, log_uniform
+from cases.setting import Loop, draw_loop, resampled, scaled, scaled_pid, settling_s
+from cases.signals import ramp, random_walk, steps
+from retuner.schedule.gains import PidGains
+
+GROUPS = (
+    "open-loop step", "open-loop steps", "setpoint", "load", "setpoint and load", "several", "ramp drift",
+    "random-walk drift", "quantised", "saturated", "irregular time", "starts in motion", "pid",
+)  # fmt: skip
+MANUAL = frozenset({"open-loop step", "open-loop steps"})
+MOST_SAMPLES = 2500
+FEWEST_SAMPLES = 120
+FINE = 8
+"""Steps in a sample where samples do not come at regular times."""
+MS_IN_FORCE = 5.0
+TRIES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Upsets of size one, before scaling: setpoint, load (relative to the setpoint's), and drift."""
+
+    sp: FloatArray
+    load: FloatArray
+    drift_in: FloatArray
+    drift_out: FloatArray
+
+
+def case(seed: int, index: int, group: str | None = None) -> IdentificationCase:
+    """The case of that number; groups take turns, families are drawn."""
+    rng = np.random.default_rng([seed, index, 1])
+    group = group or GROUPS[index % len(GROUPS)]
+    for _ in range(TRIES):
+        family = str(rng.choice(FAMILIES))
+        made = _manual(rng, group, family) if group in MANUAL else _closed(rng, group, family)
+        if made is not None:
+            return replace(made, seed=seed, index=index)
+    raise RuntimeError(f"seed {seed}, case {index}: no loop fits group {group}")
+
+
+def cases(seed: int, count: int, only: str | None = None) -> Iterator[IdentificationCase]:
+    """The first `count` cases of a seed, or of one group of it."""
+    for index in range(count if only is None else count * len(GROUPS)):
+        if only is None or GROUPS[index % len(GROUPS)] == only:
+            yield case(seed, index)
+
+
+def _manual(rng: np.random.Generator, group: str, family: str) -> IdentificationCase | None:
+    """An experiment in manual that begins at rest: one step, or several to and fro."""
+    loop = draw_loop(rng, family)
+    process = loop.process
+    lags = sum(process.lags_s) + sum(c1 for c1, _ in process.quadratics)
+    settle = float(rng.uniform(6, 20)) * loop.theta_s if process.integrators else loop.theta_s + 4 * lags
+    moves = 1 if group == "open-loop step" else int(rng.integers(2, 5))
+    before = float(rng.uniform(1, 4)) * loop.theta_s
+    length = before + settle * float(rng.uniform(0.8, 1.3)) * (1 if moves == 1 else 0.6 * moves)
+    loop, n = _fitted(loop, length)
+    at = before / loop.dt_s + np.arange(moves) * (n - before / loop.dt_s) / moves
+    levels = _levels(rng, moves)
+    co = steps(n, [float(np.floor(x)) for x in at], np.diff([0.0, *levels]).tolist())
+    co *= loop.room * log_uniform(rng, 0.05, 0.8)
+    clean = run_manual(process, loop.dt_s, co, Upsets(np.zeros(n)))
+    response = float(np.ptp(clean.pv))
+    noise = response * log_uniform(rng, 0.005, 0.03)
+    out = _manual_drift(rng, n) * response
+    pv0 = response * float(rng.uniform(-20, 20))
+    upsets = Upsets(np.full(n, pv0), out=out, noise=noise * rng.standard_normal(n))
+    record = run_manual(process, loop.dt_s, loop.co0 + co, upsets, pv0=pv0)
+    return _case(loop, group, record, None, loop.low, loop.high, noise)
+
+
+def _levels(rng: np.random.Generator, moves: int) -> list[float]:
+    """Levels of the output from rest: to one side, back, to the other side, ..."""
+    sign = float(rng.choice([-1.0, 1.0]))
+    if moves == 1:
+        return [sign]
+    return [
+        sign * float(rng.uniform(0.5, 1.0)) * (1 if i % 2 == 0 else float(rng.choice([0.0, -1.0])))
+        for i in range(moves)
+    ]
+
+
+def _manual_drift(rng: np.random.Generator, n: int) -> FloatArray:
+    """A third without, a third a ramp, a third a random walk; shares of the response."""
+    kind = int(rng.integers(3))
+    if kind == 0:
+        return np.zeros(n)
+    if kind == 1:
+        return ramp(n) * float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 0.02, 0.1)
+    walk = random_walk(rng, n)
+    return np.asarray(walk / np.std(walk) * log_uniform(rng, 0.005, 0.03))
+
+
+def _fitted(loop: Loop, length_s: float, most: int = MOST_SAMPLES) -> tuple[Loop, int]:
+    """A sampling no finer than the record's length allows, and the number of samples; records too long are cut."""
+    coarsest = loop.theta_s / 5.0
+    dt = min(max(loop.dt_s, length_s / most), coarsest)
+    dt = min(dt, length_s / FEWEST_SAMPLES)
+    n = int(min(length_s / dt, most))
+    return (loop if dt == loop.dt_s else resampled(loop, dt)), n
+
+
+def _closed(rng: np.random.Generator, group: str, family: str) -> IdentificationCase | None:
+    """A record in automatic; None when the draw is not stable enough or does not fit the group."""
+    loop = draw_loop(rng, family)
+    gains, tau_f = loop.best, 0.0
+    kc, tau_i = log_uniform(rng, 0.25, 2.0), log_uniform(rng, 0.25, 4.0)
+    if group == "pid":
+        if loop.best_pid is None or any(c1 * c1 < 4 * c2 for c1, c2 in loop.process.quadratics):
+            return None
+        gains, tau_f, _ = scaled_pid(rng, loop.best_pid, min(kc, 1.2), tau_i)
+    else:
+        gains = scaled(loop.best, kc, tau_i)
+    if not loop.margins(gains, tau_f).ms < MS_IN_FORCE:
+        return None
+    settle = settling_s(loop, gains, tau_f)
+    events = 3 if group == "several" else 1
+    before = float(rng.uniform(1, 5)) * loop.theta_s
+    loop, n = _fitted(loop, before + events * settle * float(rng.uniform(0.8, 1.5)))
+    if not loop.margins(gains, tau_f).ms < MS_IN_FORCE:
+        return None
+    return _record(rng, group, loop, gains, tau_f, n, before / loop.dt_s)
+
+
+def _record(
+    rng: np.random.Generator, group: str, loop: Loop, gains: PidGains, tau_f: float, n: int, before: float
+) -> IdentificationCase | None:
+    """Scale the upsets to the output's range and run the loop."""
+    fine = FINE if group == "irregular time" else 1
+    h_s = loop.dt_s / fine
+    lead_in = int(n * rng.uniform(0.1, 0.5)) if group == "starts in motion" else 0
+    shape = _shape(rng, group, loop, (n + lead_in) * fine, (before + lead_in) * fine, lead_in * fine)
+    acts = _irregular(rng, n, fine) if fine > 1 else np.arange(n + lead_in)
+    free = Controller(gains, tau_f)
+    clean = run(loop.process, free, h_s, Upsets(shape.sp, shape.load), acts=acts)
+    response = float(np.ptp(clean.pv[lead_in:]))
+    drift = _drift(rng, loop, free, h_s, shape, acts, response, float(np.ptp(clean.co)))
+    share = log_uniform(rng, 0.005, 0.03)
+    kick = abs(gains.kp) + abs(gains.kd) / (tau_f + loop.dt_s)
+    whole = run(loop.process, free, h_s, Upsets(shape.sp, shape.load + drift.drift_in, drift.drift_out), acts=acts)
+    travel = float(np.max(np.abs(whole.co))) + 3.5 * kick * share * response
+    size = loop.room / travel * log_uniform(rng, 0.15, 0.95)
+    low, high = loop.low, loop.high
+    if group == "saturated":
+        limits = _clipping(rng, loop, whole.co * size)
+        if limits is None:
+            return None
+        low, high = limits
+    noise = share * response * size
+    pv0 = float(rng.uniform(-20, 20)) * response * size
+    upsets = Upsets(
+        pv0 + size * shape.sp, size * (shape.load + drift.drift_in), size * drift.drift_out,
+        noise * rng.standard_normal(len(shape.sp)),
+    )  # fmt: skip
+    sensor = _quantiser(response * size * log_uniform(rng, 0.005, 0.05)) if group == "quantised" else None
+    controller = Controller(gains, tau_f, low, high)
+    record = run(loop.process, controller, h_s, upsets, co0=loop.co0, pv0=pv0, acts=acts, sensor=sensor)
+    record = _cut(rng, group, record, lead_in)
+    return _case(loop, group, record, gains, low, high, noise)
+
+
+def _shape(rng: np.random.Generator, group: str, loop: Loop, n: int, first: float, lead_in: int) -> Shape:
+    """Upsets of a group; loads are drawn so that their response is about as large as the setpoint's."""
+    zero = np.zeros(n)
+    load_size = float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 0.5, 2.0) * abs(loop.best.kp)
+    sp, load = zero, zero
+    kind = (
+        group
+        if group in {"setpoint", "load", "setpoint and load", "several"}
+        else str(rng.choice(["setpoint", "load"]))
+    )
+    if group in {"saturated", "pid"} and rng.uniform() < 0.7:
+        kind = "setpoint"
+    sign = float(rng.choice([-1.0, 1.0]))
+    if kind == "setpoint":
+        sp = steps(n, [np.floor(first)], [sign])
+    elif kind == "load":
+        load = steps(n, [first], [load_size])
+    elif kind == "setpoint and load":
+        sp = steps(n, [np.floor(first)], [sign])
+        load = steps(n, [first + float(rng.uniform(0.1, 0.7)) * (n - first)], [load_size])
+    else:
+        places = first + (n - first) * np.array([0.0, *np.sort(rng.uniform(0.2, 0.85, 2))])
+        for place in places:
+            if rng.uniform() < 0.5:
+                sp = sp + steps(n, [float(np.floor(place))], [float(rng.choice([-1.0, 1.0])) * rng.uniform(0.5, 1)])
+            else:
+                load = load + steps(n, [place], [float(rng.choice([-1.0, 1.0])) * load_size * rng.uniform(0.5, 1)])
+    if lead_in:
+        early = float(rng.uniform(0.0, 0.8)) * lead_in
+        if rng.uniform() < 0.5:
+            sp = sp + steps(n, [float(np.floor(early))], [float(rng.uniform(-1, 1))])
+        else:
+            load = load + steps(n, [early], [float(rng.uniform(-1, 1)) * load_size])
+    drift = zero
+    if group == "ramp drift":
+        drift = ramp(n) * float(rng.choice([-1.0, 1.0]))
+    if group == "random-walk drift":
+        drift = random_walk(rng, n)
+    inside = rng.uniform() < 0.5
+    return Shape(sp, load, drift if inside else zero, zero if inside else drift)
+
+
+def _drift(
+    rng: np.random.Generator, loop: Loop, free: Controller, h_s: float, shape: Shape, acts: FloatArray,
+    response: float, travel: float,
+) -> Shape:  # fmt: skip
+    """Drift scaled so that pv's part of it is a share of the response, and co's no more than a third of its travel."""
+    if not (np.any(shape.drift_in) or np.any(shape.drift_out)):
+        return shape
+    zero = np.zeros(len(shape.sp))
+    alone = run(loop.process, free, h_s, Upsets(zero, shape.drift_in, shape.drift_out), acts=acts)
+    wanted = response * log_uniform(rng, 0.02, 0.1)
+    size = min(wanted / float(np.ptp(alone.pv)), 0.33 * travel / float(np.ptp(alone.co)))
+    return Shape(shape.sp, shape.load, size * shape.drift_in, size * shape.drift_out)
+
+
+def _clipping(rng: np.random.Generator, loop: Loop, co: FloatArray) -> tuple[float, float] | None:
+    """A range that the output leaves for a while, and that holds where it ends; None when it has no peak."""
+    side = 1.0 if abs(np.max(co)) > abs(np.min(co)) else -1.0
+    peak, end = float(np.max(side * co)), float(side * co[-1])
+    if peak < 1.3 * max(end, 0.0):
+        return None
+    limit = max(end, 0.0) + float(rng.uniform(0.2, 0.7)) * (peak - max(end, 0.0))
+    share = float(np.mean(side * co > limit))
+    if not 0.02 < share < 0.5:
+        return None
+    return (loop.low, loop.co0 + limit) if side > 0 else (loop.co0 - limit, loop.high)
+
+
+def _irregular(rng: np.random.Generator, n: int, fine: int) -> FloatArray:
+    """Steps at which samples come: every `fine` steps, up to a quarter of that early or late."""
+    late = rng.integers(-(fine // 4), fine // 4 + 1, n)
+    late[0] = 0
+    return np.asarray(np.clip(np.arange(n) * fine + late, 0, n * fine - 1))
+
+
+def _cut(rng: np.random.Generator, group: str, record: Record, lead_in: int) -> Record:
+    """What the historian keeps: the part after the lead-in, without samples lost; time from where it likes."""
+    keep = np.arange(len(record.t)) >= lead_in
+    if group == "irregular time":
+        keep &= rng.uniform(size=len(keep)) > 0.02
+        for _ in range(int(rng.integers(1, 3))):
+            start = int(rng.integers(len(keep)))
+            keep[start : start + int(rng.integers(2, 12))] = False
+        keep[:2] = True
+    t = record.t[keep]
+    origin = t[0] - float(rng.choice([0.0, 0.0, 1.0e5])) * float(np.median(np.diff(t)))
+    return Record(t - origin, record.sp[keep], record.pv[keep], record.co[keep])
+
+
+def _quantiser(quantum: float):  # noqa: ANN202
+    """A sensor that reads multiples of a quantum."""
+    return lambda pv: round(pv / quantum) * quantum
+
+
+def _case(
+    loop: Loop, group: str, record: Record, gains: PidGains | None, low: float, high: float, noise: float
+) -> IdentificationCase:
+    return IdentificationCase(
+        group, loop.family, 0, 0, record, gains, low, high, loop.process, loop.dt_s, loop.best, loop.best_pid,
+        loop.theta_s, noise,
+    )  # fmt: skip

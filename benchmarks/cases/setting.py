@@ -1,0 +1,96 @@
+"""A loop drawn at random: process, sampling, units, settings in force, and how long it takes to settle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cases.best import best_pi, best_pid, half_rule, sampled
+from cases.loop import Controller, Upsets, run
+from cases.processes import draw, log_uniform
+from retuner.adaptive.margins import Margins, margins
+from retuner.adaptive.process import LinearProcess
+from retuner.schedule.forms import from_form, to_series
+from retuner.schedule.gains import PidGains
+
+RANGES = ((0.0, 100.0), (0.0, 100.0), (0.0, 100.0), (4.0, 20.0), (0.0, 1.0), (0.0, 255.0), (-100.0, 100.0))
+"""Ranges of controller outputs that are met with, percent three times as often as any other."""
+SAMPLES_PER_THETA = (5.0, 40.0)
+PROBE_PER_THETA = 5.0
+PROBE_STEPS = 2400
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """A process with what can be known about controlling it.
+
+    theta_s : effective dead time for PI. low, high : range of the output. co0 : its resting value.
+    """
+
+    family: str
+    process: LinearProcess
+    theta_s: float
+    dt_s: float
+    low: float
+    high: float
+    co0: float
+    best: PidGains
+    best_pid: PidGains | None
+
+    @property
+    def room(self) -> float:
+        """How far the output may go from rest to either side."""
+        return min(self.co0 - self.low, self.high - self.co0)
+
+    def margins(self, gains: PidGains, tau_f_s: float = 0.0) -> Margins:
+        """Of the true loop, sampling included."""
+        return margins(sampled(self.process, self.dt_s), gains, tau_f_s)
+
+
+def draw_loop(rng: np.random.Generator, family: str, per_theta: tuple[float, float] = SAMPLES_PER_THETA) -> Loop:
+    """A process of the family with its sampling and its output's range."""
+    process = draw(rng, family)
+    theta = half_rule(process).theta_s
+    dt = theta / log_uniform(rng, *per_theta)
+    return _loop(rng, family, process, theta, dt)
+
+
+def resampled(loop: Loop, dt_s: float) -> Loop:
+    """The same loop under another sampling."""
+    process = loop.process
+    return Loop(
+        loop.family, process, loop.theta_s, dt_s, loop.low, loop.high, loop.co0, best_pi(process, dt_s),
+        best_pid(process, dt_s),
+    )  # fmt: skip
+
+
+def _loop(rng: np.random.Generator, family: str, process: LinearProcess, theta: float, dt: float) -> Loop:
+    low, high = RANGES[int(rng.integers(len(RANGES)))]
+    co0 = low + float(rng.uniform(0.3, 0.7)) * (high - low)
+    return Loop(family, process, theta, dt, low, high, co0, best_pi(process, dt), best_pid(process, dt))
+
+
+def scaled(gains: PidGains, kc: float, tau_i: float) -> PidGains:
+    """PI settings with the gain and the integral time multiplied."""
+    return PidGains(gains.kp * kc, gains.ki * kc / tau_i)
+
+
+def scaled_pid(rng: np.random.Generator, gains: PidGains, kc: float, tau_i: float) -> tuple[PidGains, float, str]:
+    """The same of PID settings, in series or ideal form, with the filter time of the derivative."""
+    series = to_series(gains)
+    form = str(rng.choice(["series", "ideal"]))
+    tau_d = series.tau_d_s * log_uniform(rng, 0.5, 1.2)
+    tau_i_s = (series.tau_i_s or 0.0) * tau_i
+    made = from_form(form, series.kc * kc, tau_i_s, tau_d)
+    return made, tau_d / float(rng.uniform(4, 12)), form
+
+
+def settling_s(loop: Loop, gains: PidGains, tau_f_s: float = 0.0) -> float:
+    """Time after a setpoint and a load step until pv stays within 5 % of its largest excursion."""
+    h_s = max(loop.theta_s / PROBE_PER_THETA, loop.dt_s)
+    worst = 0.0
+    for upsets in (Upsets(np.ones(PROBE_STEPS)), Upsets(np.zeros(PROBE_STEPS), load=np.ones(PROBE_STEPS))):
+        record = run(loop.process, Controller(gains, tau_f_s), h_s, upsets)
+        error = np.abs(record.pv - record.pv[-1])
+        out = np.flatnonzero(error > 0.05 * np.max(error))
+        worst = max(worst, float(out[-1] + 1) * h_s)
+    return worst
