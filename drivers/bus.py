@@ -2,83 +2,38 @@
 
 Why not python-can's Notifier: its thread dies on the first bus error; after `ip link del/add` the old socket receives
 nothing for ever without any error; a garbage datagram on udp_multicast raises in the reader. Hence no thread, and
-silence of a link that was heard before is answered by opening the bus anew as well.
+silence of a link that was heard before is answered by opening the bus anew as well. What goes wrong is named in
+link_faults.py, counted, and told by news().
 """
 
 import contextlib
-import errno
 import select
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import can
 
-from retuner.drivers.bus_opening import BUS_ERRORS, UDP_MULTICAST, open_bus, open_log
+from retuner.drivers.bus_log import BusLog
+from retuner.drivers.bus_opening import BUS_ERRORS, SOCKETCAN, UDP_MULTICAST, open_bus
 from retuner.drivers.clock import Clock
 from retuner.drivers.device import BusError, LinkState
+from retuner.drivers.link_faults import (
+    FaultBook,
+    FaultNews,
+    LinkFault,
+    fault_of_error,
+    fault_of_frame,
+    is_full,
+    is_garbage,
+)
+from retuner.drivers.link_settings import LinkCounters, LinkSettings
+from retuner.drivers.socket_probe import SocketProbe
+
+__all__ = ["CanLink", "LinkCounters", "LinkSettings"]
 
 SEND_TIMEOUT_S = 0.05  # longest wait for room in the transmit queue
 ECHOES_KEPT = 256  # own frames on udp_multicast whose echo is still awaited; a lost echo falls out at the end
-TRANSMIT_QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
-
-
-@dataclass(frozen=True, slots=True)
-class LinkSettings:
-    """How to open a bus and when to doubt it.
-
-    Parameters
-    ----------
-    interface, channel : as python-can spells them.
-    hop_limit : routers that a udp_multicast frame may pass; 0 keeps it on this machine.
-    options : further keyword arguments of python-can's Bus (bitrate, fd, ...).
-    silent_after_s : age of the last frame after which the link counts as silent, s.
-    reopen_first_s, reopen_max_s : first and longest pause between attempts to open the bus anew, s.
-    garbage_limit : undecodable datagrams in one go after which the bus is opened anew.
-
-    Raises
-    ------
-    ValueError
-        A time is not positive, or hop_limit is outside 0..255.
-    """
-
-    interface: str = "virtual"
-    channel: str = "retuner"
-    hop_limit: int = 0
-    options: Mapping[str, Any] = field(default_factory=dict)
-    silent_after_s: float = 10.0
-    reopen_first_s: float = 0.2
-    reopen_max_s: float = 5.0
-    garbage_limit: int = 1000
-
-    def __post_init__(self) -> None:
-        for name in ("silent_after_s", "reopen_first_s", "reopen_max_s"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueError(f"bus: {name} = {getattr(self, name)}; give a positive number of seconds")
-        if not 0 <= self.hop_limit <= 255:
-            raise ValueError(f"bus: hop_limit = {self.hop_limit}; give 0 (this machine only) to 255")
-
-
-@dataclass(slots=True)
-class LinkCounters:
-    """What the link has seen since it was made."""
-
-    sent: int = 0
-    send_failures: int = 0
-    received: int = 0
-    echoes: int = 0
-    error_frames: int = 0
-    garbage: int = 0
-    failures: int = 0
-    opened: int = 0
-    log_failures: int = 0
-
-    def to_dict(self) -> dict[str, int]:
-        """Counter name to count."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 class CanLink:
@@ -99,22 +54,23 @@ class CanLink:
     def __init__(self, settings: LinkSettings, clock: Clock, log: Path | None = None) -> None:
         self.settings = settings
         self.counters = LinkCounters()
+        self.faults = FaultBook()
         self._clock = clock
         self._own: deque[tuple[int, bytes]] = deque(maxlen=ECHOES_KEPT)
-        self._writer: can.io.generic.MessageWriter | None = None
         self._bus: can.BusABC | None = None
+        self._probe = SocketProbe(-1)
+        self._probe_s = clock.now_s()
+        self._full = False
         self._last_frame_s: float | None = None
         self._heard = self._silence_is_normal = False
         self._pause_s = settings.reopen_first_s
         self._next_open_s = clock.now_s()
-        if log is not None:
-            self._writer = open_log(log)
+        self._log = BusLog(log, clock) if log is not None else None
         try:
-            self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
+            self._open()
         except BusError:
             self._stop_log()
             raise
-        self.counters.opened += 1
 
     @property
     def state(self) -> LinkState:
@@ -131,16 +87,20 @@ class CanLink:
         if bus is None:
             return False
         try:
-            bus.send(message, timeout=SEND_TIMEOUT_S)
+            bus.send(message, timeout=0.0 if self._full else SEND_TIMEOUT_S)
         except BUS_ERRORS as error:
             self.counters.send_failures += 1
-            if not _is_full(error):
-                self._fail()
+            self._full = is_full(error)  # the next ones do not wait as well: the loop has other things to do
+            if self._full:
+                self.faults.note(LinkFault.TRANSMIT_FULL)
+            else:
+                self._fail(fault_of_error(error, LinkFault.SEND))
             return False
+        self._full = False
         self.counters.sent += 1
         if self.settings.interface == UDP_MULTICAST:
             self._own.append((message.arbitration_id, bytes(message.data)))
-        self._log(message, received=False)
+        self._write_log(message, received=False)
         return True
 
     def receive_all(self, limit: int = 10_000) -> list[can.Message]:
@@ -152,10 +112,11 @@ class CanLink:
                 message = bus.recv(timeout=0.0)
             except BUS_ERRORS as error:
                 garbage += 1
-                if not _is_garbage(error) or garbage > self.settings.garbage_limit:
-                    self._fail()
+                if not is_garbage(error) or garbage > self.settings.garbage_limit:
+                    self._fail(fault_of_error(error, LinkFault.RECEIVE))
                     break
                 self.counters.garbage += 1
+                self.faults.note(LinkFault.GARBAGE)
                 continue
             if message is None:
                 break
@@ -168,8 +129,13 @@ class CanLink:
             if self._bus is not None:
                 self._pause_s = self.settings.reopen_first_s
         elif self._heard and not self._silence_is_normal and self.state is LinkState.SILENT:
-            self._fail()  # a socket whose interface was made anew is deaf without any error
+            self._fail(LinkFault.DEAF)
+        self._look_at_socket()
         return messages
+
+    def news(self) -> list[FaultNews]:
+        """Faults that have happened since the last call and are to be told: see link_faults.py."""
+        return self.faults.news(self._clock.now_s())
 
     def expect_silence(self) -> None:
         """Do not open the bus anew when nothing comes: this end hears only who has something to say to it."""
@@ -184,8 +150,8 @@ class CanLink:
             return
         try:
             select.select([fileno], [], [], left_s)
-        except (OSError, ValueError):
-            self._fail()
+        except (OSError, ValueError) as error:
+            self._fail(fault_of_error(error, LinkFault.RECEIVE))
 
     def close(self) -> None:
         """Close bus and log; a second time does nothing."""
@@ -205,19 +171,37 @@ class CanLink:
         """The bus, opened anew if it is down and the pause is over."""
         now_s = self._clock.now_s()
         if self._bus is None and now_s >= self._next_open_s:
-            settings = self.settings
             try:
-                self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
+                self._open()
             except BusError:
+                self.faults.note(LinkFault.OPEN)
                 self._back_off()
-            else:
-                self.counters.opened += 1
-                self._heard = False
         return self._bus
 
-    def _fail(self) -> None:
+    def _open(self) -> None:
+        """Open the bus; BusError when it does not."""
+        settings = self.settings
+        self._bus = open_bus(settings.interface, settings.channel, settings.hop_limit, settings.options)
+        self._probe = SocketProbe(self._fileno(), settings.channel if settings.interface == SOCKETCAN else "")
+        self.counters.opened += 1
+        self._heard = self._full = False
+
+    def _look_at_socket(self) -> None:
+        """Count what the kernel has dropped; now and then see whether the interface has gone without an error."""
+        lost = self._probe.drops()
+        if lost:
+            self.counters.overflows += lost
+            self.faults.note(LinkFault.OVERFLOW, lost)
+        now_s = self._clock.now_s()
+        if now_s >= self._probe_s:
+            self._probe_s = now_s + self.settings.reopen_first_s
+            if self._probe.is_unbound():
+                self._fail(LinkFault.INTERFACE_GONE)
+
+    def _fail(self, fault: LinkFault) -> None:
         """Close the bus and wait with the next attempt."""
         self.counters.failures += 1
+        self.faults.note(fault)
         self._shut()
         self._back_off()
 
@@ -229,6 +213,7 @@ class CanLink:
     def _shut(self) -> None:
         """Close the bus whatever state it is in."""
         bus, self._bus = self._bus, None
+        self._probe.close()
         if bus is not None:
             with contextlib.suppress(*BUS_ERRORS):
                 bus.shutdown()
@@ -244,12 +229,17 @@ class CanLink:
         """Count a frame; whether it is an echo of ours or an error frame."""
         if message.is_error_frame:
             self.counters.error_frames += 1
+            fault = fault_of_frame(message)
+            if fault is LinkFault.BUS_OFF:
+                self._fail(fault)
+            else:
+                self.faults.note(fault)
             return True
         if self._own and self._take_echo(message):
             self.counters.echoes += 1
             return True
         self.counters.received += 1
-        self._log(message, received=True)
+        self._write_log(message, received=True)
         return False
 
     def _take_echo(self, message: can.Message) -> bool:
@@ -260,34 +250,17 @@ class CanLink:
         self._own.remove(frame)
         return True
 
-    def _log(self, message: can.Message, *, received: bool) -> None:
-        """Write a frame to the log under our clock; a log that fails ends, the loop goes on."""
-        if self._writer is None:
-            return
-        message.timestamp = self._clock.stamp_s()
-        message.channel = None  # a log is of one link; its channel's name must not make equal runs differ
-        message.is_rx = received
-        try:
-            self._writer.on_message_received(message)
-        except OSError:
-            self.counters.log_failures += 1
-            self._stop_log()
+    def _write_log(self, message: can.Message, *, received: bool) -> None:
+        """Write a frame to the log, if there is one."""
+        if self._log is not None and not self._log.write(message, received=received):
+            self._log_failed()
 
     def _stop_log(self) -> None:
-        """End the log; what cannot be written any more is lost, its file is closed all the same."""
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            try:
-                writer.stop()
-            except OSError:
-                self.counters.log_failures += 1
+        """End the log; what cannot be written any more is lost."""
+        if self._log is not None and not self._log.stop():
+            self._log_failed()
 
-
-def _is_garbage(error: BaseException) -> bool:
-    """Whether a receive failed on what came (a datagram that is no frame) and not on the socket."""
-    return isinstance(error.__cause__, Exception) and not isinstance(error.__cause__, OSError)
-
-
-def _is_full(error: BaseException) -> bool:
-    """Whether a send failed because there was no room, which passes by itself."""
-    return isinstance(error, can.CanTimeoutError) or getattr(error, "error_code", None) in TRANSMIT_QUEUE_FULL
+    def _log_failed(self) -> None:
+        """Count it."""
+        self.counters.log_failures += 1
+        self.faults.note(LinkFault.LOG)

@@ -11,7 +11,7 @@ import can
 from retuner.drivers.device import BusError
 
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, NotImplementedError, ImportError)
-UDP_MULTICAST = "udp_multicast"
+SOCKETCAN, UDP_MULTICAST = "socketcan", "udp_multicast"
 
 # python-can warns about half-opened buses on stderr; what matters is in the BusError.
 logging.getLogger("can").addHandler(logging.NullHandler())

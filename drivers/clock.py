@@ -87,6 +87,7 @@ class MonotonicClock:
             raise ValueError(f"speed = {speed}: give a positive finite number, 1 for real time")
         self.speed = speed
         self._start_s = time.monotonic()
+        self._epoch_s = time.time() - self._start_s
 
     def now_s(self) -> float:
         """Seconds since this clock was made, times speed."""
@@ -103,5 +104,7 @@ class MonotonicClock:
         return max(t_s - self.now_s(), 0.0) / self.speed
 
     def stamp_s(self) -> float:
-        """Wall time in seconds since 1970; for records only, no decision looks at it."""
-        return time.time()
+        """Seconds since 1970 by the wall clock as it stood when this clock was made, and by the monotonic one since:
+        a wall clock that is set back must not make a record's time run backwards.
+        """
+        return self._epoch_s + time.monotonic()

@@ -7,6 +7,7 @@ from retuner.drivers import bus_opening
 from retuner.drivers.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.device import BusError, LinkState
+from retuner.drivers.link_faults import LinkFault
 
 FRAME = can.Message(arbitration_id=0x21, is_extended_id=False, data=b"\x01\x02")
 
@@ -19,6 +20,7 @@ class FakeBus:
         self.send_error: Exception | None = None
         self.sent: list[can.Message] = []
         self.closed = False
+        self.timeouts: list[float] = []
 
     def recv(self, timeout: float) -> can.Message | None:
         assert timeout == 0.0
@@ -30,7 +32,8 @@ class FakeBus:
         return first
 
     def send(self, message: can.Message, timeout: float) -> None:
-        assert 0 < timeout < 1
+        assert 0 <= timeout < 1
+        self.timeouts.append(timeout)
         if self.send_error:
             raise self.send_error
         self.sent.append(message)
@@ -136,15 +139,28 @@ def test_an_end_that_expects_silence_keeps_its_bus(fakes: list[FakeBus]) -> None
     assert (len(fakes), link.state) == (1, LinkState.SILENT)
 
 
-@pytest.mark.parametrize("error", [can.CanTimeoutError("full"), can.CanOperationError("no buffer space", 105)])
+@pytest.mark.parametrize(
+    "error",
+    [
+        can.CanTimeoutError("full"),
+        can.CanOperationError("no buffer space", 105),
+        can.CanOperationError("Transmit buffer full"),
+    ],
+)
 def test_a_full_transmit_queue_is_counted_and_the_bus_stays_open(fakes: list[FakeBus], error: Exception) -> None:
     link = linked(SimulatedClock())
     fakes[0].send_error = error
     assert not link.send(FRAME)
+    assert not link.send(FRAME)
     assert link.state is not LinkState.DOWN
     fakes[0].send_error = None
     assert link.send(FRAME)
-    assert (link.counters.send_failures, link.counters.sent) == (1, 1)
+    assert link.send(FRAME)
+    assert (link.counters.send_failures, link.counters.sent) == (2, 2)
+    assert link.faults.counts == {LinkFault.TRANSMIT_FULL: 2}
+    first, second, third, fourth = fakes[0].timeouts
+    assert first > second == third == 0, "while the queue is full nobody waits a second time"
+    assert fourth == first
 
 
 def test_a_send_error_closes_the_bus(fakes: list[FakeBus]) -> None:
@@ -249,7 +265,7 @@ def test_a_log_that_fails_ends_and_the_link_goes_on(make_bench, tmp_path) -> Non
     def full(_: can.Message) -> None:
         raise OSError(28, "No space left on device")
 
-    bench.near._writer.on_message_received = full
+    bench.near._log._writer.on_message_received = full
     bench.run(10)
     assert bench.host.connected
     assert bench.near.counters.log_failures == 1

@@ -1,0 +1,61 @@
+"""How a link is opened and when it is doubted, and what it counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSettings:
+    """How to open a bus and when to doubt it.
+
+    Parameters
+    ----------
+    interface, channel : as python-can spells them.
+    hop_limit : routers that a udp_multicast frame may pass; 0 keeps it on this machine.
+    options : further keyword arguments of python-can's Bus (bitrate, fd, ...).
+    silent_after_s : age of the last frame after which the link counts as silent, s.
+    reopen_first_s, reopen_max_s : first and longest pause between attempts to open the bus anew, s.
+    garbage_limit : undecodable datagrams in one go after which the bus is opened anew.
+
+    Raises
+    ------
+    ValueError
+        A time is not positive, or hop_limit is outside 0..255.
+    """
+
+    interface: str = "virtual"
+    channel: str = "retuner"
+    hop_limit: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
+    silent_after_s: float = 10.0
+    reopen_first_s: float = 0.2
+    reopen_max_s: float = 5.0
+    garbage_limit: int = 1000
+
+    def __post_init__(self) -> None:
+        for name in ("silent_after_s", "reopen_first_s", "reopen_max_s"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"bus: {name} = {getattr(self, name)}; give a positive number of seconds")
+        if not 0 <= self.hop_limit <= 255:
+            raise ValueError(f"bus: hop_limit = {self.hop_limit}; give 0 (this machine only) to 255")
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """What the link has seen since it was made."""
+
+    sent: int = 0
+    send_failures: int = 0
+    received: int = 0
+    echoes: int = 0
+    error_frames: int = 0
+    garbage: int = 0
+    failures: int = 0
+    opened: int = 0
+    overflows: int = 0
+    log_failures: int = 0
+
+    def to_dict(self) -> dict[str, int]:
+        """Counter name to count."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
