@@ -96,6 +96,7 @@ class Run:
             while not session.finished:
                 with unstoppable():
                     session.poll(clock.now_s())
+                    session.link_faults(link.news())
                 link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
             return session
 

@@ -5,7 +5,7 @@ write: a decision of the retuner, and the schedule (another region, other gains)
 write, one at a time; a decision changes the table only when the controller has reported the gains as running.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -29,6 +29,7 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
+from retuner.drivers.link_faults import HOLDING, FaultNews
 from retuner.scenario import ScenarioPlayer
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
@@ -40,6 +41,11 @@ INTERPOLATION_STEP = 1.02
 """An interpolated schedule is written when a gain has moved by this factor: a write costs about ten frames."""
 RETRY_SAMPLES = 30
 """Samples to wait after a refused or failed write before the schedule asks again."""
+HOLD_SAMPLES = 30
+"""Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
+
+
+HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged)
 
 
 class Why(StrEnum):
@@ -116,7 +122,8 @@ class Session:
         self._pending: tuple[int, PidGains, Decision] | None = None
         self.frozen = ""
         self._t_s = 0.0
-        self._retry_at_s = 0.0
+        self._retry_at_s = self._hold_until_s = 0.0
+        self._holding = ""
 
     @property
     def table(self) -> GainTable:
@@ -149,6 +156,18 @@ class Session:
                 self._event(event)
         self._keep_gains(now_s)
         return samples
+
+    def link_faults(self, news: Iterable[FaultNews]) -> None:
+        """Record what the link has to tell, and hold the adaptation where frames may be missing or stale."""
+        for fault, times in news:
+            self._record("bus", self._t_s, {"fault": fault, "times": times})
+            if fault in HOLDING:
+                self._hold(fault)
+
+    def _hold(self, reason: str) -> None:
+        """Write no decision for a while."""
+        self._holding = reason
+        self._hold_until_s = self._t_s + HOLD_SAMPLES * self.retuner.settings.sample_time_s
 
     def _sample(self, sample: LoopSample, now_s: float) -> None:
         """One sample of the loop: play the scenario, watch, decide."""
@@ -207,11 +226,11 @@ class Session:
         if self._pending is not None:
             meant, gains, decision = self._pending
             self._pending = None
-            if meant == region:
+            held = self._t_s < self._hold_until_s
+            if meant == region and not held:
                 return Why.RETUNE, region, gains, decision
-            self._record(
-                "dropped", self._t_s, {"decision": decision.digest(), "reason": "the loop has left the region"}
-            )
+            reason = f"too soon after: {self._holding}" if held else "the loop has left the region"
+            self._record("dropped", self._t_s, {"decision": decision.digest(), "reason": reason})
         if self._t_s < self._retry_at_s:
             return None
         gains = self.table.at(region, self.trend.rows[-1][4]) if self.trend.rows else self.table.gains_of(region)
@@ -231,6 +250,8 @@ class Session:
             case _:
                 kind, body = trouble(event)
                 self._record(kind, self._t_s, body)
+                if isinstance(event, HELD_BY):
+                    self._hold(kind)
 
     def _done(self, event: WriteDone) -> None:
         """The controller runs the set, as read back; only now does the table change."""

@@ -22,11 +22,12 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
+from retuner.drivers.link_faults import HOLDING, FaultNews, LinkFault
 from retuner.scenario import ScenarioPlayer
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
-from retuner.session import RETRY_SAMPLES, Session
+from retuner.session import HOLD_SAMPLES, RETRY_SAMPLES, Session
 
 LOW, HIGH, BETTER = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.15)
 TABLE = GainTable("loop", Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0), (LOW, HIGH))
@@ -160,6 +161,52 @@ def test_the_gains_that_were_read_back_are_the_ones_in_the_table() -> None:
     stage.device.finish(rounded)
     stage.tick()
     assert stage.session.table.gains_of(0) == rounded
+
+
+@pytest.mark.parametrize("fault", LinkFault)
+def test_trouble_on_the_link_is_recorded_and_holds_the_adaptation_for_a_while(fault: LinkFault) -> None:
+    stage = Stage()
+    stage.tick(n=3)
+    stage.session.link_faults([FaultNews(fault, 7)])
+    assert stage.log.lines == [("bus", {"fault": fault, "times": 7})]
+    stage.retuner.wish = BETTER
+    stage.tick(n=HOLD_SAMPLES)
+    if fault not in HOLDING:
+        assert stage.log.kinds() == ["bus", "decision", "intent", "begin_write"]
+        return
+    assert stage.log.kinds() == ["bus", "decision", "dropped"]
+    assert stage.log.lines[-1][1]["reason"] == f"too soon after: {fault}"
+    stage.retuner.wish = BETTER
+    stage.tick()
+    assert stage.log.kinds()[3:] == ["decision", "intent", "begin_write"]
+
+
+def test_a_lost_link_holds_the_adaptation_and_the_schedule_goes_on() -> None:
+    stage = Stage()
+    stage.tick(n=3)
+    stage.device.events.append(LinkChanged(LinkState.SILENT, "no frame for 20 s"))
+    stage.device.events.append(LinkChanged(LinkState.UP, "heard"))
+    stage.retuner.wish = BETTER
+    stage.tick()
+    assert stage.log.kinds() == ["link", "link", "decision", "dropped"]
+    stage.tick(sp=80.0)
+    assert stage.log.kinds()[4:] == ["intent", "begin_write"]
+    assert stage.log.lines[-1][1] == HIGH
+
+
+def test_a_frozen_session_begins_nothing_and_ends_when_its_write_has_ended() -> None:
+    stage = Stage()
+    stage.tick(n=3)
+    stage.retuner.wish = BETTER
+    stage.tick()
+    stage.session.freeze("the disk is full")
+    stage.session.freeze("and fuller")
+    assert not stage.session.finished
+    stage.device.finish(BETTER)
+    stage.tick(sp=80.0, n=5)
+    assert stage.log.kinds() == ["decision", "intent", "begin_write", "committed"]
+    assert stage.session.finished
+    assert stage.session.frozen == "the disk is full"
 
 
 def test_a_failed_write_leaves_the_table_and_is_recorded() -> None:

@@ -170,6 +170,7 @@ def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
 TOLD = {
     "refused": ("region", "reason"), "link": ("state", "reason"), "restart": ("epoch",), "lost": ("samples",),
     "command": ("command", "reason"), "unknown": ("reason",), "foreign": ("gains",), "dropped": ("reason",),
+    "bus": ("fault", "times"),
 }  # fmt: skip
 """Rows beside decisions that a person at the screen should see, and which of their values."""
 
