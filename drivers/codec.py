@@ -1,4 +1,4 @@
-"""Frames to bytes and back through drivers/retuner.dbc (cantools), with our own checks on both ways.
+"""Frames to bytes and back as drivers/retuner.dbc lays them out, with our own checks on both ways.
 
 cantools encodes NaN without complaint, decodes NaN, infinity and values outside the declared range without complaint
 and accepts frames that are too long; so every number is held to the DBC's range here, which NaN fails as well, and
@@ -18,6 +18,7 @@ import cantools.database
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message as Layout
 
+from retuner.drivers.bit_layout import BitLayout
 from retuner.drivers.checksum import frame_crc
 from retuner.drivers.frames import HIGHEST_NODE, NAMES, Frame
 
@@ -62,6 +63,7 @@ class _Plan:
     """What is known of one frame: its layout, class, the fields in the class's order, whether a checksum ends it."""
 
     layout: Layout
+    bits: BitLayout
     type: type[Frame]
     make: Callable[..., Frame]
     signals: tuple[_Signal, ...]
@@ -81,7 +83,8 @@ def _plans() -> dict[int, _Plan]:
             if signal.minimum is None or signal.maximum is None:
                 raise FrameError(f"retuner.dbc: {layout.name}.{signal.name} has no range; give it one")
             signals.append(_Signal(signal.name, field.name, float(signal.minimum), float(signal.maximum)))
-        plan = _Plan(layout, make, make, tuple(signals), CHECKSUM.lower() in by_field)
+        bits = BitLayout(layout, [signal.name for signal in signals])
+        plan = _Plan(layout, bits, make, make, tuple(signals), CHECKSUM.lower() in by_field)
         plans[layout.frame_id & ((1 << COMMAND_BITS) - 1)] = plan
     return plans
 
@@ -138,17 +141,15 @@ class Codec:
             A value is not finite or outside the range that the DBC gives.
         """
         id_, plan = self._by_type[type(frame)]
-        values: dict[str, float] = {}
+        values: list[float] = []
         for signal in plan.signals:
             value: float = getattr(frame, signal.field)
             if not signal.low <= value <= signal.high:
                 raise FrameError(
                     f"{plan.layout.name}.{signal.name} = {value}; give a number from {signal.low:g} to {signal.high:g}"
                 )
-            values[signal.name] = value
-        if plan.checked:
-            values[CHECKSUM] = 0
-        data = bytearray(plan.layout.encode(values, strict=False))
+            values.append(value)
+        data = plan.bits.pack(values)
         if plan.checked:
             data[-1] = frame_crc(id_, data[:-1])
         return can.Message(arbitration_id=id_, is_extended_id=False, data=data, check=True)
@@ -165,11 +166,5 @@ class Codec:
             return Refused(Refusal.LENGTH)
         if plan.checked and data[-1] != frame_crc(id_, data[:-1]):
             return Refused(Refusal.CHECKSUM)
-        raw = plan.layout.decode_simple(bytes(data), decode_choices=False)
-        arguments: list[float] = []
-        for signal in plan.signals:
-            value = raw[signal.name]
-            if not isinstance(value, (int, float)) or not signal.low <= value <= signal.high:
-                return Refused(Refusal.RANGE)
-            arguments.append(value)
-        return plan.make(*arguments)
+        values = plan.bits.unpack(data)
+        return Refused(Refusal.RANGE) if values is None else plan.make(*values)

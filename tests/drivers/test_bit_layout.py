@@ -1,0 +1,87 @@
+"""The prepared layout of every frame against cantools, bit for bit, and what it refuses to lay out."""
+
+import math
+import random
+import struct
+
+import cantools.database
+import pytest
+
+from retuner.drivers.bit_layout import BitLayout
+from retuner.drivers.codec import _database
+
+LAYOUTS = _database().messages
+DRAWS = 300
+
+
+def signals(layout):
+    return [signal for signal in layout.signals if signal.name != "CHECKSUM"]
+
+
+def prepared(layout) -> BitLayout:
+    return BitLayout(layout, [signal.name for signal in signals(layout)])
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+def test_any_bytes_give_cantools_numbers_or_nothing_when_one_is_out_of_range(layout) -> None:
+    rng = random.Random(layout.name)
+    bits = prepared(layout)
+    for _ in range(DRAWS):
+        data = rng.randbytes(layout.length)
+        reference = layout.decode_simple(data, decode_choices=False)
+        expected = [reference[signal.name] for signal in signals(layout)]
+        inside = all(s.minimum <= v <= s.maximum for s, v in zip(signals(layout), expected, strict=True))
+        assert bits.unpack(data) == (expected if inside else None)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+def test_any_numbers_in_range_give_cantools_bytes(layout) -> None:
+    rng = random.Random(layout.name)
+    bits = prepared(layout)
+    for i in range(DRAWS):
+        values = {}
+        for signal in signals(layout):
+            ends = (signal.minimum, signal.maximum, rng.uniform(signal.minimum, signal.maximum))
+            value = ends[min(i, 2)]
+            values[signal.name] = value if signal.is_float or signal.scale != 1 else round(value)
+        zero = {"CHECKSUM": 0} if len(signals(layout)) < len(layout.signals) else {}
+        data = bits.pack(values.values())
+        assert data == layout.encode({**values, **zero}, strict=False)
+        assert len(data) == layout.length
+
+
+def test_what_is_not_finite_is_nothing() -> None:
+    layout = _database().get_message_by_name("TELEMETRY_PV")
+    pv = next(signal for signal in layout.signals if signal.name == "pv")
+    bits = prepared(layout)
+    zero = bytearray(bits.pack([max(signal.minimum, 0) for signal in signals(layout)]))
+    assert bits.unpack(zero) is not None
+    for bad in (math.nan, math.inf, -math.inf):
+        data = zero.copy()
+        data[pv.start // 8 : pv.start // 8 + 4] = struct.pack("<f", bad)
+        assert bits.unpack(data) is None
+
+
+DBC = """VERSION ""
+BU_: A
+BO_ 1 F: 8 A
+ SG_ s : {signal} "" A
+{types}"""
+
+
+@pytest.mark.parametrize(
+    ("signal", "types", "told"),
+    [
+        ("7|16@0+ (1,0) [0|9]", "", "little-endian"),
+        ("0|16@1+ (1,0) [0|0]", "", "no range"),
+        ("0|16@1+ (1,0) [0|70000]", "", "does not fit"),
+        ("0|16@1- (0.5,0) [-20000|0]", "", "does not fit"),
+        ("4|32@1- (1,0) [0|9]", "SIG_VALTYPE_ 1 s : 1;", "byte borders"),
+        ("0|32@1- (2,0) [0|9]", "SIG_VALTYPE_ 1 s : 1;", "unscaled"),
+        ("0|64@1- (1,0) [0|9]", "SIG_VALTYPE_ 1 s : 2;", "float32"),
+    ],
+)
+def test_signals_of_another_kind_are_refused(signal: str, types: str, told: str) -> None:
+    database = cantools.database.load_string(DBC.format(signal=signal, types=types), "dbc")
+    with pytest.raises(ValueError, match=told):
+        BitLayout(database.messages[0], ["s"])
