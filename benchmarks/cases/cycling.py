@@ -16,6 +16,7 @@ from retuner.schedule.gains import PidGains
 PROBE = 5000
 CYCLES = (4.0, 25.0)
 COARSEST_PER_THETA = 4.0
+FEWEST_ROUNDS = 3
 LONGEST_PERIOD = 500.0
 """Samples in a cycle; slower limit cycles are drawn anew."""
 
@@ -94,9 +95,13 @@ def stiction_record(
 
 
 def _still_cycling(record: Record, swing: float) -> bool:
-    """Whether the cycle is there in the last third too, noise and all, clear of the limits."""
-    last = record.pv[-len(record.pv) // 3 :]
-    return float(np.ptp(last)) > 0.5 * swing
+    """Whether the cycle is there in every third of the record, noise and all, and goes round three times or more."""
+    if any(float(np.ptp(part)) < 0.5 * swing for part in np.array_split(record.pv, 3)):
+        return False
+    error = record.pv - record.sp
+    centred = error - np.median(error)
+    ends = np.sign(centred) * (np.abs(centred) > 0.15 * swing)
+    return int(np.count_nonzero(np.diff(ends[ends != 0]) > 0)) >= FEWEST_ROUNDS
 
 
 def cycles_of(rng: np.random.Generator, loop: Loop, period_s: float) -> tuple[Loop, int]:
