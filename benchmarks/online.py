@@ -15,7 +15,8 @@ from collections import Counter
 
 from retuner.adaptive.decision import Action, Mode
 from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process import LinearProcess, ProcessModel
+from retuner.adaptive.reduction import half_rule
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.rules.simc import simc
@@ -41,16 +42,6 @@ def draw(rng: random.Random) -> LinearProcess:
         6: ((1 - (length := rng.uniform(0.05, 0.95)),), length, 1),
     }[family]  # fmt: skip
     return LinearProcess(k, tuple(x * scale for x in lags), (), theta * scale, integrators)
-
-
-def half_rule(process: LinearProcess) -> ProcessModel:
-    """First-order (or integrating) model of lags and dead time (Skogestad 2003, section 2)."""
-    lags = sorted(process.lags_s, reverse=True)
-    if process.integrators:
-        return ProcessModel(ProcessType.INTEGRATING, process.k, theta_s=process.theta_s + sum(lags))
-    second = lags[1] if len(lags) > 1 else 0.0
-    theta = process.theta_s + second / 2 + sum(lags[2:])
-    return ProcessModel(ProcessType.FOPDT, process.k, lags[0] + second / 2, 0.0, theta)
 
 
 def iae(process: LinearProcess, gains: PidGains, dt: float, sp: float, load: float, n: int = 600) -> float:

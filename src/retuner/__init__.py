@@ -10,28 +10,40 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from retuner.adaptive.decision import Decision as Decision
+    from retuner.adaptive.process import LinearProcess as LinearProcess
     from retuner.adaptive.process import ProcessModel as ProcessModel
     from retuner.adaptive.process import ProcessType as ProcessType
+    from retuner.adaptive.reduction import reduce as reduce
     from retuner.adaptive.retuner import Retuner as Retuner
     from retuner.adaptive.retuner_settings import RetunerSettings as RetunerSettings
     from retuner.adaptive.sample import LoopSample as LoopSample
     from retuner.api import identify as identify
     from retuner.api import tune as tune
     from retuner.config import load_config as load_config
+    from retuner.conversions import gains_of as gains_of
+    from retuner.conversions import process_of as process_of
+    from retuner.conversions import to_control as to_control
+    from retuner.conversions import to_scipy as to_scipy
     from retuner.schedule.gains import PidGains as PidGains
     from retuner.schedule.table import GainTable as GainTable
 
 _HOMES = {
     "Decision": "adaptive.decision",
     "GainTable": "schedule.table",
+    "LinearProcess": "adaptive.process",
     "LoopSample": "adaptive.sample",
     "PidGains": "schedule.gains",
     "ProcessModel": "adaptive.process",
     "ProcessType": "adaptive.process",
     "Retuner": "adaptive.retuner",
     "RetunerSettings": "adaptive.retuner_settings",
+    "gains_of": "conversions",
     "identify": "api",
     "load_config": "config",
+    "process_of": "conversions",
+    "reduce": "adaptive.reduction",
+    "to_control": "conversions",
+    "to_scipy": "conversions",
     "tune": "api",
 }
 

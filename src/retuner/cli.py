@@ -145,6 +145,28 @@ def identify(
     return work(file, IdentifyOptions(open_loop, columns, kc, tau_i, tau_d, form), as_json=json)
 
 
+@app.command(epilog="Example: retuner reduce --num-t 15 --den-t 20,1,0.1,0.1 --k 2 --order 2")
+def reduce(
+    num_t: Annotated[
+        list[str] | None, typer.Option("--num-t", help="Numerator time constants, s; negative: inverse response.")
+    ] = None,
+    den_t: Annotated[list[str] | None, typer.Option("--den-t", help="Lags, s, separated by commas.")] = None,
+    integrators: Annotated[int, typer.Option(help="Pure integrators.")] = 0,
+    delay: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0,
+    order: Annotated[int, typer.Option(help="Order of the model: 1 for PI, 2 for PID.")] = 1,
+    k: Annotated[float, typer.Option(help="Steady-state gain; slope gain per second with an integrator.")] = 1.0,
+    leads: Annotated[
+        str, typer.Option(help="auto; rules: T1 to T3 for all positive numerator time constants; subtract: none.")
+    ] = "auto",
+    json: Json = False,
+) -> int:
+    """A first- or second-order model of a process of any order, by the half rule."""
+    from retuner.commands.reduce import ReduceOptions
+    from retuner.commands.reduce import reduce as work
+
+    return work(ReduceOptions(k, num_t or [], den_t or [], integrators, delay, order, leads), as_json=json)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status. Arguments are those of the process unless given."""
     if not os.environ.get("RETUNER_TRACEBACK"):

@@ -1,0 +1,85 @@
+"""retuner reduce: a process of any order to a first- or second-order model."""
+
+import json
+import math
+import sys
+from dataclasses import dataclass
+
+from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.reduction import Leads, Reduction
+from retuner.adaptive.reduction import reduce as reduce_process
+from retuner.errors import UserError, user_input
+
+GAIN_UNIT = {ProcessType.INTEGRATING: "/s", ProcessType.INTEGRATING_LAG: "/s", ProcessType.DOUBLE_INTEGRATING: "/s2"}
+
+
+@dataclass(frozen=True, slots=True)
+class ReduceOptions:
+    """The command's options; times in seconds."""
+
+    k: float
+    num_t: list[str]
+    den_t: list[str]
+    integrators: int
+    delay_s: float
+    order: int
+    leads: str
+
+
+def reduce(options: ReduceOptions, *, as_json: bool) -> int:
+    """Reduce and show; the exit status.
+
+    Raises
+    ------
+    UserError
+        An option is out of its range, or the process has no such model.
+    """
+    if options.leads not in set(Leads):
+        raise UserError(f"--leads {options.leads}: give one of {', '.join(Leads)}")
+    leads, lags = time_constants("--num-t", options.num_t), time_constants("--den-t", options.den_t)
+    if min(lags, default=1.0) <= 0:
+        raise UserError(f"--den-t {min(lags):g}: a lag must be positive; a negative one is an unstable pole, and an "
+                        "integrator is counted by --integrators")  # fmt: skip
+    if options.integrators < 0:
+        raise UserError(f"--integrators {options.integrators}: give 0, 1 or 2")
+    with user_input("retuner reduce"):
+        process = LinearProcess(options.k, lags, leads, options.delay_s, options.integrators)
+        found = reduce_process(process, options.order, Leads(options.leads))
+    if as_json:
+        sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write("\n".join(described(found)) + "\n")
+    return 0
+
+
+def time_constants(option: str, texts: list[str]) -> tuple[float, ...]:
+    """Seconds from an option that may be repeated, each time with one or several numbers.
+
+    Raises
+    ------
+    UserError
+        A part is not a finite number.
+    """
+    found = []
+    for part in " ".join(texts).replace(",", " ").split():
+        try:
+            value = float(part)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise UserError(f"{option} {part}: give seconds, separated by commas, as in {option} 5,3,0.5")
+        found.append(value)
+    return tuple(found)
+
+
+def described(found: Reduction) -> list[str]:
+    """Steps and model in lines."""
+    return [*found.steps, *model_lines(found.model)]
+
+
+def model_lines(model: ProcessModel) -> list[str]:
+    """A model in lines; times that its structure does not have are left out."""
+    lines = [f"{model.type}", f"  k      {model.k:10.6g} {GAIN_UNIT.get(model.type, '')}".rstrip()]
+    times = (("tau1", model.tau1_s), ("tau2", model.tau2_s))
+    lines += [f"  {name}   {value:10.6g} s" for name, value in times if value]
+    return [*lines, f"  theta  {model.theta_s:10.6g} s"]
