@@ -2,41 +2,40 @@
 
 Connecting is SEARCHING (who is there: protocol, frame layout, sample time) -> READING (what runs) -> CONNECTED. What
 runs is known from read-back alone (running_belief.py); when the device falls silent it is unknown until read again.
+Only the host that holds the lease (lease_keeper.py) may change anything; the others watch.
 """
 
 from collections.abc import Callable
 from enum import Enum
 
-from retuner.adaptive.sample import LoopMode
 from retuner.drivers import frames
+from retuner.drivers.arrival_check import Stream
 from retuner.drivers.bus import CanLink
 from retuner.drivers.can_settings import CanDeviceSettings
-from retuner.drivers.checksum import to_wire
 from retuner.drivers.codec import Codec, FrameError, Refusal, Refused
-from retuner.drivers.command_sender import CommandSender
 from retuner.drivers.device import (
     DeviceMismatchError,
     DeviceRestarted,
     DeviceSilentError,
     Event,
+    ForeignHost,
     LinkChanged,
     LinkState,
+    Reverted,
     RunningChanged,
     RunningSet,
     SamplesLost,
     WriteRefusedError,
 )
+from retuner.drivers.host_requests import HostRequests
 from retuner.drivers.identity import mismatch
 from retuner.drivers.page_reader import PageReader, ReadBack
 from retuner.drivers.running_belief import Belief, RunningBelief
 from retuner.drivers.sample_joiner import SampleJoiner
-from retuner.drivers.write_protocol import Sequence, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.write_protocol import WritePhase
 from retuner.schedule.gains import PidGains
 
 __all__ = ["CanDevice", "CanDeviceSettings", "ConnectPhase"]
-
-LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a restart
-GAIN_KINDS = (frames.Kind.STAGE, frames.Kind.COMMIT, frames.Kind.ABORT)
 
 
 class ConnectPhase(Enum):
@@ -64,10 +63,8 @@ class CanDevice:
         self._codec = Codec(settings.node)
         self._reader = PageReader()
         self._belief = RunningBelief(settings.node)
-        self._write = WriteProtocol(self._reader, settings.reply_s)
-        self._commands = CommandSender(settings.reply_s)
-        self._joiner = SampleJoiner(settings.sample_time_s, settings.variable)
-        self._sequence = Sequence()
+        self._requests = HostRequests(settings, self._reader, self._codec.encode)
+        self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
         self._first_poll_s: float | None = None
         self._heard_s = self._sample_s = self._ask_s = float("-inf")
         self._ever_connected = False
@@ -86,7 +83,7 @@ class CanDevice:
     @property
     def writing(self) -> bool:
         """Whether a write is under way or its result unknown."""
-        return self._write.busy
+        return self._requests.write.busy
 
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
@@ -101,7 +98,7 @@ class CanDevice:
                 self._heard_s = now_s
                 self._take(frame, now_s)
             else:
-                self.foreign_commands += 1
+                self._on_foreign()
         self._notice_silence(now_s)
         self._ask(now_s)
         self._send_due(now_s)
@@ -112,17 +109,35 @@ class CanDevice:
         match frame:
             case frames.TelemetryPv() | frames.TelemetrySp():
                 self._on_telemetry(frame, now_s)
-            case frames.Heartbeat():
-                if self._belief.on_heartbeat(frame):
-                    self._joiner.set_reference(frame.sample)
-            case frames.Status():
-                self._sequence.note(frame.latest)
+            case frames.Heartbeat() | frames.Status():
+                self._on_life_sign(frame)
             case frames.Identity():
                 self._on_identity(frame, now_s)
             case frames.PageItem() | frames.PageEnd():
                 self._on_page(self._reader.take(frame), now_s)
+            case frames.Challenge():
+                self._requests.on_challenge(frame)
             case frames.Ack():
-                self._on_ack(frame)
+                event = self._requests.on_ack(frame)
+                if event is not None:
+                    self._events.append(event)
+
+    def _on_foreign(self) -> None:
+        """Somebody else commands this controller."""
+        self.foreign_commands += 1
+        if self.foreign_commands.bit_count() == 1:
+            self._events.append(ForeignHost(self.foreign_commands))
+
+    def _on_life_sign(self, sign: frames.Heartbeat | frames.Status) -> None:
+        """Sample counter and epoch, or sequence numbers, as the device has them."""
+        if isinstance(sign, frames.Heartbeat):
+            if self._belief.on_heartbeat(sign):
+                self._joiner.set_reference(sign.sample)
+            return
+        self._requests.sequence.note(sign.latest)
+        running = self._belief.running
+        if running is not None and sign.running != running.seq and not self._requests.write.busy:
+            self._belief.doubt()
 
     def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
         """Half a sample; a sequence number that is not the known one means that somebody else has written."""
@@ -136,8 +151,9 @@ class CanDevice:
             self._events.append(SamplesLost(joined.lost, joined.sample.t_s))
         self._events.append(joined.sample)
         running = self._belief.running
-        if running is not None and joined.sample.revision != running.seq and not self._write.busy:
+        if running is not None and joined.sample.revision != running.seq and not self._requests.write.busy:
             self._belief.doubt()
+        self._requests.on_sample(joined.sample.revision)
 
     def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
         """Who is there: go on only with the right one."""
@@ -155,7 +171,7 @@ class CanDevice:
         if page is None:
             return
         if page.page == frames.Page.STAGED:
-            self._write.on_staged(page)
+            self._requests.write.on_staged(page)
         elif page.page == frames.Page.RUNNING:
             self._on_running(page, now_s)
 
@@ -168,28 +184,19 @@ class CanDevice:
         if verdict is Belief.FIRST:
             self._joiner.set_reference(self._belief.boot_sample)
         if verdict is Belief.RESTARTED:
-            gap = (now_s - self._sample_s) / self.settings.sample_time_s
-            self._joiner.restart(self._belief.boot_sample, round(gap) if 1 < gap < LONGEST_GAP else 1)
-            self._write.on_restart()
+            self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            self._requests.on_restart()
             self._events.append(DeviceRestarted(self._belief.epoch or 0, running))
         if self.phase is ConnectPhase.READING:
             self.phase, self._ever_connected = ConnectPhase.CONNECTED, True
             self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))
-        outcome = self._write.on_running(running)
+        outcome = self._requests.on_running(running)
         if outcome is not None:
             self._events.append(outcome)
-        elif verdict is Belief.CHANGED and not self._write.busy:
-            self._events.append(RunningChanged(running))
-
-    def _on_ack(self, ack: frames.Ack) -> None:
-        """An answer to a command."""
-        if ack.kind in GAIN_KINDS:
-            self._sequence.note(ack.latest)
-            self._write.on_ack(ack)
-            return
-        event = self._commands.on_ack(ack)
-        if event is not None:
-            self._events.append(event)
+        elif verdict is Belief.CHANGED and not self._requests.write.busy:
+            back = not frames.newer(running.seq, self._joiner.running)
+            self._events.append(Reverted(running) if back else RunningChanged(running))
+        self._joiner.running = running.seq
 
     def _notice_silence(self, now_s: float) -> None:
         """Nothing heard for too long, or no bus: nothing is known any more."""
@@ -203,6 +210,7 @@ class CanDevice:
         self.phase = ConnectPhase.SEARCHING
         self._belief.doubt()
         self._joiner.forget()
+        self._requests.lease.forget()
 
     def _notice_nobody(self, now_s: float) -> None:
         """The first connection takes too long."""
@@ -222,7 +230,7 @@ class CanDevice:
         """Ask who is there, or what runs, as long as it is not known."""
         if self.phase is ConnectPhase.SEARCHING:
             page = frames.Page.IDENTITY
-        elif self._belief.doubtful and self._write.phase is not WritePhase.READING:
+        elif self._belief.doubtful and self._requests.write.phase is not WritePhase.READING:
             page = frames.Page.RUNNING
         else:
             self._ask_s = now_s
@@ -232,15 +240,11 @@ class CanDevice:
             self._send(self._reader.ask(page))
 
     def _send_due(self, now_s: float) -> None:
-        """What the write and the commands want to send now."""
-        for frame in self._write.due(now_s):
-            self._send(frame)
-        unknown = self._write.unknown()
-        if unknown is not None:
-            self._events.append(unknown)
-        commands, failed = self._commands.due(now_s)
-        self._events += failed
-        for frame in commands:
+        """What the lease, the write and the commands want to send now."""
+        epoch = self._belief.epoch if self.phase is ConnectPhase.CONNECTED else None
+        due, events = self._requests.due(now_s, epoch)
+        self._events += events
+        for frame in due:
             self._send(frame)
 
     def _send(self, frame: frames.Frame) -> None:
@@ -252,47 +256,45 @@ class CanDevice:
         running, epoch = self._belief.running, self._belief.epoch
         if running is None or epoch is None or not self.connected:
             raise WriteRefusedError(f"{self._where}: not connected, what runs is unknown; wait for LinkChanged(UP)")
-        if self._write.busy:
-            raise WriteRefusedError(f"{self._where}: a write is under way; wait for its WriteDone or WriteFailed")
+        if self._joiner.arrivals.state is Stream.INVALID:
+            raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
         try:
-            wire = to_wire(gains)
-            order = WriteOrder(self.settings.node, epoch, self._sequence.after(running.seq), running.seq, wire)
-            for frame in order.stage():
-                self._codec.encode(frame)
-        except ValueError as error:
+            seq = self._joiner.ordered = self._requests.begin_write(gains, running, epoch)
+        except WriteRefusedError as error:
             raise WriteRefusedError(f"{self._where}: {error}") from error
-        self._sequence.note(order.seq)
-        self._write.begin(order)
         self._send_due(now_s)
-        return order.seq
+        return seq
 
     def send_setpoint(self, sp: float, now_s: float) -> None:
         """Set the target in pv units: see device.Device."""
-        self._command(frames.Kind.SETPOINT, lambda counter: frames.Setpoint(counter, sp), now_s)
+        self._command(lambda: self._requests.commands.setpoint(sp), now_s)
 
     def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
         """Auto, or manual with co percent: see device.Device."""
-        mode = LoopMode.AUTO if auto else LoopMode.MANUAL
-        self._command(frames.Kind.MODE, lambda counter: frames.Mode(counter, mode, co), now_s)
+        self._command(lambda: self._requests.commands.mode(auto=auto, co=co), now_s)
 
     def send_load(self, load: float, now_s: float) -> None:
         """Disturb a simulated plant, percent of co: see device.Device."""
-        self._command(frames.Kind.LOAD, lambda counter: frames.Load(counter, load), now_s)
+        self._command(lambda: self._requests.commands.load(load), now_s)
 
     def store(self, now_s: float) -> None:
         """Keep the running set: see device.Device."""
         running = self._belief.running
         if running is None:
             raise WriteRefusedError(f"{self._where}: what runs is unknown, so it cannot be stored")
-        self._command(frames.Kind.STORE, lambda _: frames.Store(running.seq), now_s, running.seq)
+        if running.seq == self._requests.probation.seq:
+            raise WriteRefusedError(f"{self._where}: set {running.seq} is on probation; store it once it is confirmed")
+        self._command(lambda: self._requests.commands.store(running.seq), now_s)
 
-    def _command(
-        self, kind: frames.Kind, make: Callable[[int], frames.Frame], now_s: float, number: int | None = None
-    ) -> None:
+    def release(self, now_s: float) -> None:
+        """Give the lease back, so that another host need not wait until it runs out; for the end of a session."""
+        self._requests.lease.release()
+        self._send_due(now_s)
+
+    def _command(self, put: Callable[[], None], now_s: float) -> None:
         """Check a command, then send it until it is answered."""
         try:
-            self._codec.encode(make(0))
+            put()
         except FrameError as error:
             raise WriteRefusedError(f"{self._where}: {error}") from error
-        self._commands.put(kind, make, number)
         self._send_due(now_s)

@@ -1,8 +1,14 @@
 """Address and patience of the host towards one controller on CAN."""
 
-from dataclasses import dataclass
+import math
+import secrets
+from dataclasses import dataclass, field
 
-TIMES = ("sample_time_s", "reply_samples", "reply_floor_s", "silent_samples", "connect_samples", "connect_floor_s")
+TIMES = ("sample_time_s", "reply_samples", "reply_floor_s", "silent_samples", "connect_samples", "connect_floor_s",
+         "lease_samples", "lease_floor_s")  # fmt: skip
+OWNERS = 65535  # the owner's number has 16 bits; 0 is nobody
+LEASE_SAMPLES_MAX = 65535
+KEY_BYTES_MIN = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +25,16 @@ class CanDeviceSettings:
     silent_samples : samples without any frame of the node after which it counts as silent.
     connect_samples : samples after which the first connection is given up.
     connect_floor_s : the same at least in s.
+    owner : this host's number in the lease, 1..65535; hosts on one bus need different ones (fresh_owner).
+    lease_samples : length of the lease in samples: what a host that died leaves the loop locked for.
+    lease_floor_s : the same at least in s.
+    probation_samples : samples that must show a newly written set running before it is confirmed.
+    key : secret that commits are authenticated with, at least 16 bytes; None for none.
 
     Raises
     ------
     ValueError
-        A number is not positive.
+        A number is not positive, or out of its range.
     """
 
     node: int = 1
@@ -34,11 +45,28 @@ class CanDeviceSettings:
     silent_samples: float = 6.0
     connect_samples: float = 20.0
     connect_floor_s: float = 5.0
+    owner: int = 1
+    lease_samples: float = 30.0
+    lease_floor_s: float = 3.0
+    probation_samples: int = 5
+    key: bytes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in TIMES:
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"device: {name} = {getattr(self, name)}; give a positive number")
+        if not 1 <= self.owner <= OWNERS:
+            raise ValueError(f"device: owner = {self.owner}; give 1 to {OWNERS}")
+        if self.probation_samples < 0:
+            raise ValueError(f"device: probation_samples = {self.probation_samples}; give 0 or more")
+        if self.key is not None and len(self.key) < KEY_BYTES_MIN:
+            raise ValueError(f"device: the key has {len(self.key)} bytes; give at least {KEY_BYTES_MIN}")
+
+    @property
+    def lease_length(self) -> int:
+        """Length of the lease in samples."""
+        samples = max(self.lease_samples, self.lease_floor_s / self.sample_time_s, 1.0)
+        return min(math.ceil(samples), LEASE_SAMPLES_MAX)
 
     @property
     def reply_s(self) -> float:
@@ -54,3 +82,8 @@ class CanDeviceSettings:
     def connect_s(self) -> float:
         """How long the first connection may take, s."""
         return max(self.connect_samples * self.sample_time_s, self.connect_floor_s)
+
+
+def fresh_owner() -> int:
+    """A number for a host process that was given none: random, so that two hosts tell each other apart."""
+    return 1 + secrets.randbelow(OWNERS)

@@ -1,18 +1,24 @@
 """The checks on frames and gain sets.
 
 Frames: CRC-8 SAE J1850 (polynomial 0x1D, start 0xFF, final exclusive-or 0xFF), the CRC of AUTOSAR E2E profile 1, over
-the frame's id and the bytes before it, so that a frame under a wrong id fails as well.
-Sets: CRC-32 (zlib) over everything that makes a set the right one: node, epoch, sequence and the gains as they stand on
-the wire. A commit continues it over the sequence that it was built on.
+the frame's id and the bytes before it, so that a frame under a wrong id fails as well. Sets: CRC-32 (zlib) over
+everything that makes a set the right one: node, epoch, sequence and the gains as they stand on the wire. A commit
+continues it over the sequence that it was built on and over the owner of the lease. Samples: CRC-16-CCITT (0x1021,
+start 0xFFFF), the CRC of AUTOSAR E2E profile 5, over node and the fields of both halves, so that halves of two
+samples or two nodes never make one.
 """
 
+import binascii
 import struct
 import zlib
 
+from retuner.drivers.frames import TelemetryPv, TelemetrySp
 from retuner.schedule.gains import PidGains
 
 POLYNOMIAL = 0x1D
 FLOAT32_MAX = 3.4028234663852886e38
+CO_STEP = 0.0001  # percent, resolution of co on the wire
+_SAMPLE = struct.Struct("<BBfiBfBbB")
 
 
 def _table() -> bytes:
@@ -62,6 +68,19 @@ def set_crc(node: int, epoch: int, seq: int, gains: PidGains) -> int:
     return zlib.crc32(struct.pack("<BHHfff", node, epoch, seq, gains.kp, gains.ki, gains.kd))
 
 
-def commit_crc(set_crc_: int, base: int) -> int:
-    """CRC-32 of a commit: the set's, continued over the sequence it is built on."""
-    return zlib.crc32(struct.pack("<H", base), set_crc_)
+def commit_crc(set_crc_: int, base: int, owner: int) -> int:
+    """CRC-32 of a commit: the set's, continued over the sequence it is built on and the owner of the lease."""
+    return zlib.crc32(struct.pack("<HH", base, owner), set_crc_)
+
+
+def co_steps(co: float) -> int:
+    """Controller output in percent as the whole number of CO_STEP that travels."""
+    return round(co / CO_STEP)
+
+
+def sample_crc(node: int, pv: TelemetryPv, sp: TelemetrySp) -> int:
+    """CRC-16 of a sample: node, then counter, pv, co of the first half, then counter, sp, mode, limited, running."""
+    return binascii.crc_hqx(
+        _SAMPLE.pack(node, pv.counter, pv.pv, co_steps(pv.co), sp.counter, sp.sp, sp.mode, sp.limited, sp.running),
+        0xFFFF,
+    )

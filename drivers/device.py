@@ -101,6 +101,28 @@ class RunningChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class Reverted:
+    """The device has gone back to its confirmed set, because the newer one was not confirmed in time."""
+
+    running: RunningSet
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseChanged:
+    """Another host holds the lease on the controller (and this one may only watch), or this one has it (again)."""
+
+    ours: bool
+    owner: int
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignHost:
+    """Commands to this controller that another host has sent: count of them so far. Told at 1, 2, 4, 8, ..."""
+
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
 class SamplesLost:
     """count samples before t_s never arrived: a window that spans them is not for identification."""
 
@@ -131,6 +153,9 @@ Event = (
     | LinkChanged
     | DeviceRestarted
     | RunningChanged
+    | Reverted
+    | LeaseChanged
+    | ForeignHost
     | SamplesLost
     | CommandDone
     | CommandFailed
@@ -171,7 +196,7 @@ class Device(Protocol):
         Raises
         ------
         WriteRefusedError
-            Not connected, a write is under way, or the gains do not fit the wire.
+            Not connected, another host holds the lease, a write is under way, or the gains do not fit the wire.
         """
         ...
 
@@ -199,6 +224,10 @@ class Device(Protocol):
         Raises
         ------
         WriteRefusedError
-            The running set is not known.
+            The running set is not known, or still on probation.
         """
+        ...
+
+    def release(self, now_s: float) -> None:
+        """Let another host command at once: for the end of a session."""
         ...

@@ -6,19 +6,23 @@ codec.py turns them into bytes and back and holds every value to the DBC's range
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANopen 1010h
 HIGHEST_NODE = 63  # 11-bit ids: 6 bits of node, 5 bits of command
+OWNER_TAG = 64  # STAGE carries the owner modulo this
+STORE_TAG = 256  # STORE and STATUS carry the owner modulo this
+RUNNING_TAG = 32  # telemetry carries the running sequence modulo this
 TOKENS = 16  # a read-back request carries a number 0..15, its answers repeat it
 
 
 class Page(IntEnum):
-    """Where a gain set stands in the device; IDENTITY is asked for in the same way."""
+    """Where a gain set stands in the device; IDENTITY and CHALLENGE are asked for in the same way."""
 
     RUNNING = 0
     STAGED = 1
     STORED = 2
     IDENTITY = 3
+    CHALLENGE = 4
 
 
 class Item(IntEnum):
@@ -32,10 +36,12 @@ class Item(IntEnum):
 class Kind(IntEnum):
     """What an acknowledge is about: the command's number."""
 
+    LEASE = 1
     ABORT = 3
     STAGE = 4
     COMMIT = 5
     STORE = 6
+    CONFIRM = 7
     SETPOINT = 8
     MODE = 9
     LOAD = 10
@@ -57,6 +63,12 @@ class Reason(IntEnum):
     OUT_OF_RANGE = 10
     WRONG_KEY = 11
     NOT_STAGED = 12
+    NOT_OWNER = 13
+    NOT_CONFIRMED = 14
+    REVERTED = 15
+    NO_CODE = 16
+    WRONG_CODE = 17
+    LOCKED = 18
 
 
 class Flags(IntFlag):
@@ -65,6 +77,19 @@ class Flags(IntFlag):
     AUTO = 1
     STAGED = 2
     STORED = 4
+    TRIAL = 8
+    OWNED = 16
+    LOCKED = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """Host asks to be the one that commands for so many samples (0: no longer), in this boot epoch."""
+
+    owner: int
+    epoch: int
+    samples: int
+    counter: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +109,10 @@ class Abort:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Host puts one gain of set seq into the staged page."""
+    """Host puts one gain of set seq into the staged page; owner is the low OWNER_TAG bits of the lease's."""
 
     item: int
+    owner: int
     value: float
     seq: int
 
@@ -105,7 +131,25 @@ class Store:
     """Host keeps running set seq over a restart."""
 
     seq: int
+    owner: int
     key: int = STORE_KEY
+
+
+@dataclass(frozen=True, slots=True)
+class Confirm:
+    """Host says that running set seq has proved itself."""
+
+    seq: int
+    owner: int
+
+
+@dataclass(frozen=True, slots=True)
+class Auth:
+    """Half of the code (commit_code.py) of the commit that follows; seq is the low 4 bits of the commit's."""
+
+    part: int
+    seq: int
+    mac: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +158,7 @@ class Setpoint:
 
     counter: int
     sp: float
+    owner: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +168,7 @@ class Mode:
     counter: int
     mode: int
     co: float
+    owner: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +177,7 @@ class Load:
 
     counter: int
     load: float
+    owner: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +191,12 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Sequence numbers (running set, newest seen) and the count of refused frames."""
+    """Sequence numbers (running set, newest seen), the count of refused frames, low 8 bits of the lease's owner."""
 
     running: int
     latest: int
     refused: int
+    owner: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,13 +210,14 @@ class TelemetryPv:
 
 @dataclass(frozen=True, slots=True)
 class TelemetrySp:
-    """Second half of a sample: setpoint, LoopMode, limit at which co stands, running sequence."""
+    """Second half of a sample: setpoint, LoopMode, limit of co, RUNNING_TAG of the running set, checksum.sample_crc."""
 
     counter: int
     sp: float
     mode: int
     limited: int
     running: int
+    crc: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,14 +262,24 @@ class Ack:
     item: int = 0
 
 
-HostFrame = Read | Abort | Stage | Commit | Store | Setpoint | Mode | Load
-DeviceFrame = Heartbeat | Status | TelemetryPv | TelemetrySp | Identity | PageItem | PageEnd | Ack
+@dataclass(frozen=True, slots=True)
+class Challenge:
+    """What the code of the next commit must be worked out over, and whether this device demands a code (0 or 1)."""
+
+    token: int
+    demanded: int
+    nonce: int
+
+
+HostFrame = Lease | Read | Abort | Stage | Commit | Store | Confirm | Auth | Setpoint | Mode | Load
+DeviceFrame = Heartbeat | Status | TelemetryPv | TelemetrySp | Identity | PageItem | PageEnd | Ack | Challenge
 Frame = HostFrame | DeviceFrame
 
 NAMES: dict[str, type[Frame]] = {
-    "READ": Read, "ABORT": Abort, "STAGE": Stage, "COMMIT": Commit, "STORE": Store, "SETPOINT": Setpoint,
-    "MODE": Mode, "LOAD": Load, "HEARTBEAT": Heartbeat, "STATUS": Status, "TELEMETRY_PV": TelemetryPv,
-    "TELEMETRY_SP": TelemetrySp, "IDENTITY": Identity, "ITEM": PageItem, "PAGE": PageEnd, "ACK": Ack,
+    "LEASE": Lease, "READ": Read, "ABORT": Abort, "STAGE": Stage, "COMMIT": Commit, "STORE": Store,
+    "CONFIRM": Confirm, "AUTH": Auth, "SETPOINT": Setpoint, "MODE": Mode, "LOAD": Load, "HEARTBEAT": Heartbeat,
+    "STATUS": Status, "TELEMETRY_PV": TelemetryPv, "TELEMETRY_SP": TelemetrySp, "IDENTITY": Identity,
+    "ITEM": PageItem, "PAGE": PageEnd, "ACK": Ack, "CHALLENGE": Challenge,
 }  # fmt: skip
 
 

@@ -3,10 +3,13 @@
 A set is staged gain by gain, read back, and committed as a whole; it runs from the next sample on. The promise: the
 running set is always one that was committed complete, newer than its predecessor, built on it, with the right CRC-32
 and inside the box. A sequence number that was refused or fenced off is burnt: a late copy of its commit does nothing.
+A committed set is on trial until it is confirmed: only then may it be stored, and when the firmware has a trial time,
+a set that is not confirmed within it gives way to the last confirmed one, under that one's old number.
 """
 
 import struct
 import zlib
+from collections.abc import Callable
 from typing import NamedTuple
 
 from retuner.drivers.checksum import commit_crc, set_crc, to_wire
@@ -15,6 +18,7 @@ from retuner.drivers.frames import (
     Abort,
     Ack,
     Commit,
+    Confirm,
     Item,
     Kind,
     Page,
@@ -69,10 +73,11 @@ class GainPages:
     node : for the CRC of a set.
     box : what may run.
     first : gains that run when nothing is stored (sequence 0); rounded to float32.
+    trial_samples : samples within which a set must be confirmed; 0: it need not be, but is not stored before.
     """
 
-    def __init__(self, node: int, box: GainBox, first: PidGains) -> None:
-        self._node, self._box = node, box
+    def __init__(self, node: int, box: GainBox, first: PidGains, trial_samples: int = 0) -> None:
+        self._node, self._box, self._trial_samples = node, box, trial_samples
         self._first = GainSet(0, to_wire(first))
         self.slots: list[Slot | None] = [None, None]
         self.boot(0)
@@ -81,7 +86,9 @@ class GainPages:
         """Start anew: run the newest whole slot, else the first set; forget what was staged."""
         self._epoch = epoch
         self.running = self._stored()
+        self.confirmed = self.running
         self.latest = self.running.seq
+        self._trial_left = 0
         self._commit_of_running: Commit | None = None
         self._staged: dict[int, float] = {}
         self._staged_seq: int | None = None
@@ -98,6 +105,11 @@ class GainPages:
         """Whether the running set would survive a restart."""
         return any(slot is not None and slot.whole and slot.content == self.running for slot in self.slots)
 
+    @property
+    def on_trial(self) -> bool:
+        """Whether the running set waits for its confirmation."""
+        return self.running != self.confirmed
+
     def stage(self, frame: Stage) -> Ack | None:
         """Put one gain into the staged page; an answer only when refused, the read-back tells the rest."""
         if self._pending is not None:
@@ -109,8 +121,11 @@ class GainPages:
         self._staged[frame.item] = frame.value
         return None
 
-    def commit(self, frame: Commit) -> Ack | None:
-        """Check a commit; None when it is good and waits for the next sample, else the answer."""
+    def commit(self, frame: Commit, owner: int, code: Callable[[Commit, PidGains], Reason]) -> Ack | None:
+        """Check a commit; None when it is good and waits for the next sample, else the answer.
+
+        owner : holder of the lease. code : says whether the commit is authentic; asked last.
+        """
         if frame == self._commit_of_running:
             return self._ack(Kind.COMMIT, frame.seq, Reason.OK)
         if self._pending is not None:
@@ -120,7 +135,7 @@ class GainPages:
         if frame.seq != self._staged_seq:
             reason = Reason.NOT_STAGED if newer(frame.seq, self.latest) else Reason.STALE
             return self._ack(Kind.COMMIT, frame.seq, reason)
-        reason, item = self._judge(frame)
+        reason, item = self._judge(frame, owner, code)
         if reason is Reason.OK:
             self._pending = frame, GainSet(frame.seq, self._staged_gains())
             return None
@@ -129,7 +144,7 @@ class GainPages:
         self._last_answer = frame, answer
         return answer
 
-    def _judge(self, frame: Commit) -> tuple[Reason, int]:
+    def _judge(self, frame: Commit, owner: int, code: Callable[[Commit, PidGains], Reason]) -> tuple[Reason, int]:
         """Every condition of a commit, in the order in which they are told."""
         if frame.base != self.running.seq:
             return Reason.WRONG_BASE, Item.KP
@@ -141,9 +156,10 @@ class GainPages:
         )
         if reason is not Reason.OK:
             return reason, item
-        if frame.crc != commit_crc(set_crc(self._node, self._epoch, frame.seq, self._staged_gains()), frame.base):
+        gains = self._staged_gains()
+        if frame.crc != commit_crc(set_crc(self._node, self._epoch, frame.seq, gains), frame.base, owner):
             return Reason.WRONG_CRC, Item.KP
-        return Reason.OK, Item.KP
+        return code(frame, gains), Item.KP
 
     def swap(self) -> Ack | None:
         """Run the committed set from now on, if there is one: call between reading pv and working out co."""
@@ -151,8 +167,32 @@ class GainPages:
             return None
         frame, self.running = self._pending
         self._pending, self._commit_of_running = None, frame
+        self._trial_left = self._trial_samples
         self._forget_staged()
         return self._ack(Kind.COMMIT, frame.seq, Reason.OK)
+
+    def revert(self) -> Ack | None:
+        """One sample of the trial time has passed; when it is over, run the confirmed set from now on, and say so."""
+        if not self._trial_left or not self.on_trial:
+            return None
+        self._trial_left -= 1
+        if self._trial_left:
+            return None
+        seq, self.running = self.running.seq, self.confirmed
+        self._commit_of_running = None
+        return self._ack(Kind.CONFIRM, seq, Reason.REVERTED)
+
+    def confirm(self, frame: Confirm) -> Ack:
+        """The running set has proved itself."""
+        if frame.seq != self.running.seq:
+            return self._ack(Kind.CONFIRM, frame.seq, Reason.STALE)
+        self.confirmed = self.running
+        return self._ack(Kind.CONFIRM, frame.seq, Reason.OK)
+
+    def drop_staged(self) -> None:
+        """Whoever was staging may not command any more; its number stays burnt, an accepted commit stays accepted."""
+        if self._pending is None:
+            self._forget_staged()
 
     def abort(self, frame: Abort) -> Ack:
         """Fence a sequence number off: unless it runs already, it never will."""
@@ -172,6 +212,8 @@ class GainPages:
             return self._ack(Kind.STORE, frame.seq, Reason.WRONG_KEY)
         if frame.seq != self.running.seq:
             return self._ack(Kind.STORE, frame.seq, Reason.STALE)
+        if self.on_trial:
+            return self._ack(Kind.STORE, frame.seq, Reason.NOT_CONFIRMED)
         if not self.is_stored:
             generations = [slot.generation if slot is not None and slot.whole else 0 for slot in self.slots]
             older = generations.index(min(generations))

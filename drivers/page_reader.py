@@ -6,7 +6,7 @@ question cannot pass for the present state.
 
 from typing import NamedTuple
 
-from retuner.drivers.frames import TOKENS, Item, PageEnd, PageItem, Read
+from retuner.drivers.frames import TOKENS, Challenge, Item, Page, PageEnd, PageItem, Read
 from retuner.schedule.gains import PidGains
 
 
@@ -50,6 +50,11 @@ class PageReader:
         else:
             question.items[frame.item] = frame
         return self._whole(question) if question.ends else None
+
+    def is_newest(self, challenge: Challenge) -> bool:
+        """Whether this answers the newest question for the challenge."""
+        question = self._asked.get(Page.CHALLENGE)
+        return question is not None and challenge.token == question.token
 
     def _whole(self, question: _Question) -> ReadBack | None:
         """The page if all parts are here and belong together."""

@@ -1,19 +1,24 @@
 """Telemetry to samples: joins the two halves of a sample, unwraps their 8-bit counter and notices what is missing.
 
 The heartbeat carries the full 32-bit sample counter and is the reference; a half belongs to the sample nearest to it
-with these low 8 bits. Older or repeated halves are dropped, and a half without its partner is soon forgotten. Telemetry
-has no checksum, the heartbeat has one: when two heartbeats in a row say that the counter stands far behind, they are
-right and a stray half was wrong. Time goes on whatever the counter does, across a restart of the device as well.
+with these low 8 bits. Older or repeated halves are dropped, and a half without its partner is soon forgotten.
+Telemetry carries one CRC-16 for both halves, so halves that do not belong together make no sample. When two
+heartbeats in a row say that the counter stands far behind, they are right and a stray sample was wrong. Time goes on
+whatever the counter does, across a restart of the device as well.
 """
 
 from typing import NamedTuple
 
 from retuner.adaptive.sample import LoopSample
-from retuner.drivers.frames import TelemetryPv, TelemetrySp
+from retuner.drivers.arrival_check import Arrival, ArrivalCheck
+from retuner.drivers.checksum import sample_crc
+from retuner.drivers.frames import RUNNING_TAG, TelemetryPv, TelemetrySp
 
 WRAP = 256  # of the counter in the telemetry frames
 HALF = WRAP // 2
 PATIENCE = 16  # halves after which one that has met no partner is forgotten
+SEQUENCES = 1 << 16
+LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a restart
 BEHIND = 16  # samples by which a late heartbeat may lag behind the telemetry
 
 
@@ -31,6 +36,7 @@ class SampleJoiner:
     ----------
     sample_time_s : of the controller, s.
     variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co".
+    node : of the device, for the CRC.
 
     Raises
     ------
@@ -38,10 +44,10 @@ class SampleJoiner:
         No such variable.
     """
 
-    def __init__(self, sample_time_s: float, variable: str = "sp") -> None:
+    def __init__(self, sample_time_s: float, variable: str = "sp", node: int = 1) -> None:
         if variable not in {"sp", "pv", "co"}:
             raise ValueError(f'variable = "{variable}"; give "sp", "pv" or "co"')
-        self._sample_time_s = sample_time_s
+        self._sample_time_s, self._node = sample_time_s, node
         self._field = LoopSample._fields.index(variable)
         self._offset = 0
         self._reference: int | None = None
@@ -49,7 +55,9 @@ class SampleJoiner:
         self._behind: int | None = None
         self._halves: dict[int, tuple[int, TelemetryPv | TelemetrySp]] = {}
         self._taken = 0
-        self.dropped = 0
+        self.arrivals = ArrivalCheck()
+        self.running = 0  # sequence number of the set last known to run
+        self.ordered: int | None = None  # and of the one that is being written
 
     def set_reference(self, sample: int) -> None:
         """The device says that its counter stands here; see the head of this file for when it moves back."""
@@ -66,6 +74,7 @@ class SampleJoiner:
 
     def forget(self) -> None:
         """Contact was lost: the counter may have wrapped any number of times; the next reference tells."""
+        self.arrivals.note(Arrival.TIMEOUT)
         self._reference = None
         self._halves.clear()
 
@@ -78,6 +87,11 @@ class SampleJoiner:
         self._reference = sample
         self._halves.clear()
 
+    def restart_after(self, sample: int, silence_s: float) -> None:
+        """The device counts anew from sample, silence_s after the last one."""
+        gap = silence_s / self._sample_time_s
+        self.restart(sample, round(gap) if 1 < gap < LONGEST_GAP else 1)
+
     def take(self, half: TelemetryPv | TelemetrySp) -> Joined | None:
         """Note half a sample; the sample once both halves are here."""
         if self._reference is None:
@@ -85,7 +99,8 @@ class SampleJoiner:
         ahead = (half.counter - self._reference) % WRAP
         number = self._reference + (ahead if ahead < HALF else ahead - WRAP)
         if self._last is not None and number <= self._last:
-            self.dropped += 1
+            if isinstance(half, TelemetrySp):
+                self.arrivals.ahead(number - self._last)
             return None
         self._taken += 1
         since, other = self._halves.get(number, (self._taken, None))
@@ -97,11 +112,22 @@ class SampleJoiner:
         self._halves[number] = self._taken, half
         return None
 
-    def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> Joined:
-        """The sample; what is older is given up."""
+    def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> Joined | None:
+        """The sample; what is older is given up. None when the halves do not belong together."""
+        if sp.crc != sample_crc(self._node, pv, sp):
+            self.arrivals.note(Arrival.WRONG_CRC)
+            del self._halves[number]
+            return None
         lost = 0 if self._last is None else number - self._last - 1
+        self.arrivals.ahead(lost + 1)
         self._last = self._reference = number
         self._halves = {n: kept for n, kept in self._halves.items() if n > number}
         t_s = (number + self._offset) * self._sample_time_s
-        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, 0.0, sp.running)
+        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, 0.0, self._revision(sp.running))
         return Joined(sample._replace(x=sample[self._field]), lost)
+
+    def _revision(self, tag: int) -> int:
+        """The sequence number with these low bits: the known one, the ordered one, else the next one upwards."""
+        if self.ordered is not None and self.ordered % RUNNING_TAG == tag:
+            return self.ordered
+        return (self.running + (tag - self.running) % RUNNING_TAG) % SEQUENCES

@@ -6,24 +6,33 @@ reads a clock or a bus: device_process.py and the tests move frames and time.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TypeVar
 
 import can
 
 from retuner.adaptive.sample import LoopMode
+from retuner.drivers.checksum import CO_STEP, co_steps, sample_crc
 from retuner.drivers.codec import Codec, Refusal, Refused, schema
+from retuner.drivers.commit_code import CodeDesk, fresh_nonce
+from retuner.drivers.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.frames import (
+    OWNER_TAG,
     PROTOCOL_VERSION,
+    RUNNING_TAG,
+    STORE_TAG,
     Abort,
     Ack,
+    Auth,
+    Challenge,
     Commit,
+    Confirm,
     DeviceFrame,
     Flags,
     Frame,
     Heartbeat,
     Identity,
     Kind,
+    Lease,
     Load,
     Mode,
     Page,
@@ -37,70 +46,20 @@ from retuner.drivers.frames import (
     TelemetrySp,
     newer,
 )
-from retuner.drivers.gain_box import GainBox
 from retuner.drivers.gain_pages import GainPages, GainSet
+from retuner.drivers.lease_desk import LeaseDesk
 from retuner.drivers.plant import Plant
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import LIMITED, PidLaw, StateTuple, change, law, start, step, track
+from retuner.schedule.pid import LIMITED, StateTuple, change, start, step, track
+
+__all__ = ["VirtualDevice", "VirtualDeviceSettings"]
 
 Command = TypeVar("Command", Setpoint, Mode, Load)
 
-CO_WIRE = (-100.0, 200.0)  # percent, range of co in retuner.dbc
+PV_WIRE = (-1e9, 1e9)  # range of pv in retuner.dbc
 SAMPLE_WRAP = 1 << 32
 STATUS_WRAP = 1 << 16
 COUNTER_BITS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class VirtualDeviceSettings:
-    """What is burnt into the firmware.
-
-    Parameters
-    ----------
-    gains : set that runs until another is committed or found in the store.
-    node : address on the bus, 1..63.
-    sample_time_s : controller sample time in s.
-    box : gains that the device accepts.
-    sp_min, sp_max : setpoints that it accepts, pv units.
-    co_min, co_max : range of the output, percent, within -100..200.
-    co_rate_per_s : largest rate of the output, percent per second; None for no limit.
-    b : setpoint weight. tau_f_s : filter time of the derivative, s.
-    heartbeat_samples : samples between life signs.
-
-    Raises
-    ------
-    ValueError
-        A setting is outside its range (named).
-    """
-
-    gains: PidGains
-    node: int = 1
-    sample_time_s: float = 2.0
-    box: GainBox = field(default_factory=GainBox)
-    sp_min: float = -1e9
-    sp_max: float = 1e9
-    co_min: float = 0.0
-    co_max: float = 100.0
-    co_rate_per_s: float | None = None
-    b: float = 1.0
-    tau_f_s: float = 0.0
-    heartbeat_samples: int = 5
-
-    def __post_init__(self) -> None:
-        if not 1e-4 <= self.sample_time_s <= 3600:
-            raise ValueError(f"device: sample_time_s = {self.sample_time_s}; give 0.0001 to 3600 s")
-        if not CO_WIRE[0] <= self.co_min < self.co_max <= CO_WIRE[1]:
-            raise ValueError(f"device: co {self.co_min}..{self.co_max}; give a range within {CO_WIRE}")
-        if not self.sp_min < self.sp_max:
-            raise ValueError(f"device: sp_min = {self.sp_min} must be below sp_max = {self.sp_max}")
-        if not 1 <= self.heartbeat_samples <= 100:
-            raise ValueError(f"device: heartbeat_samples = {self.heartbeat_samples}; give 1 to 100")
-        self.law_of(self.gains)
-
-    def law_of(self, gains: PidGains) -> PidLaw:
-        """The PID law with these gains."""
-        return law(gains, b=self.b, tau_f_s=self.tau_f_s, co_min=self.co_min, co_max=self.co_max,
-                   co_rate_per_s=self.co_rate_per_s)  # fmt: skip
 
 
 class VirtualDevice:
@@ -111,12 +70,17 @@ class VirtualDevice:
     settings : firmware.
     plant : what it controls; the loop starts at rest at the plant's pv, in auto.
     epoch : number of this boot, 0..65535; every restart takes the next one.
+    nonce : makes the challenges that commit codes are worked out over.
     """
 
-    def __init__(self, settings: VirtualDeviceSettings, plant: Plant, epoch: int = 1) -> None:
+    def __init__(
+        self, settings: VirtualDeviceSettings, plant: Plant, epoch: int = 1, nonce: Callable[[], int] = fresh_nonce
+    ) -> None:
         self.settings, self.plant = settings, plant
         self._codec = Codec(settings.node)
-        self.pages = GainPages(settings.node, settings.box, settings.gains)
+        self.pages = GainPages(settings.node, settings.box, settings.gains, settings.trial_samples)
+        self.lease = LeaseDesk(settings.lease_longest_samples)
+        self.code = CodeDesk(settings.key, settings.lock_samples, nonce)
         self.epoch = epoch
         self.load = 0.0
         self._boot()
@@ -124,6 +88,8 @@ class VirtualDevice:
     def _boot(self) -> None:
         """State after power-on: in auto, at rest at the present pv."""
         self.pages.boot(self.epoch)
+        self.lease.boot()
+        self.code.boot()
         self.sample = 0
         self.refused = 0
         self.sp = self.pv = self.plant.pv
@@ -153,7 +119,7 @@ class VirtualDevice:
         dt = self.settings.sample_time_s if dt_s is None else dt_s
         self.pv = self.plant.step(self.co, self.load, dt)
         frames: list[DeviceFrame] = []
-        acknowledge = self.pages.swap()
+        acknowledge = self.pages.swap() or self.pages.revert()
         if acknowledge is not None:
             frames.append(acknowledge)
             new = self.settings.law_of(self.running.gains)
@@ -164,6 +130,9 @@ class VirtualDevice:
         else:
             self._state, self.co = track(self._law, self._state, self.sp, self.pv, self._manual_co, dt)
         self.sample = (self.sample + 1) % SAMPLE_WRAP
+        self.code.tick()
+        if self.lease.tick():
+            self.pages.drop_staged()
         frames += self._telemetry()
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
@@ -183,30 +152,73 @@ class VirtualDevice:
         match frame:
             case Read(page=Page.IDENTITY):
                 return [Identity(PROTOCOL_VERSION, schema(), self.settings.sample_time_s), *self._life_sign()]
+            case Read(page=Page.CHALLENGE):
+                return [Challenge(frame.token, int(self.code.demanded), self.code.nonce)]
             case Read():
                 return list(self.pages.read(frame))
-            case Stage():
-                return _some(self.pages.stage(frame))
-            case Commit():
-                return _some(self.pages.commit(frame))
+            case Lease():
+                return [self._take_lease(frame)]
             case Abort():
                 return [self.pages.abort(frame)]
-            case Store():
-                return [self.pages.store(frame)]
-            case Setpoint():
-                inside = self.settings.sp_min <= frame.sp <= self.settings.sp_max
-                return [self._obey(Kind.SETPOINT, frame, inside=inside, act=self._take_setpoint)]
-            case Mode():
-                inside = self.settings.co_min <= frame.co <= self.settings.co_max or frame.mode == LoopMode.AUTO
-                return [self._obey(Kind.MODE, frame, inside=inside, act=self._take_mode)]
-            case Load():
-                return [self._obey(Kind.LOAD, frame, inside=True, act=self._take_load)]
+            case Stage() | Commit() | Auth() | Confirm() | Store():
+                return _some(self._change(frame))
+            case Setpoint() | Mode() | Load():
+                return [self._command(frame)]
             case _:  # a frame that only devices send: another device under this node's number
                 self.refused += 1
                 return []
 
+    def _take_lease(self, frame: Lease) -> Ack:
+        """Give, prolong or take back the lease; a page staged under one that ends is dropped."""
+        before = self.lease.owner
+        answer = self.lease.request(frame, self.epoch)
+        if self.lease.owner != before:
+            self.pages.drop_staged()
+        return answer
+
+    def _change(self, frame: Stage | Commit | Auth | Confirm | Store) -> Ack | None:
+        """A step towards another running or stored set: for the owner of the lease alone."""
+        lease, pages = self.lease, self.pages
+        match frame:
+            case Stage():
+                if lease.allows(frame.owner, OWNER_TAG):
+                    return pages.stage(frame)
+                return Ack(Kind.STAGE, frame.seq, Reason.NOT_OWNER, pages.latest, frame.item)
+            case Commit():  # its CRC covers the owner
+                return pages.commit(frame, lease.owner, self._code_of)
+            case Auth():
+                self.code.take(frame)
+                return None
+            case Confirm():
+                if lease.allows(frame.owner):
+                    return pages.confirm(frame)
+                return Ack(Kind.CONFIRM, frame.seq, Reason.NOT_OWNER, pages.latest)
+            case Store():
+                if lease.allows(frame.owner, STORE_TAG):
+                    return pages.store(frame)
+                return Ack(Kind.STORE, frame.seq, Reason.NOT_OWNER, pages.latest)
+
+    def _code_of(self, frame: Commit, gains: PidGains) -> Reason:
+        """Whether a commit is authentic."""
+        return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
+
+    def _command(self, frame: Setpoint | Mode | Load) -> Ack:
+        """A command about the loop, by its type."""
+        settings = self.settings
+        match frame:
+            case Setpoint():
+                inside = settings.sp_min <= frame.sp <= settings.sp_max
+                return self._obey(Kind.SETPOINT, frame, inside=inside, act=self._take_setpoint)
+            case Mode():
+                inside = settings.co_min <= frame.co <= settings.co_max or frame.mode == LoopMode.AUTO
+                return self._obey(Kind.MODE, frame, inside=inside, act=self._take_mode)
+            case Load():
+                return self._obey(Kind.LOAD, frame, inside=True, act=self._take_load)
+
     def _obey(self, kind: Kind, frame: Command, *, inside: bool, act: Callable[[Command], None]) -> Ack:
         """Act once on a newer frame, answer a repeated one again, refuse an older one."""
+        if not self.lease.allows(frame.owner):
+            return Ack(kind, frame.counter, Reason.NOT_OWNER, frame.counter)
         last = self._last.get(kind)
         if last is not None and frame != last and not newer(frame.counter, last.counter, COUNTER_BITS):
             return Ack(kind, frame.counter, Reason.STALE, last.counter)
@@ -231,10 +243,11 @@ class VirtualDevice:
         """Both halves of this sample."""
         counter = self.sample % (1 << COUNTER_BITS)
         mode = LoopMode.AUTO if self.auto else LoopMode.MANUAL
-        return [
-            TelemetryPv(counter, self.pv, self.co),
-            TelemetrySp(counter, self.sp, mode, int(self._state[LIMITED]), self.running.seq),
-        ]
+        low, high = PV_WIRE
+        pv = TelemetryPv(counter, min(max(self.pv, low), high), co_steps(self.co) * CO_STEP)
+        limited, running = int(self._state[LIMITED]), self.running.seq % RUNNING_TAG
+        crc = sample_crc(self.settings.node, pv, TelemetrySp(counter, self.sp, mode, limited, running, 0))
+        return [pv, TelemetrySp(counter, self.sp, mode, limited, running, crc)]
 
     def _life_sign(self) -> list[DeviceFrame]:
         """Heartbeat and status."""
@@ -242,9 +255,12 @@ class VirtualDevice:
         flags |= Flags.AUTO if self.auto else Flags(0)
         flags |= Flags.STAGED if self.pages.has_staged else Flags(0)
         flags |= Flags.STORED if self.pages.is_stored else Flags(0)
+        flags |= Flags.TRIAL if self.pages.on_trial else Flags(0)
+        flags |= Flags.OWNED if self.lease.owner else Flags(0)
+        flags |= Flags.LOCKED if self.code.locked else Flags(0)
         return [
             Heartbeat(self.sample, self.epoch, int(flags)),
-            Status(self.running.seq, self.pages.latest, self.refused % STATUS_WRAP),
+            Status(self.running.seq, self.pages.latest, self.refused % STATUS_WRAP, self.lease.owner % STORE_TAG),
         ]
 
 

@@ -11,12 +11,27 @@ on asking and the result is unknown, and said to be.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from retuner.drivers.checksum import commit_crc, set_crc
+from retuner.drivers.commit_code import code_frames, commit_code
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
-from retuner.drivers.frames import Abort, Ack, Commit, Frame, Item, Kind, Page, Reason, Stage, newer, reason_text
+from retuner.drivers.frames import (
+    OWNER_TAG,
+    Abort,
+    Ack,
+    Challenge,
+    Commit,
+    Frame,
+    Item,
+    Kind,
+    Page,
+    Reason,
+    Stage,
+    newer,
+    reason_text,
+)
 from retuner.drivers.page_reader import PageReader, ReadBack
 from retuner.schedule.gains import PidGains
 
@@ -75,17 +90,23 @@ UNKNOWN_AFTER = 3  # tries of FENCING or READING without an answer after which t
 
 @dataclass(frozen=True, slots=True)
 class WriteOrder:
-    """What is to be written: the gains as float32, built on set base, in this boot epoch of the node."""
+    """What is to be written: the gains as float32, built on set base, in this boot epoch of the node, by this owner."""
 
     node: int
     epoch: int
     seq: int
     base: int
     gains: PidGains
+    owner: int = 1
+    key: bytes | None = field(default=None, repr=False)
 
-    def commit(self) -> Commit:
-        """The commit of this order."""
-        return Commit(self.seq, self.base, commit_crc(self.set_crc, self.base))
+    def commit(self, nonce: int | None = None) -> list[Frame]:
+        """The commit of this order, with its code in front when there is a key; nonce is the device's challenge."""
+        commit = Commit(self.seq, self.base, commit_crc(self.set_crc, self.base, self.owner))
+        if self.key is None or nonce is None:
+            return [commit]
+        code = commit_code(self.key, self.node, self.epoch, nonce, self.owner, self.seq, self.base, self.gains)
+        return [*code_frames(code, self.seq), commit]
 
     @property
     def set_crc(self) -> int:
@@ -95,7 +116,7 @@ class WriteOrder:
     def stage(self) -> list[Frame]:
         """The frames that stage it."""
         values = zip(Item, (self.gains.kp, self.gains.ki, self.gains.kd), strict=True)
-        return [Stage(item, value, self.seq) for item, value in values]
+        return [Stage(item, self.owner % OWNER_TAG, value, self.seq) for item, value in values]
 
 
 class Sequence:
@@ -116,9 +137,6 @@ class Sequence:
         return (newest + 1) % SEQUENCES
 
 
-Outcome = WriteDone | WriteFailed | WriteUnknown
-
-
 class WriteProtocol:
     """One write after another over one device.
 
@@ -134,6 +152,8 @@ class WriteProtocol:
         self._why = ""
         self._tries = 0
         self._told_unknown = False
+        self._nonce: int | None = None
+        self._staged_right = False
         self._deadline_s: float | None = None
         self.phase = WritePhase.IDLE
 
@@ -145,7 +165,8 @@ class WriteProtocol:
     def begin(self, order: WriteOrder) -> None:
         """Start a write; only when not busy."""
         self._order, self._why = order, "no answer to the commit"
-        self._told_unknown = False
+        self._told_unknown = self._staged_right = False
+        self._nonce = None
         self._move(WriteInput.BEGIN)
 
     def due(self, now_s: float) -> list[Frame]:
@@ -163,11 +184,16 @@ class WriteProtocol:
     def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[Frame]]]:
         """What each phase sends."""
         return {
-            WritePhase.STAGING: lambda order: [*order.stage(), self._reader.ask(Page.STAGED)],
-            WritePhase.COMMITTING: lambda order: [order.commit()],
+            WritePhase.STAGING: self._stage,
+            WritePhase.COMMITTING: lambda order: order.commit(self._nonce),
             WritePhase.FENCING: lambda order: [Abort(order.seq)],
             WritePhase.READING: lambda _: [self._reader.ask(Page.RUNNING)],
         }
+
+    def _stage(self, order: WriteOrder) -> list[Frame]:
+        """Gains, the question how they stand there, and with a key the question for the challenge."""
+        challenge = [self._reader.ask(Page.CHALLENGE)] if order.key is not None else []
+        return [*order.stage(), self._reader.ask(Page.STAGED), *challenge]
 
     def _time_out(self) -> None:
         """The phase's time is over."""
@@ -193,6 +219,7 @@ class WriteProtocol:
         if ack.kind == Kind.ABORT:
             self._move(WriteInput.FENCED)
         elif ack.kind == Kind.COMMIT and ack.reason == Reason.OK:
+            self._why = "it ran, but gave way before it could be read back"
             self._move(WriteInput.ACCEPTED)
         elif ack.kind in {Kind.COMMIT, Kind.STAGE}:
             if self.phase in {WritePhase.STAGING, WritePhase.COMMITTING}:
@@ -204,8 +231,23 @@ class WriteProtocol:
         order = self._order
         if order is None:
             return
-        right = page.seq == order.seq and page.gains == order.gains and page.crc == order.set_crc
-        self._move(WriteInput.STAGED_RIGHT if right else WriteInput.STAGED_WRONG)
+        self._staged_right = page.seq == order.seq and page.gains == order.gains and page.crc == order.set_crc
+        if not self._staged_right:
+            self._move(WriteInput.STAGED_WRONG)
+        elif order.key is None or self._nonce is not None:
+            self._move(WriteInput.STAGED_RIGHT)
+
+    def on_challenge(self, challenge: Challenge) -> None:
+        """The device's challenge has come. One that demands no code from a host with a key is not the right device."""
+        if self._order is None or self._order.key is None or self.phase is not WritePhase.STAGING:
+            return
+        if not challenge.demanded:
+            self._why = "this host has a key, but the device demands no code for a commit"
+            self._move(WriteInput.REFUSED)
+            return
+        self._nonce = challenge.nonce
+        if self._staged_right:
+            self._move(WriteInput.STAGED_RIGHT)
 
     def on_restart(self) -> None:
         """The device has booted."""
@@ -213,7 +255,7 @@ class WriteProtocol:
             self._why = "the device restarted"
         self._move(WriteInput.RESTARTED)
 
-    def on_running(self, running: RunningSet) -> Outcome | None:
+    def on_running(self, running: RunningSet) -> WriteDone | WriteFailed | None:
         """The running page has been read back and its CRC is right; the outcome if that was the last step."""
         order = self._order
         asked = self.phase is WritePhase.READING and self._tries > 0  # an answer to an older question proves nothing

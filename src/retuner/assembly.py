@@ -11,7 +11,7 @@ from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.config import Config
 from retuner.config.bench import OvenPlantConfig
 from retuner.drivers.bus import LinkSettings
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.gain_box import GainBox
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.oven_plant import OvenPlant
@@ -106,7 +106,10 @@ def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
 
 
 def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
-    """The host's address book entry for the controller; floors are machine seconds, so they grow with speed."""
+    """The host's address book entry for the controller; floors are machine seconds, so they grow with speed.
+
+    On a bus inside this process nobody else can be, and equal runs give equal bytes: the host is number 1 there.
+    """
     standard = CanDeviceSettings()
     return replace(
         standard,
@@ -115,4 +118,6 @@ def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
         variable=config.schedule.variable,
         reply_floor_s=standard.reply_floor_s * speed,
         connect_floor_s=standard.connect_floor_s * speed,
+        lease_floor_s=standard.lease_floor_s * speed,
+        owner=standard.owner if config.bus.interface == "virtual" else fresh_owner(),
     )

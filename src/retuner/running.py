@@ -93,11 +93,14 @@ class Run:
         clock: Clock = MonotonicClock(speed)
         with CanLink(link_settings(self.config, speed), clock, self._log) as link:
             session = self._session(link, speed)
-            while not session.finished:
-                with unstoppable():
-                    session.poll(clock.now_s())
-                    session.link_faults(link.news())
-                link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
+            try:
+                while not session.finished:
+                    with unstoppable():
+                        session.poll(clock.now_s())
+                        session.link_faults(link.news())
+                    link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
+            finally:
+                session.device.release(clock.now_s())
             return session
 
     def _session(self, link: CanLink, speed: float = 1.0) -> Session:

@@ -20,7 +20,10 @@ from retuner.drivers.device import (
     Device,
     DeviceRestarted,
     Event,
+    ForeignHost,
+    LeaseChanged,
     LinkChanged,
+    Reverted,
     RunningChanged,
     RunningSet,
     SamplesLost,
@@ -74,6 +77,12 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
             return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains)}
         case RunningChanged():
             return "foreign", {"gains": gains_dict(event.running.gains)}
+        case Reverted():
+            return "reverted", {"gains": gains_dict(event.running.gains)}
+        case LeaseChanged():
+            return "lease", {"ours": event.ours, "owner": event.owner}
+        case ForeignHost():
+            return "foreign_host", {"commands": event.count}
         case SamplesLost():
             return "lost", {"samples": event.count}
         case CommandFailed():
@@ -248,6 +257,8 @@ class Session:
             case CommandDone():
                 pass
             case _:
+                if isinstance(event, Reverted):  # it was not confirmed in time: no hurry to write it again
+                    self._retry_at_s = self._t_s + RETRY_SAMPLES * self.retuner.settings.sample_time_s
                 kind, body = trouble(event)
                 self._record(kind, self._t_s, body)
                 if isinstance(event, HELD_BY):

@@ -134,7 +134,7 @@ def test_a_second_host_that_starts_its_counters_anew_is_heard_all_the_same(bench
     for sp in range(51, 60):
         bench.host.send_setpoint(float(sp), bench.now_s)
         bench.run(2)
-    bench.host._commands._counters.clear()  # what a restarted host knows
+    bench.host._requests.commands._counters.clear()  # what a restarted host knows
     bench.host.send_setpoint(70.0, bench.now_s)
     assert CommandDone("setpoint") in bench.run(4)
     assert bench.device.sp == 70.0
@@ -320,7 +320,7 @@ def test_lost_samples_are_told(bench) -> None:
 
 
 def test_frames_of_another_host_are_counted(bench) -> None:
-    bench.far.send(CODEC.encode(frames.Setpoint(9, 1.0)))
+    bench.far.send(CODEC.encode(frames.Setpoint(9, 1.0, 2)))
     bench.run(1)
     assert bench.host.foreign_commands == 1
 
@@ -342,7 +342,7 @@ def test_a_device_that_is_not_the_expected_one_is_refused(make_bench, settings, 
 
 def test_another_protocol_or_layout_is_refused(make_bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("retuner.drivers.virtual_device.PROTOCOL_VERSION", 9)
-    with pytest.raises(DeviceMismatchError, match="protocol 9, this host 1"):
+    with pytest.raises(DeviceMismatchError, match="protocol 9, this host 2"):
         make_bench().run(5)
     monkeypatch.undo()
     monkeypatch.setattr("retuner.drivers.virtual_device.schema", lambda: 0xABCD)

@@ -19,11 +19,12 @@ from retuner.schedule.gains import PidGains
 NODE = 5
 CODEC = Codec(NODE)
 SAMPLES: list[frames.Frame] = [
-    frames.Read(1, 15), frames.Abort(65535), frames.Stage(2, -1.5, 300), frames.Commit(2, 1, 0xFFFFFFFF),
-    frames.Store(7), frames.Setpoint(255, 120.25), frames.Mode(1, 0, 47.125), frames.Load(3, -5.0),
-    frames.Heartbeat(2**32 - 1, 65535, 7), frames.Status(1, 2, 3), frames.TelemetryPv(9, 88.5, -0.0001),
-    frames.TelemetrySp(9, 90.0, 1, -1, 4), frames.Identity(1, 0xBEEF, 2.0), frames.PageItem(2, 1, 15, 0.5, 9),
-    frames.PageEnd(2, 1, 3, 9, 12345), frames.Ack(5, 9, 7, 9, 2),
+    frames.Lease(65535, 7, 300, 255), frames.Read(1, 15), frames.Abort(65535), frames.Stage(2, 63, -1.5, 300),
+    frames.Commit(2, 1, 0xFFFFFFFF), frames.Store(7, 255), frames.Confirm(7, 65535), frames.Auth(1, 15, 2**48 - 1),
+    frames.Setpoint(255, 120.25, 1), frames.Mode(1, 0, 47.125, 2), frames.Load(3, -5.0, 3),
+    frames.Heartbeat(2**32 - 1, 65535, 63), frames.Status(1, 2, 3, 255), frames.TelemetryPv(9, 88.5, -0.0001),
+    frames.TelemetrySp(9, 90.0, 1, -1, 31, 65535), frames.Identity(1, 0xBEEF, 2.0), frames.PageItem(2, 1, 15, 0.5, 9),
+    frames.PageEnd(2, 1, 3, 9, 12345), frames.Ack(5, 9, 18, 9, 2), frames.Challenge(15, 1, 2**48 - 1),
 ]  # fmt: skip
 
 
@@ -31,7 +32,7 @@ def test_check_values_of_the_checksum() -> None:
     assert crc8(b"123456789") == 0x4B  # SAE J1850, published check value
     gains = PidGains(1.0, 0.25, 0.5)
     assert len({set_crc(n, e, s, gains) for n in (1, 2) for e in (0, 1) for s in (0, 1)}) == 8
-    assert len({commit_crc(set_crc(1, 2, 3, gains), base) for base in range(256)}) == 256
+    assert len({commit_crc(set_crc(1, 2, 3, gains), base, owner) for base in range(99) for owner in (1, 2)}) == 198
 
 
 def test_the_dbc_is_complete() -> None:
@@ -66,7 +67,7 @@ def test_foreign_tools_read_the_frames_with_the_shipped_dbc() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e13, -1e13])
 def test_numbers_that_must_not_travel_are_refused_when_sent_and_when_received(value: float) -> None:
     with pytest.raises(FrameError, match=r"STAGE\.value = .*give a number from"):
-        CODEC.encode(frames.Stage(0, value, 1))
+        CODEC.encode(frames.Stage(0, 1, value, 1))
     message = CODEC.encode(frames.TelemetryPv(1, 0.0, 0.0))
     message.data[1:5] = struct.pack("<f", value)
     assert CODEC.decode(message) == Refused(Refusal.RANGE)

@@ -125,7 +125,7 @@ class World:
         except WriteRefusedError:
             return
         self.asked += 1
-        self.newest = self.host._write._order.gains
+        self.newest = self.host._requests.write._order.gains
         self.ordered[self.host._belief.epoch, seq] = self.newest
 
     def _note_running(self) -> None:

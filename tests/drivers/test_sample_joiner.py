@@ -1,17 +1,21 @@
 """Telemetry to samples: wrap, loss, repetition, order, stray halves and restarts."""
 
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from retuner.drivers.checksum import sample_crc
 from retuner.drivers.frames import TelemetryPv, TelemetrySp
 from retuner.drivers.sample_joiner import Joined, SampleJoiner
 
 
 def halves(number: int, revision: int = 1) -> tuple[TelemetryPv, TelemetrySp]:
-    return TelemetryPv(number % 256, float(number), 50.0), TelemetrySp(number % 256, 7.0, 1, 0, revision)
+    pv = TelemetryPv(number % 256, float(number), 50.0)
+    sp = TelemetrySp(number % 256, 7.0, 1, 0, revision, 0)
+    return pv, replace(sp, crc=sample_crc(1, pv, sp))
 
 
 def feed(joiner: SampleJoiner, number: int) -> list[Joined]:
@@ -57,7 +61,7 @@ def test_whatever_arrives_the_samples_are_true_and_the_loss_is_counted(seed: int
 def test_a_stray_half_is_not_joined_with_a_later_sample() -> None:
     joiner = SampleJoiner(1.0)
     joiner.set_reference(1)
-    joiner.take(halves(60, revision=99)[1])
+    joiner.take(halves(60, revision=9)[1])
     got = [j for n in range(2, 80) for j in feed(joiner, n)]
     assert {j.sample.revision for j in got} == {1}
     assert len(got) == 78

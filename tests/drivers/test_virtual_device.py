@@ -18,9 +18,11 @@ from retuner.drivers.frames import (
     Abort,
     Ack,
     Commit,
+    Confirm,
     Frame,
     Heartbeat,
     Item,
+    Lease,
     Mode,
     Page,
     PageEnd,
@@ -40,13 +42,22 @@ from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)
+OWNER = 9
 FIRST, SECOND, THIRD = PidGains(1.0, 0.0625, 0.5), PidGains(1.5, 0.125, 0.75), PidGains(2.0, 0.25, 1.0)
 
 
 def device(**firmware: object) -> VirtualDevice:
     plant = LinearPlant(LinearProcess(1.2, (30.0,), (), 4.0), start_pv=50.0, start_co=40.0)
     box = GainBox(kp_max=20.0, ki_max=2.0, kd_max=5.0, ratio_max=10.0, direction=1)
-    return VirtualDevice(VirtualDeviceSettings(**{"gains": FIRST, "box": box, **firmware}), plant)
+    dev = VirtualDevice(VirtualDeviceSettings(**{"gains": FIRST, "box": box, **firmware}), plant)
+    take_lease(dev)
+    return dev
+
+
+def take_lease(dev: VirtualDevice, owner: int = OWNER, samples: int = 6000, counter: int = 1) -> Ack:
+    (answer,) = say(dev, Lease(owner, dev.epoch, samples, counter))
+    assert isinstance(answer, Ack)
+    return answer
 
 
 def say(dev: VirtualDevice, *frames: Frame) -> list[Frame]:
@@ -54,11 +65,11 @@ def say(dev: VirtualDevice, *frames: Frame) -> list[Frame]:
 
 
 def stage(seq: int, gains: PidGains) -> list[Frame]:
-    return [Stage(Item.KP, gains.kp, seq), Stage(Item.KI, gains.ki, seq), Stage(Item.KD, gains.kd, seq)]
+    return [Stage(item, OWNER, value, seq) for item, value in zip(Item, (gains.kp, gains.ki, gains.kd), strict=True)]
 
 
 def commit(seq: int, gains: PidGains, base: int = 0, epoch: int = 1, node: int = 1) -> Commit:
-    return Commit(seq, base, commit_crc(set_crc(node, epoch, seq, gains), base))
+    return Commit(seq, base, commit_crc(set_crc(node, epoch, seq, gains), base, OWNER))
 
 
 def step(dev: VirtualDevice) -> list[Frame]:
@@ -105,7 +116,7 @@ def test_pages_are_read_as_they_stand() -> None:
         ([*stage(1, PidGains(1.0, 3.0, 0.5)), commit(1, PidGains(1.0, 3.0, 0.5))], Reason.OUTSIDE_BOX),
         ([*stage(1, PidGains(-1.0, -0.0625, -0.5)), commit(1, PidGains(-1.0, -0.0625, -0.5))], Reason.OUTSIDE_BOX),
         ([*stage(1, PidGains(11.0, 0.0625, 0.5)), commit(1, PidGains(11.0, 0.0625, 0.5))], Reason.RATIO),
-        ([Stage(0, 0.0, 1), Stage(1, 0.0, 1), Stage(2, 0.0, 1), Commit(1, 0, 0)], Reason.OUTSIDE_BOX),
+        ([*(Stage(item, OWNER, 0.0, 1) for item in Item), Commit(1, 0, 0)], Reason.OUTSIDE_BOX),
     ],
 )
 def test_bad_commits_are_refused_with_their_reason_and_burn_the_number(frames: list[Frame], reason: Reason) -> None:
@@ -123,7 +134,7 @@ def test_bad_commits_are_refused_with_their_reason_and_burn_the_number(frames: l
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30])
 def test_numbers_that_are_none_are_not_staged(value: float) -> None:
     dev = device()
-    message = CODEC.encode(Stage(Item.KP, 1.0, 1))
+    message = CODEC.encode(Stage(Item.KP, OWNER, 1.0, 1))
     message.data[1:5] = struct.pack("<f", value)
     message.data[-1] = frame_crc(message.arbitration_id, message.data[:-1])
     assert dev.receive(message) == []
@@ -164,6 +175,7 @@ def test_an_old_set_replayed_as_a_whole_is_refused() -> None:
     step(dev)
     assert dev.running.gains == THIRD
     dev.restart()
+    take_lease(dev)
     assert acks(say(dev, *old)) == [Reason.WRONG_CRC]  # another epoch
 
 
@@ -180,11 +192,12 @@ def test_storing_needs_the_key_and_the_running_number_and_keeps_two_slots() -> N
     dev = device()
     say(dev, *stage(1, SECOND), commit(1, SECOND))
     step(dev)
-    assert acks(say(dev, Store(1, 5), Store(0, STORE_KEY))) == [Reason.WRONG_KEY, Reason.STALE]
-    assert acks(say(dev, Store(1), Store(1))) == [Reason.OK, Reason.OK]
+    assert acks(say(dev, Store(1, OWNER, 5), Store(0, OWNER, STORE_KEY))) == [Reason.WRONG_KEY, Reason.STALE]
+    assert acks(say(dev, Store(1, OWNER), Confirm(1, OWNER))) == [Reason.NOT_CONFIRMED, Reason.OK]
+    assert acks(say(dev, Store(1, OWNER), Store(1, OWNER))) == [Reason.OK, Reason.OK]
     say(dev, *stage(2, THIRD), commit(2, THIRD, base=1))
     step(dev)
-    say(dev, Store(2))
+    say(dev, Confirm(2, OWNER), Store(2, OWNER))
     assert {slot.content.seq for slot in dev.pages.slots if slot} == {1, 2}
     torn = next(slot for slot in dev.pages.slots if slot and slot.content.seq == 2)
     dev.pages.slots[dev.pages.slots.index(torn)] = Slot(torn.generation, torn.content, torn.crc ^ 1)
@@ -219,11 +232,11 @@ def test_any_frames_whatsoever_leave_the_loop_controlled_by_the_same_gains(ids: 
 
 def test_manual_and_back_is_bumpless() -> None:
     dev = device()
-    say(dev, Setpoint(1, 60.0), Mode(1, 0, 30.0))
+    say(dev, Setpoint(1, 60.0, OWNER), Mode(1, 0, 30.0, OWNER))
     for _ in range(20):
         step(dev)
     assert dev.co == 30.0
-    say(dev, Mode(2, 1, 0.0))
+    say(dev, Mode(2, 1, 0.0, OWNER))
     step(dev)
     assert abs(dev.co - 30.0) < 1.0
     for _ in range(400):
@@ -234,7 +247,7 @@ def test_manual_and_back_is_bumpless() -> None:
 def test_the_pid_loop_is_that_of_the_telemetry() -> None:
     dev = device()
     pvs = []
-    say(dev, Setpoint(1, 55.0))
+    say(dev, Setpoint(1, 55.0, OWNER))
     for _ in range(100):
         pvs += [f.pv for f in step(dev) if isinstance(f, TelemetryPv)]
     assert pvs[0] == 50.0

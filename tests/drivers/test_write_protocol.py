@@ -45,7 +45,7 @@ def test_a_commit_is_sent_once_and_only_after_the_right_read_back() -> None:
     assert protocol.phase is WritePhase.STAGING
     assert len(protocol.due(6.0)) == 4
     protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, ORDER.set_crc))
-    assert protocol.due(7.0) == [ORDER.commit()]
+    assert protocol.due(7.0) == ORDER.commit()
     assert protocol.due(8.0) == []
     assert protocol.due(13.0) == [Abort(7)]
 
@@ -106,7 +106,7 @@ def test_no_order_of_events_sends_a_second_commit_or_ends_without_a_read_back(ev
     assert commits <= 1
 
 
-@pytest.mark.parametrize(("reason", "text"), [(Reason.RATIO, "ratio (ki)"), (Reason.STALE, "stale"), (14, "reason 14")])
+@pytest.mark.parametrize(("reason", "text"), [(Reason.RATIO, "ratio (ki)"), (Reason.STALE, "stale"), (31, "reason 31")])
 def test_refusals_in_words(reason: int, text: str) -> None:
     assert reason_text(Ack(Kind.COMMIT, 1, reason, 1, 1)) == text
 
