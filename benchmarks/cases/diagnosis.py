@@ -1,4 +1,4 @@
-"""Records of the eight causes, each a clear case by construction and by the margins of the true process (making.fits)."""
+"""Records of the eight causes, each a clear case by construction and by the margins of the true process."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

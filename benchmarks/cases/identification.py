@@ -1,6 +1,6 @@
 """Records to identify a process from, drawn from a seed, each group a way in which records come about.
 
-Every size is relative: noise 0.5 to 3 % of pv's response, drift a share of it, the output's travel a share of its range.
+Every size is relative: noise 0.5 to 3 % of pv's response, drift a share of it, co's travel a share of its range.
 Settings in force are SIMC's with kc from a quarter to twice and tau_i from a quarter to four times, stable and with an
 Ms under 5.
 """
@@ -29,6 +29,9 @@ FINE = 8
 MS_IN_FORCE = 5.0
 TRIES = 200
 
+Event = tuple[float, float]
+"""Place in samples, and size."""
+
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -38,6 +41,7 @@ class Shape:
     load: FloatArray
     drift_in: FloatArray
     drift_out: FloatArray
+    loads: tuple[Event, ...] = ()
 
 
 def case(seed: int, index: int, group: str | None = None) -> IdentificationCase:
@@ -80,7 +84,8 @@ def _manual(rng: np.random.Generator, group: str, family: str) -> Identification
     pv0 = response * float(rng.uniform(-20, 20))
     upsets = Upsets(np.full(n, pv0), out=out, noise=noise * rng.standard_normal(n))
     record = run_manual(process, loop.dt_s, loop.co0 + co, upsets, pv0=pv0)
-    return _case(loop, group, record, None, loop.low, loop.high, noise)
+    note = {"drift": float(np.any(out))}
+    return _case(loop, group, record, None, loop.low, loop.high, noise, note)
 
 
 def _levels(rng: np.random.Generator, moves: int) -> list[float]:
@@ -170,49 +175,54 @@ def _record(
     controller = Controller(gains, tau_f, low, high)
     record = run(loop.process, controller, h_s, upsets, co0=loop.co0, pv0=pv0, acts=acts, sensor=sensor)
     record = _cut(rng, group, record, lead_in)
-    return _case(loop, group, record, gains, low, high, noise)
+    note = {"loads": float(len(shape.loads))}
+    for i, (at, load) in enumerate(shape.loads):
+        note |= {f"load_at{i}": at, f"load{i}": load * size}
+    return _case(loop, group, record, gains, low, high, noise, note)
 
 
 def _shape(rng: np.random.Generator, group: str, loop: Loop, n: int, first: float, lead_in: int) -> Shape:
     """Upsets of a group; loads are drawn so that their response is about as large as the setpoint's."""
-    zero = np.zeros(n)
-    load_size = float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 0.5, 2.0) * abs(loop.best.kp)
-    sp, load = zero, zero
-    kind = (
-        group
-        if group in {"setpoint", "load", "setpoint and load", "several"}
-        else str(rng.choice(["setpoint", "load"]))
-    )
-    if group in {"saturated", "pid"} and rng.uniform() < 0.7:
-        kind = "setpoint"
-    sign = float(rng.choice([-1.0, 1.0]))
-    if kind == "setpoint":
-        sp = steps(n, [np.floor(first)], [sign])
-    elif kind == "load":
-        load = steps(n, [first], [load_size])
-    elif kind == "setpoint and load":
-        sp = steps(n, [np.floor(first)], [sign])
-        load = steps(n, [first + float(rng.uniform(0.1, 0.7)) * (n - first)], [load_size])
-    else:
-        places = first + (n - first) * np.array([0.0, *np.sort(rng.uniform(0.2, 0.85, 2))])
-        for place in places:
-            if rng.uniform() < 0.5:
-                sp = sp + steps(n, [float(np.floor(place))], [float(rng.choice([-1.0, 1.0])) * rng.uniform(0.5, 1)])
-            else:
-                load = load + steps(n, [place], [float(rng.choice([-1.0, 1.0])) * load_size * rng.uniform(0.5, 1)])
+    sp, loads = _events(rng, group, n, first)
     if lead_in:
         early = float(rng.uniform(0.0, 0.8)) * lead_in
         if rng.uniform() < 0.5:
-            sp = sp + steps(n, [float(np.floor(early))], [float(rng.uniform(-1, 1))])
+            sp = [*sp, (early, float(rng.uniform(-1, 1)))]
         else:
-            load = load + steps(n, [early], [float(rng.uniform(-1, 1)) * load_size])
+            loads = [*loads, (early, float(rng.uniform(-1, 1)))]
+    load_size = float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 0.5, 2.0) * abs(loop.best.kp)
+    loads = [(at, size * load_size) for at, size in loads]
+    zero = np.zeros(n)
     drift = zero
     if group == "ramp drift":
         drift = ramp(n) * float(rng.choice([-1.0, 1.0]))
     if group == "random-walk drift":
         drift = random_walk(rng, n)
     inside = rng.uniform() < 0.5
-    return Shape(sp, load, drift if inside else zero, zero if inside else drift)
+    setpoint = steps(n, [float(np.floor(at)) for at, _ in sp], [size for _, size in sp])
+    load = steps(n, [at for at, _ in loads], [size for _, size in loads])
+    return Shape(setpoint, load, drift if inside else zero, zero if inside else drift, tuple(loads))
+
+
+def _events(rng: np.random.Generator, group: str, n: int, first: float) -> tuple[list[Event], list[Event]]:
+    """Setpoint and load steps, each as place in samples and size; groups without a kind of their own draw one."""
+    sign = float(rng.choice([-1.0, 1.0]))
+    kind = group
+    if group not in {"setpoint", "load", "setpoint and load", "several"}:
+        likely = 0.85 if group in {"saturated", "pid"} else 0.5
+        kind = "setpoint" if rng.uniform() < likely else "load"
+    if kind == "setpoint":
+        return [(first, sign)], []
+    if kind == "load":
+        return [], [(first, sign)]
+    if kind == "setpoint and load":
+        return [(first, sign)], [(first + float(rng.uniform(0.1, 0.7)) * (n - first), float(rng.choice([-1.0, 1.0])))]
+    sp: list[Event] = []
+    loads: list[Event] = []
+    for place in first + (n - first) * np.array([0.0, *np.sort(rng.uniform(0.2, 0.85, 2))]):
+        chosen = sp if rng.uniform() < 0.5 else loads
+        chosen.append((float(place), float(rng.choice([-1.0, 1.0])) * float(rng.uniform(0.5, 1))))
+    return sp, loads
 
 
 def _drift(
@@ -269,9 +279,16 @@ def _quantiser(quantum: float):  # noqa: ANN202
 
 
 def _case(
-    loop: Loop, group: str, record: Record, gains: PidGains | None, low: float, high: float, noise: float
+    loop: Loop,
+    group: str,
+    record: Record,
+    gains: PidGains | None,
+    low: float,
+    high: float,
+    noise: float,
+    note: dict[str, float],
 ) -> IdentificationCase:
     return IdentificationCase(
         group, loop.family, 0, 0, record, gains, low, high, loop.process, loop.dt_s, loop.best, loop.best_pid,
-        loop.theta_s, noise,
+        loop.theta_s, noise, note,
     )  # fmt: skip

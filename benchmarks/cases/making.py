@@ -1,4 +1,4 @@
-"""What all diagnosis cases share: settings that fit a cause, excitation, scaling, and the record as a historian has it."""
+"""What all diagnosis cases share: settings that fit a cause, excitation, scaling to the output's range."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

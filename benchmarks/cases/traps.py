@@ -264,6 +264,14 @@ def two_pulses(rng: np.random.Generator) -> DiagnosisCase | None:
     return labelled(loop, gains, record, "two pulses", QUIET, "ok after two pulses")
 
 
+def stiction_lag_dominant(rng: np.random.Generator) -> DiagnosisCase | None:
+    """A lag of ten or more effective dead times."""
+    made = stiction_case(rng, group="stiction lag-dominant", families=LAG_DOMINANT)
+    if made is None or max(made.process.lags_s) < 10 * made.theta_eff_s:
+        return None
+    return made
+
+
 TRAPS: dict[str, Maker] = {
     "external shapes": external_shapes,
     "own period": own_period,
@@ -273,7 +281,7 @@ TRAPS: dict[str, Maker] = {
     "stiction integrating": lambda rng: stiction_case(
         rng, group="stiction integrating", families=tuple(sorted(INTEGRATING))
     ),
-    "stiction lag-dominant": lambda rng: _lag_dominant(rng),
+    "stiction lag-dominant": stiction_lag_dominant,
     "stiction aggressive": lambda rng: stiction_case(rng, group="stiction aggressive", tuning="aggressive"),
     "irregular stick-slip": lambda rng: stiction_case(rng, group="irregular stick-slip", kinds=("irregular",)),
     "backlash": lambda rng: stiction_case(
@@ -289,14 +297,6 @@ TRAPS: dict[str, Maker] = {
     "cascade slave": cascade_slave,
     "two pulses": two_pulses,
 }
-
-
-def _lag_dominant(rng: np.random.Generator) -> DiagnosisCase | None:
-    """A lag of ten or more effective dead times."""
-    made = stiction_case(rng, group="stiction lag-dominant", families=LAG_DOMINANT)
-    if made is None or max(made.process.lags_s) < 10 * made.theta_eff_s:
-        return None
-    return made
 
 
 def case(seed: int, index: int, trap: str | None = None) -> DiagnosisCase:

@@ -1,7 +1,7 @@
 """Valves that stick: two published families, with stick band S and jump J in the units of the controller output.
 
 f_s = (S + J)/2 is the static and f_d = (S - J)/2 the kinetic friction. After a reversal the valve rests until the
-signal has travelled S and then jumps by J; after a stop in the same direction it rests until the signal has travelled J.
+signal has travelled S, then jumps by J; after a stop in the same direction it rests until the signal has travelled J.
 
 Kano et al. (2004), "Practical model and detection algorithm for valve stiction": a moving valve lags by f_d and stops
 when the signal stops or turns. He et al. (2007), "A curve fitting method for detecting valve stiction": friction is

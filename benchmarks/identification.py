@@ -1,0 +1,225 @@
+"""How often is a process identified well enough to tune it? Counts over records drawn from a seed.
+
+    python benchmarks/identification.py [--seed 1] [--cases 260] [--jobs 1] [--only "setpoint"] [--save-failures FOLDER]
+
+In spec: the SIMC settings that follow from the estimate meet, on the true process, Ms <= max(1.8, 1.03 x the Ms of SIMC
+with perfect knowledge) and J <= 1.25 x its J (mean of the IAE ratios of a setpoint and a load step). "Not identifiable"
+is counted apart. Calibration: where the structure is right, how often the truth lies within two standard deviations.
+Seeds from 1000 on are for final measurements, not for development.
+"""
+
+import argparse
+import functools
+import json
+import math
+import statistics
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from cases import identification
+from cases.best import half_rule, sampled
+from cases.bound import kc_bound
+from cases.case import IdentificationCase
+from cases.counting import picture, share, spread
+from cases.loop import performance
+
+from retuner import identify
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.schedule.gains import PidGains
+
+MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
+TWO_SIGMA = 2.0
+STRUCTURES = {
+    "first": "fopdt", "second": "sopdt", "integrating": "integrating", "integrating-lag": "integrating-lag",
+    "batch-p6": "integrating-lag", "batch-p7": "sopdt",
+}  # fmt: skip
+"""Families whose structure a model can have exactly."""
+
+
+class Score(NamedTuple):
+    """One case scored; outcome is one of OUTCOMES."""
+
+    index: int
+    group: str
+    family: str
+    outcome: str
+    ms: float
+    j: float
+    kc_error: float
+    bound: float
+    structure: str
+    z: dict[str, float]
+    seconds: float
+    samples: int
+    reason: str
+
+
+OUTCOMES = ("in spec", "not identifiable", "Ms", "J", "unstable", "refused")
+
+
+def judged(case: IdentificationCase, gains: PidGains) -> tuple[str, float, float]:
+    """Outcome, Ms and J of settings on the true process."""
+    best = case.best_pid if gains.kd and case.best_pid is not None else case.best
+    process = sampled(case.process, case.dt_s)
+    ms = sensitivity_peak(process, gains)
+    if not math.isfinite(ms):
+        return "unstable", ms, math.inf
+    j = performance(case.process, gains, best, case.theta_eff_s, case.dt_s)
+    if ms > max(MS_LIMIT, MS_OVER_BEST * sensitivity_peak(process, best)):
+        return "Ms", ms, j
+    return ("in spec" if j <= J_LIMIT else "J"), ms, j
+
+
+def z_scores(case: IdentificationCase, found: dict[str, object]) -> dict[str, float]:
+    """Error over standard deviation of every parameter, where the structure is right."""
+    model, std = found["model"], found["std"]
+    if not isinstance(model, dict) or not isinstance(std, dict) or STRUCTURES.get(case.family) != model["type"]:
+        return {}
+    lags = sorted(case.process.lags_s, reverse=True)
+    truth = {"k": case.process.k, "theta": case.process.theta_s}
+    truth |= {"tau2": lags[0]} if case.process.integrators and lags else dict(zip(("tau1", "tau2"), lags, strict=False))
+    return {key: (model[key] - truth[key]) / std[key] for key in truth if std.get(key)}
+
+
+def score(seed: int, group: str | None, folder: str | None, bounds: bool, index: int) -> Score:
+    """Draw one case, identify it, judge what follows."""
+    case = identification.case(seed, index, group)
+    record = case.record
+    begun = time.process_time()
+    ms = j = kc_error = math.nan
+    z: dict[str, float] = {}
+    structure = ""
+    try:
+        result = identify(
+            record.t, record.sp, record.pv, record.co, open_loop=case.gains is None, gains=case.gains,
+            **identify_extras(case),
+        )  # fmt: skip
+    except ValueError as error:
+        outcome, reason, seconds = "refused", str(error), time.process_time() - begun
+    else:
+        seconds, reason = time.process_time() - begun, result.estimate.reason
+        outcome = "not identifiable"
+        structure = str(result.estimate.log.model().type)
+        if result.estimate.identifiable and result.settings is not None:
+            gains = result.settings.tuning.gains
+            outcome, ms, j = judged(case, gains)
+            best = case.best_pid if gains.kd and case.best_pid is not None else case.best
+            kc_error = abs(math.log(gains.kp / best.kp)) if gains.kp * best.kp > 0 else math.inf
+            z = z_scores(case, result.estimate.to_dict())
+    bound = kc_bound(case) if bounds and STRUCTURES.get(case.family) == structure else math.nan
+    if folder and outcome != "in spec":
+        _picture(case, outcome, ms, j, reason, Path(folder))
+    return Score(
+        index, case.group, case.family, outcome, ms, j, kc_error, bound, structure, z, seconds, len(record.t), reason
+    )
+
+
+@functools.cache
+def _takes_limits() -> bool:
+    """Whether identify takes co_min and co_max."""
+    import inspect
+
+    return "co_min" in inspect.signature(identify).parameters
+
+
+def identify_extras(case: IdentificationCase) -> dict[str, float]:
+    """Limits of the output, where identify takes them."""
+    return {"co_min": case.co_min, "co_max": case.co_max} if _takes_limits() else {}
+
+
+def _picture(case: IdentificationCase, outcome: str, ms: float, j: float, reason: str, folder: Path) -> None:
+    """The record of a failure with the truth."""
+    p, m = case.process, half_rule(case.process)
+    title = (
+        f"{case.group} / {case.family}, case {case.index}: {outcome}, Ms {ms:.2f}, J {j:.2f}\n{reason}\n"
+        f"true k {p.k:.4g} lags {_few(p.lags_s)} leads {_few(p.leads_s)} pairs {p.quadratics} theta {p.theta_s:.4g} "
+        f"integrators {p.integrators}; half rule theta {m.theta_s:.4g} tau1 {m.tau1_s:.4g}; noise {case.noise:.3g}"
+    )
+    picture(case.record, title, folder / f"{case.group.replace(' ', '_')}-{case.index}-{case.family}.png")
+
+
+def _few(values: Iterable[float]) -> str:
+    return " ".join(f"{x:.4g}" for x in values) or "none"
+
+
+def table(scores: list[Score], by: str) -> list[str]:
+    """A line a group or family: counts of outcomes, worst Ms, median error of Kc."""
+    lines = [f"{by:<20}{'n':>5}" + "".join(f"{o:>17}" for o in OUTCOMES) + f"{'worst Ms':>10}{'|ln Kc/best|':>14}"]
+    for name in sorted({getattr(s, by) for s in scores}):
+        rows = [s for s in scores if getattr(s, by) == name]
+        counts = "".join(f"{sum(s.outcome == o for s in rows):>17}" for o in OUTCOMES)
+        lines.append(f"{name:<20}{len(rows):>5}{counts}{_worst(rows):>10.2f}{_median(s.kc_error for s in rows):>14.3f}")
+    return lines
+
+
+def _worst(scores: list[Score]) -> float:
+    return max((s.ms for s in scores if not math.isnan(s.ms)), default=math.nan)
+
+
+def _median(values: Iterable[float]) -> float:
+    kept = [v for v in values if not math.isnan(v)]
+    return statistics.median(kept) if kept else math.nan
+
+
+def summary(scores: list[Score]) -> list[str]:
+    """The numbers of the whole set."""
+    n, given = len(scores), [s for s in scores if s.outcome not in {"not identifiable", "refused"}]
+    good = sum(s.outcome == "in spec" for s in scores)
+    z = [abs(value) for s in scores for value in s.z.values()]
+    ratios = [s.kc_error / s.bound for s in given if s.bound > 0]
+    lines = [
+        f"in spec of all               {share(good, n)}",
+        f"in spec where settings given {share(good, len(given))}",
+        f"not identifiable or refused  {share(n - len(given), n)}",
+        f"unstable                     {share(sum(s.outcome == 'unstable' for s in scores), n)}",
+        f"worst Ms {_worst(scores):.2f}; median |ln Kc/best| {_median(s.kc_error for s in given):.3f}",
+        f"truth within 2 sigma         {share(sum(v <= TWO_SIGMA for v in z), len(z))} (parameters, structure right)",
+    ]
+    for key in ("k", "tau1", "tau2", "theta"):
+        of_key = [abs(s.z[key]) for s in scores if key in s.z]
+        lines.append(f"  {key:<26} {share(sum(v <= TWO_SIGMA for v in of_key), len(of_key))}")
+    right = [s for s in scores if s.family in STRUCTURES and s.structure]
+    lines.append(
+        f"structure as the truth's     {share(sum(STRUCTURES[s.family] == s.structure for s in right), len(right))}"
+    )
+    if ratios:
+        middle = statistics.median(ratios)
+        lines.append(f"|ln Kc error| over Cramer-Rao sigma: median {middle:.2f} of {len(ratios)} (efficient: 0.67)")
+    per_call = [s.seconds for s in scores]
+    per_1000 = [1000 * s.seconds / s.samples for s in scores]
+    lines.append(
+        f"CPU seconds a call: median {statistics.median(per_call):.3f}, largest {max(per_call):.3f}; "
+        f"per 1000 samples: median {statistics.median(per_1000):.3f}"
+    )
+    return lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cases", type=int, default=260, help="of all groups together, or of the one of --only")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", choices=identification.GROUPS)
+    parser.add_argument("--no-bounds", action="store_true", help="leave the Cramer-Rao bounds out")
+    parser.add_argument("--save-failures", metavar="FOLDER")
+    parser.add_argument("--out", metavar="FILE", help="every score as a line of JSON")
+    options = parser.parse_args()
+    work = functools.partial(score, options.seed, options.only, options.save_failures, not options.no_bounds)
+    scores = list(spread(work, range(options.cases), options.jobs))
+    lines = [f"seed {options.seed}, {len(scores)} cases", *summary(scores), "", *table(scores, "group"), ""]
+    lines += [*table(scores, "family"), ""]
+    lines += [
+        f"{s.outcome:<16} {s.group} {s.index} {s.family}: Ms {s.ms:.2f} J {s.j:.2f} {s.structure}: {s.reason}"
+        for s in sorted(scores, key=lambda s: (s.outcome, s.group)) if s.outcome != "in spec"
+    ]  # fmt: skip
+    sys.stdout.write("\n".join(lines) + "\n")
+    if options.out:
+        Path(options.out).write_text("".join(json.dumps(s._asdict()) + "\n" for s in scores), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
