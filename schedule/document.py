@@ -52,9 +52,9 @@ def _region_lines(regions: Regions, i: int, gains: PidGains) -> Iterator[str]:
     low, high = regions.span(i)
     yield f"[[region]]  # {low:g} to {high:g} {regions.unit}".rstrip()
     yield f"name = {_quoted(regions.names[i])}"
-    yield f"form = {_quoted(Form.PARALLEL)}"
     for key in ("kp", "ki", "kd"):
         yield f"{key} = {_number(getattr(gains, key))}"
+    yield f"form = {_quoted(Form.PARALLEL)}"  # last, because it must be there: a file cut within a number is refused
     yield f"# {_for_people(gains)}"
 
 

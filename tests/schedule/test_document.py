@@ -67,21 +67,34 @@ min_stay_s = 60.0
 
 [[region]]  # 20 to 80.5 degC
 name = "cold"
-form = "parallel"
 kp = 1.5
 ki = 0.01
 kd = 0.0
+form = "parallel"
 # ideal form: kc = 1.5, tau_i = 150 s, tau_d = 0 s
 
 [[region]]  # 80.5 to 220 degC
 name = "hot"
-form = "parallel"
 kp = 0.30000000000000004
 ki = 0.0
 kd = 1e-07
+form = "parallel"
 # ideal form: kc = 0.3, no integral action, tau_d = 3.333e-07 s
 """
     )
+
+
+def test_a_text_cut_at_any_place_is_refused_or_the_same_table():
+    """A file that was copied or saved by half must not be read as another schedule."""
+    same = 0
+    for kept in range(len(TEXT)):
+        try:
+            table = from_toml(TEXT[:kept])
+        except ValueError:
+            continue
+        assert table == TABLE, TEXT[:kept][-40:]
+        same += 1
+    assert same < 100, "only within the last comment"
 
 
 def test_a_change_of_one_set_is_a_small_diff():
@@ -123,15 +136,15 @@ def test_whole_numbers_may_be_written_for_numbers():
         ("hysteresis = 2.0", "hysterisis = 2.0", "line 15, schedule: 'hysterisis' is unknown here; known are variable"),
         ("min_stay_s = 60.0", "", "line 9, schedule: min_stay_s is missing"),
         ('name = "cold"', 'name = "hot"', "line 9, schedule: names = .* must be different"),
-        ("kp = 1.5", "kp = nan", "line 21, region 0: kp = nan is not a finite number"),
+        ("kp = 1.5", "kp = nan", "line 20, region 0: kp = nan is not a finite number"),
         ("kp = 1.5", "kp = -1.5", "line 18, region 0: kp = -1.5, ki = 0.01, kd = 0.0 have different signs"),
-        ("kp = 1.5", "kp = false", "line 21, region 0: kp = False must be a number"),
-        ("kp = 1.5", "kp = 1" + "0" * 400, "line 21, region 0: kp = 10+... is not a finite number"),
-        ("kp = 0.3", "kc = 0.3", "line 29, region 1: 'kc' is unknown here; known are name, form, kp, ki, kd"),
+        ("kp = 1.5", "kp = false", "line 20, region 0: kp = False must be a number"),
+        ("kp = 1.5", "kp = 1" + "0" * 400, "line 20, region 0: kp = 10+... is not a finite number"),
+        ("kp = 0.3", "kc = 0.3", "line 28, region 1: 'kc' is unknown here; known are name, form, kp, ki, kd"),
         ("ki = 0.0\n", "", "line 26, region 1: ki is missing"),
-        ('form = "parallel"', 'form = "ideal"', "line 20, region 0: form = 'ideal': a gain table holds 'parallel'"),
-        ("kp = 1.5", "kp = ", r"not TOML: Invalid value \(at line 21, column 6\)"),
-        ("kp = 1.5", "kp = 1.5\nkp = 2", r"not TOML: Cannot overwrite a value \(at line 22"),
+        ('form = "parallel"', 'form = "ideal"', "line 23, region 0: form = 'ideal': a gain table holds 'parallel'"),
+        ("kp = 1.5", "kp = ", r"not TOML: Invalid value \(at line 20, column 6\)"),
+        ("kp = 1.5", "kp = 1.5\nkp = 2", r"not TOML: Cannot overwrite a value \(at line 21"),
     ],
 )
 def test_a_mistake_is_named_with_its_line(old, new, what):
