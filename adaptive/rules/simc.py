@@ -1,37 +1,40 @@
 """SIMC: Skogestad's internal-model-control rules, in their native series form (Skogestad 2003, table 1).
 
-    first order        Kc = tau1 / (k (tau_c + theta))        tau_I = min(tau1, 4 (tau_c + theta))
+    first order        Kc = tau1 / (k (tau_c + theta))        tau_I = min(tau1, c (tau_c + theta))
     second order       the same                               tau_D = tau2
     pure delay         integral only: Ki = 1 / (k (tau_c + theta))
-    integrating        Kc = 1 / (k' (tau_c + theta))          tau_I = 4 (tau_c + theta)
+    integrating        Kc = 1 / (k' (tau_c + theta))          tau_I = c (tau_c + theta)
     integrating + lag  the same                               tau_D = tau2
     double integrating Kc = 1 / (4 k'' (tau_c + theta)^2)     tau_I = tau_D = 4 (tau_c + theta)
 
-tau_c = theta is the recommended tight choice. A PI controller for a process with a second lag first puts half of that
-lag into the dead time and half into tau1 (the half rule of the same paper, section 2).
+c = 4. tau_c = theta is the recommended tight choice. A PI controller for a process with a second lag first puts half of
+that lag into the dead time and half into tau1 (the half rule of the same paper, section 2).
 """
 
-from enum import StrEnum
+import math
 
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.kinds import ControllerKind
 from retuner.adaptive.rules.tuning import Tuning, tuning
 from retuner.schedule.gains import PidGains
 
 TAU_I_FACTOR = 4.0
 """c in tau_I = min(tau1, c (tau_c + theta)): 4 gives a load response without slow oscillation (Skogestad 2003)."""
+TAU_I_FACTOR_HAUGEN = 1.44
+"""Haugen's faster choice of c (appendix A, "Skogestad's method for PID tuning"), at the price of robustness."""
+TAU_I_FACTOR_HAUGEN_2010 = 2.0
+"""Haugen's choice of 2010, as Grimholt & Skogestad (2012, section 4.3) quote it."""
 MS_STEPS = 24
 """Bisections of tau_c when an Ms is demanded: 2^-24 of the range, far below what a model is known to."""
 
 
-class ControllerKind(StrEnum):
-    """Which actions a rule may use."""
-
-    PI = "pi"
-    PID = "pid"
-
-
-def simc(model: ProcessModel, tau_c_s: float | None = None, kind: ControllerKind = ControllerKind.PI) -> Tuning:
+def simc(
+    model: ProcessModel,
+    tau_c_s: float | None = None,
+    kind: ControllerKind = ControllerKind.PI,
+    c: float = TAU_I_FACTOR,
+) -> Tuning:
     """SIMC settings for any of the six structures.
 
     Parameters
@@ -39,11 +42,13 @@ def simc(model: ProcessModel, tau_c_s: float | None = None, kind: ControllerKind
     model : the process; for PI its second lag is taken up by the half rule.
     tau_c_s : desired closed-loop time constant; default the (effective) dead time.
     kind : PI, or PID where the structure has a second lag. A double integrating process always needs PID.
+    c : factor of the integral time's upper bound; 4, or the faster choices 2 and 1.44 that Haugen published.
 
     Raises
     ------
     ValueError
-        tau_c is missing for a process without dead time, or not positive together with the dead time.
+        tau_c is missing for a process without dead time, or not positive together with the dead time; c is not
+        positive.
     """
     if kind == ControllerKind.PI:
         model = without_second_lag(model)
@@ -52,19 +57,21 @@ def simc(model: ProcessModel, tau_c_s: float | None = None, kind: ControllerKind
             raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c")
         tau_c_s = model.theta_s
     span = tau_c_s + model.theta_s
-    if not 0 < span < float("inf"):
+    if not 0 < span < math.inf:
         raise ValueError(f"tau_c + theta = {span} s must be positive and finite; give a larger tau_c")
-    return _settings(model, tau_c_s, span)
+    if not 0 < c < math.inf:
+        raise ValueError(f"c = {c} must be positive and finite; the default is 4")
+    return _settings(model, tau_c_s, span, c)
 
 
-def _settings(model: ProcessModel, tau_c_s: float, span: float) -> Tuning:
+def _settings(model: ProcessModel, tau_c_s: float, span: float, c: float) -> Tuning:
     """The table at the head of this file; span = tau_c + theta."""
     if model.type == ProcessType.DELAY:
         return Tuning("simc", "parallel", PidGains(0.0, 1 / (model.k * span)), tau_c_s)
     if model.type == ProcessType.DOUBLE_INTEGRATING:
         kc, tau_i, tau_d = 1 / (4 * model.k * span**2), 4 * span, 4 * span
     else:
-        kc, tau_i, tau_d = 1 / (model.slope * span), TAU_I_FACTOR * span, model.tau2_s
+        kc, tau_i, tau_d = 1 / (model.slope * span), c * span, model.tau2_s
         if model.tau1_s:
             tau_i = min(model.tau1_s, tau_i)
     return tuning("simc", "series", kc, tau_i, tau_d, tau_c_s)
@@ -78,6 +85,11 @@ def without_second_lag(model: ProcessModel) -> ProcessModel:
     if model.type == ProcessType.INTEGRATING_LAG:
         return ProcessModel(ProcessType.INTEGRATING, model.k, 0.0, 0.0, model.theta_s + model.tau2_s)
     return model
+
+
+def derivative_pays(model: ProcessModel) -> bool:
+    """Whether derivative action is worth its noise: tau2 > theta, or two integrators (Skogestad 2003, section 6)."""
+    return model.type == ProcessType.DOUBLE_INTEGRATING or model.tau2_s > model.theta_s
 
 
 def simc_at_most_ms(

@@ -14,12 +14,14 @@ class Tuning:
     form : the rule's native form ("series", "ideal" or "parallel").
     gains : the settings in parallel form, as they are stored and sent.
     tau_c_s : closed-loop time constant that the rule was given or chose; None where the rule has none.
+    notes : what a person should know of these settings, a sentence each.
     """
 
     rule: str
     form: str
     gains: PidGains
     tau_c_s: float | None = None
+    notes: tuple[str, ...] = ()
 
     def to_dict(self, form: str | None = None) -> dict[str, object]:
         """Keys rule, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c.
@@ -33,12 +35,18 @@ class Tuning:
         return {
             "rule": self.rule,
             "form": shown,
-            "gains": in_form(self.gains, shown) if self.gains.kp else {"kc": 0.0, "tau_i": None, "tau_d": 0.0},
+            "gains": in_form(self.gains, shown),
             "parallel": {"kp": self.gains.kp, "ki": self.gains.ki, "kd": self.gains.kd},
             "tau_c": self.tau_c_s,
         }
 
 
 def tuning(rule: str, form: str, kc: float, tau_i_s: float | None, tau_d_s: float, tau_c_s: float | None) -> Tuning:
-    """Settings given in a rule's native form."""
+    """Settings given in a rule's native form.
+
+    Raises
+    ------
+    ValueError
+        The rule's numbers make no controller (a gain of 0, a time that is not positive, an overflow).
+    """
     return Tuning(rule, form, from_form(form, kc, tau_i_s, tau_d_s), tau_c_s)

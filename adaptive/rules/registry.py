@@ -1,0 +1,148 @@
+"""All tuning rules by name, and the one door through which they are asked."""
+
+import math
+from dataclasses import replace
+
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules import (
+    amigo,
+    cohen_coon,
+    imc,
+    itae,
+    lambda_tuning,
+    quarter_decay,
+    simc_family,
+    ziegler_nichols_reaction,
+    ziegler_nichols_ultimate,
+)
+from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.rules.rule import WISH_LABELS, Oscillation, Rule, Takes, Wishes
+from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.ultimate import ultimate
+
+MODULES = (
+    simc_family,
+    lambda_tuning,
+    imc,
+    amigo,
+    cohen_coon,
+    itae,
+    ziegler_nichols_reaction,
+    ziegler_nichols_ultimate,
+    quarter_decay,
+)
+RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}
+"""Every rule by its name."""
+ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}
+"""Other names that people try."""
+
+
+def rule_named(name: str) -> Rule:
+    """The rule of that name.
+
+    Raises
+    ------
+    ValueError
+        There is none; the message has the list.
+    """
+    found = RULES.get(ALIASES.get(name, name))
+    if found is None:
+        raise ValueError(f"rule {name!r} is not known; give one of {', '.join(RULES)}")
+    return found
+
+
+def kind_for(rule: Rule, name: str | None, model: ProcessModel | None) -> ControllerKind:
+    """The kind of that name, or the rule's usual one.
+
+    Raises
+    ------
+    ValueError
+        It is not a kind, or the rule has no such settings.
+    """
+    if name is None:
+        two = model is not None and model.type == ProcessType.DOUBLE_INTEGRATING
+        return ControllerKind.PID if two and ControllerKind.PID in rule.formulas else rule.usual_kind
+    if name not in set(ControllerKind):
+        raise ValueError(f"kind {name!r} is not known; give one of {', '.join(ControllerKind)}")
+    kind = ControllerKind(name)
+    if kind not in rule.formulas:
+        raise ValueError(f"rule {rule.name} has no {name.upper()} settings; give --kind {' or '.join(rule.kinds)}")
+    return kind
+
+
+def settings(
+    rule: Rule,
+    kind: ControllerKind,
+    model: ProcessModel | None,
+    reading: Oscillation | None = None,
+    wishes: Wishes | None = None,
+) -> Tuning:
+    """Settings by a rule.
+
+    Parameters
+    ----------
+    rule : from RULES. kind : one that the rule has.
+    model : the process; not needed where a reading is given to a rule that takes one.
+    reading : Ku and Pu, or Kq and Pq, as the rule takes; Ku and Pu are worked out from the model where missing.
+    wishes : what is asked of the rule.
+
+    Raises
+    ------
+    ValueError
+        The rule needs something else, has no use for a wish, or has no answer for this process (named).
+    """
+    asked = wishes or Wishes()
+    for name in asked.given():
+        value = getattr(asked, name)
+        label = WISH_LABELS.get(name, name)
+        if name not in rule.wishes:
+            raise ValueError(f"rule {rule.name} has no use for {label}; leave it out")
+        if not math.isfinite(value):
+            raise ValueError(f"{label} = {value} is not a finite number")
+    try:
+        return _worked_out(rule, kind, model, reading, asked)
+    except (OverflowError, ZeroDivisionError):
+        raise ValueError(
+            f"rule {rule.name}: these numbers are beyond what can be computed; check their units"
+        ) from None
+
+
+def _worked_out(
+    rule: Rule, kind: ControllerKind, model: ProcessModel | None, reading: Oscillation | None, wishes: Wishes
+) -> Tuning:
+    """The rule's answer, with a note when a model had to be simplified for it."""
+    if rule.from_oscillation is not None:
+        return rule.from_oscillation(_reading_for(rule, model, reading), kind)
+    assert rule.from_model is not None
+    if reading is not None:
+        raise ValueError(f"rule {rule.name} works from a model, not from a gain and a period; leave these out")
+    if model is None:
+        raise ValueError(f"rule {rule.name} works from a model; give its type, k, tau1, tau2, theta")
+    fitted, notes = _fitted_to(rule, model)
+    found = rule.from_model(fitted, kind, wishes)
+    return replace(found, notes=(*found.notes, *notes))
+
+
+def _reading_for(rule: Rule, model: ProcessModel | None, reading: Oscillation | None) -> Oscillation:
+    """The gain and period that a rule works from."""
+    if reading is not None:
+        return reading
+    if rule.takes == Takes.QUARTER_DECAY:
+        raise ValueError(f"rule {rule.name} works from kq and pq, gain and period read at quarter decay; give both")
+    if model is None:
+        raise ValueError(f"rule {rule.name} works from ku and pu; give both, or a model they follow from")
+    gain, period_s = ultimate(model.linear())
+    return Oscillation(gain, period_s)
+
+
+def _fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str, ...]]:
+    """The model as the rule takes it: its second lag taken up by the half rule where the rule has no place for it."""
+    if model.type in rule.types:
+        return model, ()
+    reduced = without_second_lag(model)
+    if reduced.type not in rule.types:
+        wanted = ", ".join(rule.types)
+        raise ValueError(f"rule {rule.name} has no settings for type {model.type}; it takes {wanted}")
+    numbers = " ".join(f"{k} = {v:g}" for k, v in reduced.to_dict().items() if isinstance(v, float) and v)
+    return reduced, (f"made from the first order model of the half rule: {numbers}",)

@@ -1,0 +1,139 @@
+"""SIMC under the names and wishes of the registry: plain, improved, smooth, and Haugen's faster integral time.
+
+simc takes tau_c, or a demanded Ms or GM from which tau_c follows, and c. simc-smooth takes u0 and ymax. haugen is SIMC
+with c = 1.44 (Haugen, appendix A), haugen-2010 with c = 2 (as quoted by Grimholt & Skogestad 2012); Haugen converts the
+settings to the ideal form ("parallel" in his words), which --form ideal does.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.rules.rule import Rule, Wishes
+from retuner.adaptive.rules.simc import (
+    TAU_I_FACTOR,
+    TAU_I_FACTOR_HAUGEN,
+    TAU_I_FACTOR_HAUGEN_2010,
+    derivative_pays,
+    simc,
+    without_second_lag,
+)
+from retuner.adaptive.rules.simc_improved import simc_improved
+from retuner.adaptive.rules.tau_c_choice import TauCRule, tau_c_for_gm, tau_c_for_ms, tau_c_smooth
+from retuner.adaptive.rules.tuning import Tuning
+
+PI, PID = ControllerKind.PI, ControllerKind.PID
+
+
+def _chosen(rule: TauCRule, default: Callable[[], Tuning], model: ProcessModel, wishes: Wishes) -> Tuning:
+    """Settings at the tau_c that the wishes ask for, directly or through Ms or GM."""
+    asked = [name for name in ("tau_c_s", "ms", "gm") if getattr(wishes, name) is not None]
+    if len(asked) > 1:
+        raise ValueError("tau_c, ms and gm exclude each other: each of them fixes tau_c; give one")
+    if wishes.tau_c_s is not None:
+        if wishes.tau_c_s < 0:
+            raise ValueError(f"tau_c = {wishes.tau_c_s} s must not be negative")
+        return rule(wishes.tau_c_s)
+    if wishes.ms is not None:
+        return tau_c_for_ms(rule, model.linear(), wishes.ms)
+    if wishes.gm is not None:
+        return tau_c_for_gm(rule, model.linear(), wishes.gm)
+    return default()
+
+
+def _checked(model: ProcessModel, kind: ControllerKind) -> None:
+    """PI cannot hold two integrators."""
+    if model.type == ProcessType.DOUBLE_INTEGRATING and kind == PI:
+        raise ValueError("a double integrating process needs derivative action; give --kind pid")
+
+
+def _with_notes(found: Tuning, model: ProcessModel, kind: ControllerKind) -> Tuning:
+    """With what the source says of derivative action here."""
+    notes = []
+    if kind == PI and derivative_pays(model):
+        notes.append(f"tau2 = {model.tau2_s:g} s is more than theta = {model.theta_s:g} s: derivative action would pay")
+    if kind == PID and 0 < model.tau2_s <= model.theta_s:
+        notes.append(f"tau2 = {model.tau2_s:g} s is not more than theta = {model.theta_s:g} s: derivative action hardly"
+                     " pays, PI is enough")  # fmt: skip
+    if kind == PID and found.gains.kd == 0:
+        notes.append("a model without a second lag gives no derivative action: these settings are PI")
+    return replace(found, notes=(*found.notes, *notes))
+
+
+def _plain(name: str, c: float) -> Callable[[ProcessModel, ControllerKind, Wishes], Tuning]:
+    """SIMC with this c under this name."""
+
+    def work(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning:
+        _checked(model, kind)
+        factor = c if wishes.c is None else wishes.c
+        found = _chosen(
+            lambda tau_c_s: simc(model, tau_c_s, kind, factor), lambda: simc(model, None, kind, factor), model, wishes
+        )
+        return _with_notes(replace(found, rule=name), model, kind)
+
+    return work
+
+
+def _improved(model: ProcessModel, _kind: ControllerKind, wishes: Wishes) -> Tuning:
+    """simc-improved."""
+    factor = TAU_I_FACTOR if wishes.c is None else wishes.c
+    found = _chosen(
+        lambda tau_c_s: simc_improved(model, tau_c_s, factor), lambda: simc_improved(model, None, factor), model, wishes
+    )
+    return _with_notes(found, model, PI)
+
+
+def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning:
+    """simc-smooth."""
+    if wishes.u0 is None or wishes.y_max is None:
+        raise ValueError("rule simc-smooth needs u0 (largest disturbance, co units) and ymax (allowed deviation)")
+    _checked(model, kind)
+    reduced = without_second_lag(model) if kind == PI else model
+    tau_c_s = tau_c_smooth(reduced, wishes.u0, wishes.y_max)
+    found = simc(model, tau_c_s, kind, TAU_I_FACTOR if wishes.c is None else wishes.c)
+    if tau_c_s < reduced.theta_s:
+        note = (f"tau_c = {tau_c_s:.4g} s is less than theta = {reduced.theta_s:.4g} s: ymax asks for more than tight"
+                " control gives with good robustness")  # fmt: skip
+        found = replace(found, notes=(note,))
+    return _with_notes(replace(found, rule="simc-smooth"), model, kind)
+
+
+EVERY = tuple(ProcessType)
+TABLE_PI = (
+    "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))",
+    "tau_I = min(tau1, c (tau_c + theta)), c = 4",
+    "pure delay: Ki = 1/(k (tau_c + theta))",
+    "a second lag is taken up by the half rule",
+)
+TABLE_PID = (
+    "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))",
+    "tau_I = min(tau1, c (tau_c + theta)), c = 4",
+    "tau_D = tau2",
+    "double integrating: Kc = 1/(4 k'' (tau_c + theta)^2), tau_I = tau_D = 4 (tau_c + theta)",
+)
+SKOGESTAD = "Skogestad 2003, J. Process Control 13, 291, table 1"
+TIGHT = "any; tau_c = theta is tight control with Ms 1.6 to 1.7; derivative action pays when tau2 > theta"
+WISHES = ("tau_c_s", "ms", "gm", "c")
+RULES = (
+    Rule("simc", "series", {PI: TABLE_PI, PID: TABLE_PID}, SKOGESTAD, TIGHT,
+         types=EVERY, wishes=WISHES, from_model=_plain("simc", TAU_I_FACTOR)),
+    Rule("simc-improved", "series",
+         {PI: ("Kc = (tau1 + theta/3)/(k (tau_c + theta))", "tau_I = min(tau1 + theta/3, c (tau_c + theta)), c = 4")},
+         "Grimholt & Skogestad 2012, IFAC PID'12, equations 10 and 11",
+         "any but two integrators; better than SIMC for tau1 < theta",
+         types=tuple(t for t in EVERY if t != ProcessType.DOUBLE_INTEGRATING), wishes=WISHES, from_model=_improved),
+    Rule("simc-smooth", "series",
+         {PI: ("Kc = Kc,min = |u0|/|ymax|, tau_c from Kc", *TABLE_PI[1:2]),
+          PID: ("Kc = Kc,min = |u0|/|ymax|, tau_c from Kc", *TABLE_PID[1:3])},
+         "Skogestad 2003, and his slides 'Simple rules for PID tuning' (smooth control)", "tau_c >= theta",
+         types=tuple(t for t in EVERY if t != ProcessType.DELAY), wishes=("u0", "y_max", "c"), from_model=_smooth),
+    Rule("haugen", "series", {PI: (*TABLE_PI[:1], "tau_I = min(tau1, 1.44 (tau_c + theta))"),
+                              PID: (*TABLE_PID[:1], "tau_I = min(tau1, 1.44 (tau_c + theta))", "tau_D = tau2")},
+         "Haugen, appendix A 'Skogestad's method for PID tuning', k1 = 1.44", "faster load rejection, Ms about 2",
+         types=EVERY, wishes=WISHES, from_model=_plain("haugen", TAU_I_FACTOR_HAUGEN)),
+    Rule("haugen-2010", "series", {PI: (*TABLE_PI[:1], "tau_I = min(tau1, 2 (tau_c + theta))"),
+                                   PID: (*TABLE_PID[:1], "tau_I = min(tau1, 2 (tau_c + theta))", "tau_D = tau2")},
+         "Haugen 2010, as quoted by Grimholt & Skogestad 2012, equation 9", "faster load rejection, Ms up to 2",
+         types=EVERY, wishes=WISHES, from_model=_plain("haugen-2010", TAU_I_FACTOR_HAUGEN_2010)),
+)  # fmt: skip
