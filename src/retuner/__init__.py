@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from retuner.adaptive.retuner_settings import RetunerSettings as RetunerSettings
     from retuner.adaptive.sample import LoopSample as LoopSample
     from retuner.api import identify as identify
-    from retuner.api import tune as tune
     from retuner.config import load_config as load_config
     from retuner.conversions import gains_of as gains_of
     from retuner.conversions import process_of as process_of
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from retuner.conversions import to_scipy as to_scipy
     from retuner.schedule.gains import PidGains as PidGains
     from retuner.schedule.table import GainTable as GainTable
+    from retuner.tuning import tune as tune
 
 _HOMES = {
     "Decision": "adaptive.decision",
@@ -44,7 +44,7 @@ _HOMES = {
     "reduce": "adaptive.reduction",
     "to_control": "conversions",
     "to_scipy": "conversions",
-    "tune": "api",
+    "tune": "tuning",
 }
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605  one list of names, not two that drift apart

@@ -1,4 +1,4 @@
-"""What `import retuner` offers for arrays and models: identify and tune, with frozen results that know their JSON."""
+"""`retuner.identify`: the process behind a record of arrays, with frozen results that know their JSON."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,59 +9,11 @@ import numpy.typing as npt
 from retuner.adaptive.estimate import ModelEstimate
 from retuner.adaptive.identify import OPEN_LOOP, FitSettings, identify_window
 from retuner.adaptive.margins import Margins, margins
-from retuner.adaptive.process import ProcessModel
-from retuner.adaptive.rules.simc import ControllerKind, simc
-from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import Window
 from retuner.schedule.gains import PidGains
-
-RULES = ("simc",)
-"""Tuning rules by name."""
+from retuner.tuning import TuneResult, tune
 
 Numbers = Sequence[float] | npt.NDArray[np.floating]
-
-
-@dataclass(frozen=True, slots=True)
-class TuneResult:
-    """Settings of a rule for a model, in a named form, with their margins."""
-
-    tuning: Tuning
-    form: str
-    margins: Margins
-
-    def to_dict(self) -> dict[str, object]:
-        """Keys rule, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c, margins {...}."""
-        return {**self.tuning.to_dict(self.form), "margins": self.margins.to_dict()}
-
-
-def tune(
-    model: ProcessModel,
-    rule: str = "simc",
-    *,
-    tau_c: float | None = None,
-    kind: str = "pi",
-    form: str | None = None,
-) -> TuneResult:
-    """Settings for a process by a named rule.
-
-    Parameters
-    ----------
-    model : the process. rule : one of RULES. tau_c : closed-loop time constant in seconds where the rule takes one.
-    kind : "pi" or "pid". form : form to write the settings in; default the rule's own.
-
-    Raises
-    ------
-    ValueError
-        The rule or kind is not known, or the rule has no answer for this model (named).
-    """
-    if rule not in RULES:
-        raise ValueError(f"rule {rule!r} is not known; give one of {', '.join(RULES)}")
-    if kind not in set(ControllerKind):
-        raise ValueError(f"kind {kind!r} is not known to rule {rule}; give one of {', '.join(ControllerKind)}")
-    tuning = simc(model, tau_c, ControllerKind(kind))
-    result = TuneResult(tuning, form or tuning.form, margins(model.linear(), tuning.gains))
-    result.to_dict()  # raises here, not later, when the form does not exist for these gains
-    return result
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,29 +3,59 @@
 import json
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.api import TuneResult
-from retuner.api import tune as tune_model
 from retuner.errors import UserError, user_input
+from retuner.tuning import TuneResult
+from retuner.tuning import tune as tune_model
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """The process as the options describe it; times in seconds, None where an option was not given."""
+
+    type: str | None
+    k: float | None
+    tau1_s: float
+    tau2_s: float
+    theta_s: float
+
+    def model(self) -> ProcessModel | None:
+        """The model, or None when the options describe none.
+
+        Raises
+        ------
+        UserError
+            Only a part of a model is given, or a value is out of its range.
+        """
+        if self.type is None:
+            if self.k is not None or any((self.tau1_s, self.tau2_s, self.theta_s)):
+                raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
+            return None
+        if self.type not in set(ProcessType):
+            raise UserError(f"--type {self.type}: give one of {', '.join(ProcessType)}")
+        if self.k is None:
+            raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
+        with user_input("retuner tune"):
+            return ProcessModel(ProcessType(self.type), self.k, self.tau1_s, self.tau2_s, self.theta_s)
 
 
 @dataclass(frozen=True, slots=True)
 class TuneOptions:
-    """The command's options; times in seconds."""
+    """The command's options beside the process; times in seconds."""
 
-    process: str
-    k: float
-    tau1_s: float
-    tau2_s: float
-    theta_s: float
     rule: str
-    tau_c_s: float | None
-    kind: str
+    kind: str | None
     form: str | None
+    wishes: dict[str, float | None]
+    everything: bool = False
+    explain: bool = False
+    plot: Path | None = None
+    as_json: bool = False
 
 
-def tune(options: TuneOptions, *, as_json: bool) -> int:
+def tune(process: Process, options: TuneOptions) -> int:
     """Work out and show settings; the exit status: 0, or 1 when the loop that follows would not be stable.
 
     Raises
@@ -33,16 +63,15 @@ def tune(options: TuneOptions, *, as_json: bool) -> int:
     UserError
         An option is out of its range, or the rule has no answer for this process.
     """
-    if options.process not in set(ProcessType):
-        raise UserError(f"--type {options.process}: give one of {', '.join(ProcessType)}")
+    model = process.model()
     with user_input("retuner tune"):
-        model = ProcessModel(ProcessType(options.process), options.k, options.tau1_s, options.tau2_s, options.theta_s)
-        result = tune_model(model, options.rule, tau_c=options.tau_c_s, kind=options.kind, form=options.form)
-    if as_json:
-        sys.stdout.write(json.dumps({"model": model.to_dict(), **result.to_dict()}, indent=2, allow_nan=False) + "\n")
+        result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
+    if options.as_json:
+        shown = {"model": model.to_dict() if model else None, **result.to_dict()}
+        sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write("\n".join(described(result)) + "\n")
-    return 0 if result.margins.stable else 1
+    return 0 if result.margins is None or result.margins.stable else 1
 
 
 def number(value: object, unit: str = "") -> str:
@@ -54,19 +83,22 @@ def number(value: object, unit: str = "") -> str:
 
 
 def described(result: TuneResult) -> list[str]:
-    """Settings and margins in lines."""
+    """Settings, margins and notes in lines."""
     shown = result.to_dict()
     gains, parallel, m = shown["gains"], shown["parallel"], result.margins
     assert isinstance(gains, dict)
     assert isinstance(parallel, dict)
     times = f"tau_I {number(gains['tau_i'], ' s')}  tau_D {number(gains['tau_d'], ' s')}"
     ki, kd = number(parallel["ki"], "/s"), number(parallel["kd"], " s")
+    tau_c = "" if result.tuning.tau_c_s is None else f", tau_c {number(result.tuning.tau_c_s, ' s')}"
     lines = [
-        f"{result.tuning.rule}, tau_c {number(result.tuning.tau_c_s, ' s')}",
+        f"{result.tuning.rule} {result.kind.upper()}{tau_c}",
         f"  {result.form:<8}  Kc {number(gains['kc'])}  {times}",
         f"  parallel  kp {number(parallel['kp'])}  ki {ki}  kd {kd}",
     ]
-    if not m.stable:
-        return [*lines, "  the closed loop would be UNSTABLE"]
-    return [*lines, f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
-                    f"delay margin {m.delay_margin_s:.4g} s"]  # fmt: skip
+    if m is not None and not m.stable:
+        lines.append("  the closed loop would be UNSTABLE")
+    elif m is not None:
+        lines.append(f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
+                     f"delay margin {m.delay_margin_s:.4g} s")  # fmt: skip
+    return [*lines, *(f"  note: {note}" for note in result.tuning.notes)]

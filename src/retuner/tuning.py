@@ -1,0 +1,96 @@
+"""`retuner.tune`: settings for a process by a named rule, with their margins; frozen results that know their JSON."""
+
+from dataclasses import dataclass
+
+from retuner.adaptive.margins import Margins, margins
+from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.rules.registry import RULES as REGISTRY
+from retuner.adaptive.rules.registry import kind_for, rule_named, settings
+from retuner.adaptive.rules.rule import Oscillation, Rule, Takes, Wishes
+from retuner.adaptive.rules.tuning import Tuning
+
+RULES = tuple(REGISTRY)
+"""Names of the tuning rules."""
+
+
+@dataclass(frozen=True, slots=True)
+class TuneResult:
+    """Settings of a rule, in a named form, with the margins of the model under them (None without a model)."""
+
+    tuning: Tuning
+    form: str
+    margins: Margins | None
+    kind: ControllerKind = ControllerKind.PI
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys rule, kind, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c, margins {...}, notes."""
+        found = {**self.tuning.to_dict(self.form), "kind": str(self.kind)}
+        return {
+            **found,
+            "margins": self.margins.to_dict() if self.margins else None,
+            "notes": list(self.tuning.notes),
+        }
+
+
+def tune(
+    model: ProcessModel | None = None,
+    rule: str = "simc",
+    *,
+    kind: str | None = None,
+    form: str | None = None,
+    tau_c: float | None = None,
+    ms: float | None = None,
+    gm: float | None = None,
+    c: float | None = None,
+    u0: float | None = None,
+    y_max: float | None = None,
+    ku: float | None = None,
+    pu: float | None = None,
+    kq: float | None = None,
+    pq: float | None = None,
+) -> TuneResult:
+    """Settings by a named rule.
+
+    Parameters
+    ----------
+    model : the process; not needed by rules that work from ku and pu or kq and pq.
+    rule : one of RULES.
+    kind : "p", "pi" or "pid"; default PI where the rule has it.
+    form : form to write the settings in; default the rule's own.
+    tau_c : closed-loop time constant in seconds (lambda of the Lambda and IMC rules).
+    ms, gm : demanded sensitivity peak or gain margin, from which SIMC's tau_c follows; ms also for rule optimal.
+    c : SIMC's factor in tau_I = min(tau1, c (tau_c + theta)), default 4.
+    u0, y_max : largest disturbance (co units) and allowed deviation (pv units) of rule simc-smooth.
+    ku, pu : ultimate gain and period (s); from the model where not given. kq, pq : the same at quarter decay.
+
+    Raises
+    ------
+    ValueError
+        The rule or kind is not known, the rule has no answer for this process or no use for what is given (named).
+    """
+    chosen = rule_named(rule)
+    wanted = kind_for(chosen, kind, model)
+    wishes = Wishes(tau_c, ms, gm, c, u0, y_max)
+    found = settings(chosen, wanted, model, _reading(chosen, ku, pu, kq, pq), wishes)
+    robustness = margins(model.linear(), found.gains) if model else None
+    result = TuneResult(found, form or found.form, robustness, wanted)
+    result.to_dict()  # raises here, not later, when the form does not exist for these gains
+    return result
+
+
+def _reading(rule: Rule, ku: float | None, pu: float | None, kq: float | None, pq: float | None) -> Oscillation | None:
+    """The gain and period given for this rule, if any; a half pair or the wrong pair is refused."""
+    pairs = {Takes.ULTIMATE: ("ku", ku, "pu", pu), Takes.QUARTER_DECAY: ("kq", kq, "pq", pq)}
+    for takes, (gain_name, gain, period_name, period_s) in pairs.items():
+        if gain is None and period_s is None:
+            continue
+        if rule.takes != takes:
+            raise ValueError(f"rule {rule.name} has no use for {gain_name} and {period_name}; leave them out")
+        if gain is None or period_s is None:
+            raise ValueError(f"give both {gain_name} and {period_name}, or neither")
+        for name, value in ((gain_name, gain), (period_name, period_s)):
+            if not abs(value) < float("inf") or value == 0 or (name == period_name and value < 0):
+                raise ValueError(f"{name} = {value} must be finite and {'positive' if name[0] == 'p' else 'not 0'}")
+        return Oscillation(gain, period_s)
+    return None
