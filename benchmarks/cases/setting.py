@@ -17,6 +17,7 @@ RANGES = ((0.0, 100.0), (0.0, 100.0), (0.0, 100.0), (4.0, 20.0), (0.0, 1.0), (0.
 SAMPLES_PER_THETA = (5.0, 40.0)
 PROBE_PER_THETA = 5.0
 PROBE_STEPS = 2400
+FINER_MOST = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +88,17 @@ def scaled_pid(rng: np.random.Generator, gains: PidGains, kc: float, tau_i: floa
 def settling_s(loop: Loop, gains: PidGains, tau_f_s: float = 0.0) -> float:
     """Time after a setpoint and a load step until pv stays within 5 % of its largest excursion."""
     h_s = max(loop.theta_s / PROBE_PER_THETA, loop.dt_s)
+    try:
+        return _settled_s(loop.process, Controller(gains, tau_f_s), h_s, PROBE_STEPS)
+    except OverflowError:  # stable at the loop's own sampling only
+        finer = int(min(h_s / loop.dt_s, FINER_MOST))
+        return _settled_s(loop.process, Controller(gains, tau_f_s), loop.dt_s, PROBE_STEPS * finer)
+
+
+def _settled_s(process: LinearProcess, controller: Controller, h_s: float, n: int) -> float:
     worst = 0.0
-    for upsets in (Upsets(np.ones(PROBE_STEPS)), Upsets(np.zeros(PROBE_STEPS), load=np.ones(PROBE_STEPS))):
-        record = run(loop.process, Controller(gains, tau_f_s), h_s, upsets)
+    for upsets in (Upsets(np.ones(n)), Upsets(np.zeros(n), load=np.ones(n))):
+        record = run(process, controller, h_s, upsets)
         error = np.abs(record.pv - record.pv[-1])
         out = np.flatnonzero(error > 0.05 * np.max(error))
         worst = max(worst, float(out[-1] + 1) * h_s)

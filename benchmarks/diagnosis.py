@@ -1,0 +1,205 @@
+"""How often is the right cause found? Counts over records of the eight causes and over the traps, drawn from a seed.
+
+    python benchmarks/diagnosis.py [--seed 1] [--cases 160] [--traps 190] [--jobs 1] [--only stiction]
+                                   [--save-failures FOLDER]
+
+Right: the answer is among those that the group allows (one cause for the eight; cases/traps.py says which for a trap).
+False retune: a change of gains is advised where the cause is not tuning. Settings advised are held to the Ms limit,
+max(1.8, 1.03 x the Ms of SIMC with perfect knowledge), on the true process. Records between two causes are not drawn
+(cases/making.py, fits). Seeds from 1000 on are for final measurements, not for development.
+"""
+
+import argparse
+import functools
+import json
+import math
+import statistics
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from cases import diagnosis, traps
+from cases.best import sampled
+from cases.case import DiagnosisCase
+from cases.counting import picture, share, spread
+
+import retuner
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.schedule.gains import PidGains
+
+MS_LIMIT, MS_OVER_BEST = 1.8, 1.03
+PRODUCT = (3.8, 4.2)
+"""k' Kc tau_I after the slow-oscillation rule."""
+
+
+class Score(NamedTuple):
+    """One case scored."""
+
+    index: int
+    group: str
+    family: str
+    hidden: str
+    allowed: list[str]
+    answer: str
+    right: bool
+    retune: bool
+    false_retune: bool
+    confidence: float
+    ms_before: float
+    ms_after: float
+    ms_kept: bool
+    product: float
+    seconds: float
+    samples: int
+    reason: str
+    evidence: dict[str, float]
+
+
+def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None]) -> Score:
+    """Draw one case, diagnose it, judge the answer."""
+    index, group = item
+    case = traps.case(seed, index, group) if trap else diagnosis.case(seed, index, group)
+    record, begun = case.record, time.process_time()
+    confidence, retune, evidence, gains = 1.0, False, {}, None
+    try:
+        result = retuner.diagnose(
+            record.t, record.sp, record.pv, record.co, gains=case.gains, co_min=case.co_min, co_max=case.co_max
+        )
+    except ValueError as error:
+        answer, reason = "refused", str(error)
+    else:
+        found = result.diagnosis
+        answer, reason, retune = str(found.cause), found.reason, found.retune
+        confidence, evidence = found.confidence, dict(found.evidence)
+        gains = result.settings.tuning.gains if result.settings is not None else None
+    seconds = time.process_time() - begun
+    before, after, kept, product = _after(case, gains)
+    right = answer in case.right
+    wrong_change = retune and not case.retune_right
+    if folder and (not right or wrong_change or not kept):
+        _picture(case, answer, after, reason, evidence, Path(folder))
+    return Score(
+        index, case.group, case.family, case.hidden, sorted(case.right), answer, right, retune, wrong_change,
+        confidence, before, after, kept, product, seconds, len(record.t), reason, evidence,
+    )  # fmt: skip
+
+
+def _after(case: DiagnosisCase, gains: PidGains | None) -> tuple[float, float, bool, float]:
+    """Ms before and after on the true process, whether the limit is kept, and k' Kc tau_I of an integrating one."""
+    process = sampled(case.process, case.dt_s)
+    before = sensitivity_peak(process, case.gains)
+    if gains is None:
+        return before, math.nan, True, math.nan
+    after = sensitivity_peak(process, gains)
+    product = math.nan
+    if case.process.integrators == 1 and gains.ki:
+        product = case.process.k * gains.kp * gains.kp / gains.ki
+    return before, after, after <= max(MS_LIMIT, MS_OVER_BEST * sensitivity_peak(process, case.best)), product
+
+
+def _picture(
+    case: DiagnosisCase, answer: str, after: float, reason: str, evidence: dict[str, float], folder: Path
+) -> None:
+    """The record of a failure with what was said of it."""
+    numbers = [f"{k} {v:.3g}" for k, v in evidence.items()]
+    told = "\n".join("  ".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8))
+    true = "  ".join(f"{k} {v:.3g}" for k, v in case.note.items())
+    title = (
+        f"{case.group} / {case.family}, case {case.index}: {case.hidden} called {answer}; Ms after {after:.2f}\n"
+        f"{reason[:130]}\n{told}\ntrue: {true}"
+    )
+    picture(case.record, title, folder / f"{case.group.replace(' ', '_')}-{case.index}-{answer}.png")
+
+
+def table(scores: list[Score]) -> list[str]:
+    """Right, false retunes, settings over the limit and the answers, a line a group."""
+    lines = [f"{'group':<24}{'right':<36}{'false retunes':>14}{'Ms over limit':>15}   answers"]
+    for name in dict.fromkeys(s.group for s in scores):
+        rows = [s for s in scores if s.group == name]
+        said = ", ".join(f"{answer} {n}" for answer, n in Counter(s.answer for s in rows).most_common())
+        changed = sum(not math.isnan(s.ms_after) for s in rows)
+        over = f"{sum(not s.ms_kept for s in rows)} of {changed}"
+        right = share(sum(s.right for s in rows), len(rows))
+        lines.append(f"{name:<24}{right:<36}{sum(s.false_retune for s in rows):>14}{over:>15}   {said}")
+    return lines
+
+
+def confusion(scores: list[Score]) -> list[str]:
+    """Truth down, answers across."""
+    answers = [*diagnosis.CAUSES, "unknown", "refused"]
+    lines = [f"{'':<18}" + "".join(f"{a[:10]:>11}" for a in answers)]
+    for cause in diagnosis.CAUSES:
+        counts = Counter(s.answer for s in scores if s.group == cause)
+        lines.append(f"{cause:<18}" + "".join(f"{counts[a] or '.':>11}" for a in answers))
+    return lines
+
+
+def summary(scores: list[Score], name: str) -> list[str]:
+    """Totals of one set."""
+    n, changed = len(scores), [s for s in scores if not math.isnan(s.ms_after)]
+    products = [s.product for s in changed if s.answer == "slow_integrating" and s.product > 0]
+    unknown = sum(s.answer in {"unknown", "refused"} and not s.right for s in scores)
+    lines = [
+        f"{name}: right       {share(sum(s.right for s in scores), n)}; of the rest {unknown} undecided",
+        f"{name}: false retune {share(sum(s.false_retune for s in scores), n)}",
+        f"{name}: settings within the Ms limit {share(sum(s.ms_kept for s in changed), len(changed))}; "
+        f"worst Ms {max((s.ms_after for s in changed), default=math.nan):.2f}",
+    ]
+    if products:
+        inside = sum(PRODUCT[0] <= p <= PRODUCT[1] for p in products)
+        lines.append(
+            f"{name}: k' Kc tau_I after slow_integrating within 3.8 to 4.2: {share(inside, len(products))}; "
+            f"median {statistics.median(products):.2f}"
+        )
+    seconds = [1000 * s.seconds / s.samples for s in scores]
+    lines.append(f"{name}: CPU s per 1000 samples: median {statistics.median(seconds):.2f}, largest {max(seconds):.2f}")
+    return lines
+
+
+def numbered(names: list[str], count: int, only: str | None) -> list[tuple[int, str | None]]:
+    """Which cases to draw: the first `count`, or that many of one group."""
+    if only is None:
+        return [(i, None) for i in range(count)]
+    return [(names.index(only) + len(names) * i, only) for i in range(count)] if only in names else []
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cases", type=int, default=160, help="of the eight causes, or of the one of --only")
+    parser.add_argument("--traps", type=int, default=190, help="of all traps, or of the one of --only")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", choices=[*diagnosis.CAUSES, *traps.TRAPS])
+    parser.add_argument("--save-failures", metavar="FOLDER")
+    parser.add_argument("--out", metavar="FILE", help="every score as a line of JSON")
+    options = parser.parse_args()
+    if not hasattr(retuner, "diagnose"):
+        sys.stderr.write("this retuner has no diagnose(t, sp, pv, co, gains=, co_min=, co_max=): nothing to measure\n")
+        return 1
+    lines, everything = [f"seed {options.seed}"], []
+    for name, names, count in (
+        ("causes", list(diagnosis.CAUSES), options.cases),
+        ("traps", list(traps.TRAPS), options.traps),
+    ):
+        items = numbered(names, count, options.only)
+        if not items:
+            continue
+        work = functools.partial(score, options.seed, options.save_failures, name == "traps")
+        scores = list(spread(work, items, options.jobs))
+        lines += ["", *summary(scores, name), "", *table(scores)]
+        if name == "causes":
+            lines += ["", *confusion(scores)]
+        everything += scores
+    lines += ["", *(f"{s.group} {s.index} {s.family} [{s.hidden}]: {s.answer} ({s.confidence:.2f}) "
+                    f"{'FALSE RETUNE ' if s.false_retune else ''}Ms {s.ms_before:.2f} -> {s.ms_after:.2f}: {s.reason}"
+                    for s in everything if not s.right or s.false_retune or not s.ms_kept)]  # fmt: skip
+    sys.stdout.write("\n".join(lines) + "\n")
+    if options.out:
+        Path(options.out).write_text("".join(json.dumps(s._asdict()) + "\n" for s in everything), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
