@@ -61,7 +61,7 @@ class CanDevice:
         self.foreign_commands = 0  # frames to this node from another host
         self.refused_frames = 0
         self._codec = Codec(settings.node)
-        self._reader = PageReader()
+        self._reader = PageReader(settings.owner)
         self._belief = RunningBelief(settings.node)
         self._requests = HostRequests(settings, self._reader, self._codec.encode)
         self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)

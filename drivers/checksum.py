@@ -68,6 +68,11 @@ def set_crc(node: int, epoch: int, seq: int, gains: PidGains) -> int:
     return zlib.crc32(struct.pack("<BHHfff", node, epoch, seq, gains.kp, gains.ki, gains.kd))
 
 
+def page_crc(set_crc_: int, token: int) -> int:
+    """CRC-32 of a read-back: the set's, continued over the token of the question that it answers."""
+    return zlib.crc32(struct.pack("<H", token), set_crc_)
+
+
 def commit_crc(set_crc_: int, base: int, owner: int) -> int:
     """CRC-32 of a commit: the set's, continued over the sequence it is built on and the owner of the lease."""
     return zlib.crc32(struct.pack("<HH", base, owner), set_crc_)

@@ -9,10 +9,10 @@ from enum import IntEnum, IntFlag
 PROTOCOL_VERSION = 2
 STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANopen 1010h
 HIGHEST_NODE = 63  # 11-bit ids: 6 bits of node, 5 bits of command
-OWNER_TAG = 64  # STAGE carries the owner modulo this
-STORE_TAG = 256  # STORE and STATUS carry the owner modulo this
+OWNER_TAG, STORE_TAG = 64, 256  # STAGE carries the owner modulo the former, STORE and STATUS modulo the latter
 RUNNING_TAG = 32  # telemetry carries the running sequence modulo this
-TOKENS = 16  # a read-back request carries a number 0..15, its answers repeat it
+TOKENS = 1 << 16  # a question carries a number 0..65535
+PAGE_TAG, CHALLENGE_TAG = 16, 128  # ITEM and PAGE repeat it modulo the former, CHALLENGE modulo the latter
 
 
 class Page(IntEnum):
@@ -94,7 +94,7 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """Host asks for a page; token is repeated in the answers."""
+    """Host asks for a page; its answers belong to the token."""
 
     page: int
     token: int
@@ -242,7 +242,7 @@ class PageItem:
 
 @dataclass(frozen=True, slots=True)
 class PageEnd:
-    """End of a page: whether all gains are there, its sequence, the device's CRC-32 (checksum.set_crc)."""
+    """End of a page: whether all gains are there, its sequence, the device's CRC-32 (checksum.page_crc)."""
 
     page: int
     complete: int

@@ -12,8 +12,9 @@ import zlib
 from collections.abc import Callable
 from typing import NamedTuple
 
-from retuner.drivers.checksum import commit_crc, set_crc, to_wire
+from retuner.drivers.checksum import commit_crc, page_crc, set_crc, to_wire
 from retuner.drivers.frames import (
+    PAGE_TAG,
     STORE_KEY,
     Abort,
     Ack,
@@ -222,7 +223,7 @@ class GainPages:
 
     def read(self, frame: Read) -> list[PageItem | PageEnd]:
         """A page as it stands: the gains that are there, and its end."""
-        page, token = frame.page, frame.token
+        page, token = frame.page, frame.token % PAGE_TAG
         if page == Page.STAGED:
             seq = self._staged_seq if self._staged_seq is not None else self.latest
             values = {item: self._staged[item] for item in Item if item in self._staged}
@@ -231,7 +232,7 @@ class GainPages:
             seq = content.seq
             values = dict(zip(Item, (content.gains.kp, content.gains.ki, content.gains.kd), strict=True))
         complete = len(values) == len(Item)
-        crc = self._crc_of(seq, values) if complete else 0
+        crc = self._crc_of(seq, values, frame.token) if complete else 0
         items = [PageItem(page, item, token, value, seq) for item, value in values.items()]
         return [*items, PageEnd(page, int(complete), token, seq, crc)]
 
@@ -241,13 +242,13 @@ class GainPages:
         newest = max(whole, key=lambda slot: slot.generation, default=None)
         return newest.content if newest else self._first
 
-    def _crc_of(self, seq: int, values: dict[Item, float]) -> int:
-        """CRC-32 of a page; a staged page may hold what PidGains refuses, and then has CRC 0: it can never run."""
+    def _crc_of(self, seq: int, values: dict[Item, float], token: int) -> int:
+        """CRC-32 of a page for a question. What PidGains refuses may be staged, but never run: it has CRC 0."""
         try:
             gains = PidGains(values[Item.KP], values[Item.KI], values[Item.KD])
         except ValueError:
             return 0
-        return set_crc(self._node, self._epoch, seq, gains)
+        return page_crc(set_crc(self._node, self._epoch, seq, gains), token)
 
     def _staged_gains(self) -> PidGains:
         """The staged page as gains; the box has been asked before."""

@@ -1,22 +1,32 @@
 """Read-back: asks for a gain page and puts the answers together, whatever their order.
 
-Every request carries a new token and only answers to the newest request of a page count, so a late answer to an older
-question cannot pass for the present state.
+Every request carries a new token and only answers to the newest request of a page count, so a late or replayed answer
+to an older question cannot pass for the present state: the answers repeat the token's low bits, and the CRC of PAGE
+covers all of it.
 """
 
 from typing import NamedTuple
 
-from retuner.drivers.frames import TOKENS, Challenge, Item, Page, PageEnd, PageItem, Read
+from retuner.drivers.checksum import page_crc
+from retuner.drivers.frames import CHALLENGE_TAG, PAGE_TAG, TOKENS, Challenge, Item, Page, PageEnd, PageItem, Read
 from retuner.schedule.gains import PidGains
 
 
 class ReadBack(NamedTuple):
-    """A page as the device has it: its sequence, the gains (None when not all are there or no PID takes them), CRC."""
+    """A page as the device has it: its sequence, the gains (None when not all are there or no PID takes them), CRC.
+
+    token is that of the question.
+    """
 
     page: int
     seq: int
     gains: PidGains | None
     crc: int
+    token: int = 0
+
+    def fits(self, set_crc_: int) -> bool:
+        """Whether the device's CRC is that of this set, in answer to this question."""
+        return self.gains is not None and self.crc == page_crc(set_crc_, self.token)
 
 
 class _Question(NamedTuple):
@@ -28,10 +38,15 @@ class _Question(NamedTuple):
 
 
 class PageReader:
-    """Questions under way, at most one per page."""
+    """Questions under way, at most one per page.
 
-    def __init__(self) -> None:
-        self._token = 0
+    Parameters
+    ----------
+    first_token : where the tokens begin; hosts, and one host's lives, had better begin at different ones.
+    """
+
+    def __init__(self, first_token: int = 0) -> None:
+        self._token = first_token
         self._asked: dict[int, _Question] = {}
 
     def ask(self, page: int) -> Read:
@@ -43,7 +58,7 @@ class PageReader:
     def take(self, frame: PageItem | PageEnd) -> ReadBack | None:
         """Note an answer; the page once it is whole."""
         question = self._asked.get(frame.page)
-        if question is None or frame.token != question.token:
+        if question is None or frame.token != question.token % PAGE_TAG:
             return None
         if isinstance(frame, PageEnd):
             question.ends[:] = [frame]
@@ -54,14 +69,14 @@ class PageReader:
     def is_newest(self, challenge: Challenge) -> bool:
         """Whether this answers the newest question for the challenge."""
         question = self._asked.get(Page.CHALLENGE)
-        return question is not None and challenge.token == question.token
+        return question is not None and challenge.token == question.token % CHALLENGE_TAG
 
     def _whole(self, question: _Question) -> ReadBack | None:
         """The page if all parts are here and belong together."""
         end = question.ends[0]
         if not end.complete:
             del self._asked[end.page]
-            return ReadBack(end.page, end.seq, None, end.crc)
+            return ReadBack(end.page, end.seq, None, end.crc, question.token)
         items = question.items
         if len(items) < len(Item) or any(item.seq != end.seq for item in items.values()):
             return None
@@ -69,5 +84,5 @@ class PageReader:
         try:
             gains = PidGains(items[Item.KP].value, items[Item.KI].value, items[Item.KD].value)
         except ValueError:
-            return ReadBack(end.page, end.seq, None, end.crc)
-        return ReadBack(end.page, end.seq, gains, end.crc)
+            return ReadBack(end.page, end.seq, None, end.crc, question.token)
+        return ReadBack(end.page, end.seq, gains, end.crc, question.token)

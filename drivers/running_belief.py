@@ -68,13 +68,14 @@ class RunningBelief:
 
     def _fits(self, page: ReadBack, epoch: int) -> bool:
         """Whether the device's CRC is that of these gains in this epoch."""
-        return page.gains is not None and page.crc == set_crc(self._node, epoch, page.seq, page.gains)
+        return page.gains is not None and page.fits(set_crc(self._node, epoch, page.seq, page.gains))
 
     def _believe(self, page: ReadBack, verdict: Belief) -> Belief:
         """Make it the known set."""
-        if page.gains is None:
+        if page.gains is None or self.epoch is None:
             return Belief.NOTHING
-        before, self._before = self._before, RunningSet(page.seq, page.gains, page.crc)
+        crc = set_crc(self._node, self.epoch, page.seq, page.gains)
+        before, self._before = self._before, RunningSet(page.seq, page.gains, crc)
         self.running = self._before
         if verdict is Belief.SAME and before is not None and before != self.running:
             return Belief.CHANGED

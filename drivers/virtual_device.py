@@ -16,6 +16,7 @@ from retuner.drivers.codec import Codec, Refusal, Refused, schema
 from retuner.drivers.commit_code import CodeDesk, fresh_nonce
 from retuner.drivers.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.frames import (
+    CHALLENGE_TAG,
     OWNER_TAG,
     PROTOCOL_VERSION,
     RUNNING_TAG,
@@ -153,7 +154,7 @@ class VirtualDevice:
             case Read(page=Page.IDENTITY):
                 return [Identity(PROTOCOL_VERSION, schema(), self.settings.sample_time_s), *self._life_sign()]
             case Read(page=Page.CHALLENGE):
-                return [Challenge(frame.token, int(self.code.demanded), self.code.nonce)]
+                return [Challenge(frame.token % CHALLENGE_TAG, int(self.code.demanded), self.code.nonce)]
             case Read():
                 return list(self.pages.read(frame))
             case Lease():

@@ -231,7 +231,7 @@ class WriteProtocol:
         order = self._order
         if order is None:
             return
-        self._staged_right = page.seq == order.seq and page.gains == order.gains and page.crc == order.set_crc
+        self._staged_right = page.seq == order.seq and page.gains == order.gains and page.fits(order.set_crc)
         if not self._staged_right:
             self._move(WriteInput.STAGED_WRONG)
         elif order.key is None or self._nonce is not None:

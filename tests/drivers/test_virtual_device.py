@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.process import LinearProcess
-from retuner.drivers.checksum import commit_crc, frame_crc, set_crc
+from retuner.drivers.checksum import commit_crc, frame_crc, page_crc, set_crc
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.codec import Codec
 from retuner.drivers.device_process import RunReport, run_device
@@ -99,9 +99,11 @@ def test_pages_are_read_as_they_stand() -> None:
     assert partial[-1] == PageEnd(Page.STAGED, 0, 3, 1, 0)
     assert [f.item for f in partial if isinstance(f, PageItem)] == [Item.KP, Item.KI]
     say(dev, *stage(1, SECOND))
-    assert say(dev, Read(Page.STAGED, 4))[-1] == PageEnd(Page.STAGED, 1, 4, 1, set_crc(1, 1, 1, SECOND))
-    assert say(dev, Read(Page.RUNNING, 5))[-1] == PageEnd(Page.RUNNING, 1, 5, 0, set_crc(1, 1, 0, FIRST))
-    assert say(dev, Read(Page.STORED, 6))[-1] == PageEnd(Page.STORED, 1, 6, 0, set_crc(1, 1, 0, FIRST))
+    assert say(dev, Read(Page.STAGED, 4))[-1] == PageEnd(Page.STAGED, 1, 4, 1, page_crc(set_crc(1, 1, 1, SECOND), 4))
+    assert say(dev, Read(Page.RUNNING, 5))[-1] == PageEnd(Page.RUNNING, 1, 5, 0, page_crc(set_crc(1, 1, 0, FIRST), 5))
+    assert say(dev, Read(Page.STORED, 0x106))[-1] == PageEnd(
+        Page.STORED, 1, 6, 0, page_crc(set_crc(1, 1, 0, FIRST), 0x106)
+    )
 
 
 @pytest.mark.parametrize(
