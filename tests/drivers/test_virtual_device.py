@@ -99,11 +99,13 @@ def test_pages_are_read_as_they_stand() -> None:
     assert partial[-1] == PageEnd(Page.STAGED, 0, 3, 1, 0)
     assert [f.item for f in partial if isinstance(f, PageItem)] == [Item.KP, Item.KI]
     say(dev, *stage(1, SECOND))
-    assert say(dev, Read(Page.STAGED, 4))[-1] == PageEnd(Page.STAGED, 1, 4, 1, page_crc(set_crc(1, 1, 1, SECOND), 4))
-    assert say(dev, Read(Page.RUNNING, 5))[-1] == PageEnd(Page.RUNNING, 1, 5, 0, page_crc(set_crc(1, 1, 0, FIRST), 5))
-    assert say(dev, Read(Page.STORED, 0x106))[-1] == PageEnd(
-        Page.STORED, 1, 6, 0, page_crc(set_crc(1, 1, 0, FIRST), 0x106)
-    )
+    for page, token, seq, gains in [
+        (Page.STAGED, 4, 1, SECOND),
+        (Page.RUNNING, 5, 0, FIRST),
+        (Page.STORED, 262, 0, FIRST),
+    ]:
+        crc = page_crc(set_crc(1, 1, seq, gains), token)
+        assert say(dev, Read(page, token))[-1] == PageEnd(page, 1, token % 16, seq, crc)
 
 
 @pytest.mark.parametrize(
