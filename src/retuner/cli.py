@@ -183,6 +183,27 @@ def reduce(
     return work(ReduceOptions(k, num_t or [], den_t or [], integrators, delay, order, leads), as_json=json)
 
 
+ledger = typer.Typer(
+    no_args_is_help=True, help="What was seen, decided and written: look whether it can be believed.",
+    epilog="Example: retuner ledger verify runs/demo/ledger.sqlite",
+)  # fmt: skip
+app.add_typer(ledger, name="ledger")
+
+
+@ledger.command(epilog="Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")
+def verify(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="ledger.sqlite of a run.")],
+    head: Annotated[
+        str | None, typer.Option(help="Hash that was noted when it was written; cut-off rows show.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where."""
+    from retuner.commands.ledger import verify as work
+
+    return work(file, head=head, as_json=json)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status. Arguments are those of the process unless given."""
     if not os.environ.get("RETUNER_TRACEBACK"):

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from retuner.cli import main
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
@@ -140,6 +141,36 @@ def test_verify_names_the_first_row_that_was_tampered_with(
     assert reason in report.reason
     with pytest.raises(LedgerError, match="evidence"):
         Ledger(path)
+
+
+def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "l.sqlite"
+    head = written(path, 5)
+    with LedgerReader(path) as ledger:
+        middle = list(ledger.rows())[2].hash
+    assert main(["ledger", "verify", str(path), "--head", head[:12]]) == 0
+    assert main(["ledger", "verify", str(path), "--head", middle]) == 0
+    tamper(path, "DELETE FROM ledger WHERE seq > 3",
+           "UPDATE head SET seq = 3, hash = (SELECT hash FROM ledger WHERE seq = 3)")  # fmt: skip
+    assert main(["ledger", "verify", str(path)]) == 0, "the file alone cannot show it"
+    capsys.readouterr()
+    assert main(["ledger", "verify", str(path), "--head", head, "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert (document["ok"], document["rows"], document["broken_seq"]) == (False, 3, 4)
+    assert f"no row has the hash {head[:12]}" in document["reason"]
+
+
+def test_a_broken_chain_is_status_1_and_no_ledger_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "l.sqlite"
+    written(path)
+    tamper(path, "UPDATE ledger SET clock_s = 7 WHERE seq = 2")
+    assert main(["ledger", "verify", str(path)]) == 1
+    assert "row 2 was changed after it was written; 1 rows before it hold" in capsys.readouterr().out
+    assert main(["ledger", "verify", str(tmp_path / "none")]) == 2
+    assert main(["ledger", "verify", str(path), "--head", "xyz"]) == 2
+    assert capsys.readouterr().err.count("\n") == 2
 
 
 def test_a_value_of_another_kind_breaks_the_chain(tmp_path: Path) -> None:

@@ -209,6 +209,7 @@ def _leave(
     screen.console.print(scores_table(scores, config.loop.pv_unit))
     screen.console.print(f"{len(session.decisions)} decisions, {len(session.commits)} changes of gains; "
                          f"report: {folder / REPORT}", highlight=False)  # fmt: skip
+    screen.console.print(f"ledger head {ledger.head()}", highlight=False)
 
 
 def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:

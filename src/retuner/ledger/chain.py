@@ -3,8 +3,9 @@
     hash = sha256(canonical JSON of [previous hash, seq, clock_s, kind, body text])
 
 So a changed, removed, inserted or reordered row breaks every hash after it. Rows cut off at the end break nothing that
-is left; that is why the store keeps the head beside the rows, and why a report prints it. The hashes show tampering by
-whoever does not recompute them; they are no signature.
+is left; that is why the store keeps the head beside the rows. Whoever can write the file can set that back too, or
+recompute every hash: the hashes are no signature. So a run tells its head (screen, summary.json, report), and a check
+may be given one that was noted elsewhere.
 """
 
 import hashlib
@@ -71,18 +72,25 @@ def next_row(previous: str, seq: int, clock_s: float, kind: str, text: str) -> R
     return Row(seq, float(clock_s), kind, text, previous, hashlib.sha256(covered.encode("utf-8")).hexdigest())
 
 
-def check_chain(rows: Iterable[Row], head: tuple[int, str]) -> ChainReport:
-    """Recompute every hash. head : (seq, hash) that the last row must have, as remembered beside the rows."""
+def check_chain(rows: Iterable[Row], head: tuple[int, str], anchor: str = "") -> ChainReport:
+    """Recompute every hash. head : (seq, hash) that the last row must have, as remembered beside the rows; anchor : the
+    beginning of the hash of a row that must be there.
+    """
     last, count = GENESIS, 0
+    found = GENESIS.startswith(anchor)
     for row in rows:
         reason = _fault(row, last, count + 1)
         if reason:
             return ChainReport(count, last, count + 1, reason)
         last, count = row.hash, count + 1
+        found = found or last.startswith(anchor)
     if (count, last) != head:
         reason = (
             f"the ledger ended with row {head[0]}, hash {head[1][:12]}; rows were cut off or replaced after {count}"
         )
+        return ChainReport(count, last, count + 1, reason)
+    if not found:
+        reason = f"no row has the hash {anchor[:12]}; rows were cut off after {count}, or this is another ledger"
         return ChainReport(count, last, count + 1, reason)
     return ChainReport(count, last)
 

@@ -44,15 +44,20 @@ class LedgerReader:
         """Hash of the last row, 64 hexadecimal digits; zeros for an empty ledger."""
         return self._head()[1]
 
-    def verify(self) -> ChainReport:
+    def verify(self, anchor: str = "") -> ChainReport:
         """Recompute the whole chain and name the first row that cannot be believed.
+
+        Parameters
+        ----------
+        anchor : the hash of a row, or its beginning, that was noted elsewhere: whoever can write the file can cut off
+            its last rows and set its head back, and only a note outside of the file shows that.
 
         Raises
         ------
         LedgerError
             The file cannot be read as SQLite at all.
         """
-        return check_chain(self.rows(), self._head())
+        return check_chain(self.rows(), self._head(), anchor)
 
     def _head(self) -> tuple[int, str]:
         try:
