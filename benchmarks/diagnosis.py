@@ -24,9 +24,9 @@ from cases import diagnosis, traps
 from cases.best import sampled
 from cases.case import DiagnosisCase
 from cases.counting import picture, share, spread
+from cases.robustness import robustness
 
 import retuner
-from retuner.adaptive.margins import sensitivity_peak
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST = 1.8, 1.03
@@ -89,14 +89,14 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
 def _after(case: DiagnosisCase, gains: PidGains | None) -> tuple[float, float, bool, float]:
     """Ms before and after on the true process, whether the limit is kept, and k' Kc tau_I of an integrating one."""
     process = sampled(case.process, case.dt_s)
-    before = sensitivity_peak(process, case.gains)
+    before = robustness(process, case.gains).ms
     if gains is None:
         return before, math.nan, True, math.nan
-    after = sensitivity_peak(process, gains)
+    after = robustness(process, gains).ms
     product = math.nan
     if case.process.integrators == 1 and gains.ki:
         product = case.process.k * gains.kp * gains.kp / gains.ki
-    return before, after, after <= max(MS_LIMIT, MS_OVER_BEST * sensitivity_peak(process, case.best)), product
+    return before, after, after <= max(MS_LIMIT, MS_OVER_BEST * robustness(process, case.best).ms), product
 
 
 def _picture(

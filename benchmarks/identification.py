@@ -25,9 +25,9 @@ from cases.bound import kc_bound
 from cases.case import IdentificationCase
 from cases.counting import picture, share, spread
 from cases.loop import performance
+from cases.robustness import robustness
 
 from retuner import identify
-from retuner.adaptive.margins import sensitivity_peak
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
@@ -64,11 +64,11 @@ def judged(case: IdentificationCase, gains: PidGains) -> tuple[str, float, float
     """Outcome, Ms and J of settings on the true process."""
     best = case.best_pid if gains.kd and case.best_pid is not None else case.best
     process = sampled(case.process, case.dt_s)
-    ms = sensitivity_peak(process, gains)
+    ms = robustness(process, gains).ms
     if not math.isfinite(ms):
         return "unstable", ms, math.inf
     j = performance(case.process, gains, best, case.theta_eff_s, case.dt_s)
-    if ms > max(MS_LIMIT, MS_OVER_BEST * sensitivity_peak(process, best)):
+    if ms > max(MS_LIMIT, MS_OVER_BEST * robustness(process, best).ms):
         return "Ms", ms, j
     return ("in spec" if j <= J_LIMIT else "J"), ms, j
 

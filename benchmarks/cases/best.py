@@ -1,19 +1,20 @@
 """SIMC with perfect knowledge: the half rule on the true process, tau_c = theta, theta + dt/2 for the sampling.
 
-Written apart from retuner's own reduction, which must not be judged by itself. Lags and negative leads only. For pairs
-of complex poles SIMC is not made and reaches Ms of 6; there tau_c is raised until Ms is 1.8.
+Written apart from retuner's own rule and reduction, which must not be judged by themselves. Lags and negative leads
+only. For pairs of complex poles SIMC is not made and reaches Ms of 6; there tau_c is raised until Ms is 1.8.
 """
 
 import math
 from dataclasses import replace
 
-from retuner.adaptive.margins import sensitivity_peak
+from cases.robustness import robustness
 from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.rules.simc import ControllerKind, simc
+from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 
 MS_OF_COMPLEX_POLES = 1.8
 TAU_C_STEP = 1.05
+TAU_I_FACTOR = 4.0
 
 
 def half_rule(process: LinearProcess, order: int = 1) -> ProcessModel:
@@ -55,25 +56,30 @@ def sampled(process: LinearProcess, dt_s: float) -> LinearProcess:
     return replace(process, theta_s=process.theta_s + dt_s / 2)
 
 
+def simc_of(model: ProcessModel, tau_c_s: float) -> PidGains:
+    """Table 1 of Skogestad (2003), series form."""
+    span = tau_c_s + model.theta_s
+    tau_i = min(model.tau1_s, TAU_I_FACTOR * span) if model.tau1_s else TAU_I_FACTOR * span
+    return from_form("series", 1 / (model.slope * span), tau_i, model.tau2_s)
+
+
 def best_pi(process: LinearProcess, dt_s: float) -> PidGains:
     """SIMC PI settings."""
-    return _tuned(process, later(half_rule(process), dt_s / 2), dt_s, ControllerKind.PI)
+    return _tuned(process, later(half_rule(process), dt_s / 2), dt_s)
 
 
 def best_pid(process: LinearProcess, dt_s: float) -> PidGains | None:
     """SIMC PID settings, None where the process has no second lag."""
     model = half_rule(process, 2)
-    if not model.tau2_s:
-        return None
-    return _tuned(process, later(model, dt_s / 2), dt_s, ControllerKind.PID)
+    return _tuned(process, later(model, dt_s / 2), dt_s) if model.tau2_s else None
 
 
-def _tuned(process: LinearProcess, model: ProcessModel, dt_s: float, kind: ControllerKind) -> PidGains:
+def _tuned(process: LinearProcess, model: ProcessModel, dt_s: float) -> PidGains:
     """At tau_c = theta, or at the smallest larger one that keeps Ms where there are complex poles."""
     tau_c = model.theta_s
-    found = simc(model, tau_c, kind).gains
+    found = simc_of(model, tau_c)
     if any(c1 * c1 < 4 * c2 for c1, c2 in process.quadratics):
-        while sensitivity_peak(sampled(process, dt_s), found) > MS_OF_COMPLEX_POLES:
+        while robustness(sampled(process, dt_s), found).ms > MS_OF_COMPLEX_POLES:
             tau_c *= TAU_C_STEP
-            found = simc(model, tau_c, kind).gains
+            found = simc_of(model, tau_c)
     return found

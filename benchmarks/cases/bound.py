@@ -10,11 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cases.best import half_rule, later
+from cases.best import half_rule, later, simc_of
 from cases.case import FloatArray, IdentificationCase
 from cases.plant import HeldPlant
 from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.rules.simc import simc
 
 PLAIN = frozenset({"open-loop step", "open-loop steps", "setpoint", "load", "setpoint and load", "several", "pid"})
 """Groups with nothing but steps and white noise."""
@@ -71,4 +70,5 @@ def _moved(process: LinearProcess, p: FloatArray) -> LinearProcess:
 
 def _ln_kc(process: LinearProcess, dt_s: float) -> float:
     """Of SIMC PI."""
-    return math.log(abs(simc(later(half_rule(process), dt_s / 2)).gains.kp))
+    model = later(half_rule(process), dt_s / 2)
+    return math.log(abs(simc_of(model, model.theta_s).kp))

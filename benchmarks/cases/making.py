@@ -11,7 +11,6 @@ from cases.processes import log_uniform
 from cases.setting import Loop, resampled, scaled, settling_s
 from cases.signals import steps
 from cases.valves import Valve
-from retuner.adaptive.margins import controller_response
 from retuner.schedule.gains import PidGains
 
 MOST_SAMPLES, FEWEST_SAMPLES = 1600, 200
@@ -56,7 +55,7 @@ def own_period_s(loop: Loop, gains: PidGains) -> float:
     """Period at which the loop amplifies most: where |S| has its maximum."""
     w = np.geomspace(0.01, 10.0, 600) / loop.theta_s
     delayed = loop.process.response(w) * np.exp(-0.5j * w * loop.dt_s)
-    s = 1 / np.abs(1 + controller_response(gains, w) * delayed)
+    s = 1 / np.abs(1 + (gains.kp + gains.ki / (1j * w)) * delayed)
     return float(2 * np.pi / w[int(np.argmax(s))])
 
 

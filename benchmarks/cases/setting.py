@@ -7,7 +7,7 @@ import numpy as np
 from cases.best import best_pi, best_pid, half_rule, sampled
 from cases.loop import Controller, Upsets, run
 from cases.processes import draw, log_uniform
-from retuner.adaptive.margins import Margins, margins
+from cases.robustness import Robustness, robustness
 from retuner.adaptive.process import LinearProcess
 from retuner.schedule.forms import from_form, to_series
 from retuner.schedule.gains import PidGains
@@ -42,9 +42,9 @@ class Loop:
         """How far the output may go from rest to either side."""
         return min(self.co0 - self.low, self.high - self.co0)
 
-    def margins(self, gains: PidGains, tau_f_s: float = 0.0) -> Margins:
+    def margins(self, gains: PidGains, tau_f_s: float = 0.0) -> Robustness:
         """Of the true loop, sampling included."""
-        return margins(sampled(self.process, self.dt_s), gains, tau_f_s)
+        return robustness(sampled(self.process, self.dt_s), gains, tau_f_s)
 
 
 def draw_loop(rng: np.random.Generator, family: str, per_theta: tuple[float, float] = SAMPLES_PER_THETA) -> Loop:
