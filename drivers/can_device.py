@@ -118,7 +118,7 @@ class CanDevice:
             case frames.Challenge():
                 self._requests.on_challenge(frame)
             case frames.Ack():
-                event = self._requests.on_ack(frame)
+                event = self._requests.on_ack(frame, self._belief.epoch)
                 if event is not None:
                     self._events.append(event)
 

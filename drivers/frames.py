@@ -10,7 +10,7 @@ PROTOCOL_VERSION = 2
 STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANopen 1010h
 HIGHEST_NODE = 63  # 11-bit ids: 6 bits of node, 5 bits of command
 OWNER_TAG, STORE_TAG = 64, 256  # STAGE carries the owner modulo the former, STORE and STATUS modulo the latter
-RUNNING_TAG = 32  # telemetry carries the running sequence modulo this
+RUNNING_TAG, EPOCH_TAG = 32, 8192  # telemetry carries the running sequence, ACK the boot epoch modulo these
 TOKENS = 1 << 16  # a question carries a number 0..65535
 PAGE_TAG, CHALLENGE_TAG = 16, 128  # ITEM and PAGE repeat it modulo the former, CHALLENGE modulo the latter
 
@@ -253,13 +253,14 @@ class PageEnd:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """The device's answer: Kind, sequence or counter, Reason, newest number seen, the Item concerned."""
+    """The device's answer: Kind, sequence or counter, Reason, newest number seen, Item concerned, epoch (EPOCH_TAG)."""
 
     kind: int
     seq: int
     reason: int
     latest: int
     item: int = 0
+    epoch: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from retuner.drivers.can_settings import CanDeviceSettings
 from retuner.drivers.checksum import to_wire
 from retuner.drivers.command_sender import CommandSender
 from retuner.drivers.device import CommandFailed, Event, RunningSet, WriteDone, WriteFailed, WriteRefusedError
-from retuner.drivers.frames import Ack, Challenge, Frame, Kind
+from retuner.drivers.frames import EPOCH_TAG, Ack, Challenge, Frame, Kind
 from retuner.drivers.lease_keeper import LeaseKeeper
 from retuner.drivers.page_reader import PageReader
 from retuner.drivers.probation import Probation
@@ -89,8 +89,10 @@ class HostRequests:
         if self._reader.is_newest(challenge):
             self.write.on_challenge(challenge)
 
-    def on_ack(self, ack: Ack) -> Event | None:
-        """An answer to a request; the news if there are any."""
+    def on_ack(self, ack: Ack, epoch: int | None) -> Event | None:
+        """An answer to a request; the news if there are any. One given in another epoch answers nothing."""
+        if epoch is None or ack.epoch != epoch % EPOCH_TAG:
+            return None
         if ack.kind in GAIN_KINDS:
             self.sequence.note(ack.latest)
             self.write.on_ack(ack)

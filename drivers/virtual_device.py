@@ -6,6 +6,7 @@ reads a clock or a bus: device_process.py and the tests move frames and time.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import can
@@ -17,6 +18,7 @@ from retuner.drivers.commit_code import CodeDesk, fresh_nonce
 from retuner.drivers.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.frames import (
     CHALLENGE_TAG,
+    EPOCH_TAG,
     OWNER_TAG,
     PROTOCOL_VERSION,
     RUNNING_TAG,
@@ -137,7 +139,7 @@ class VirtualDevice:
         frames += self._telemetry()
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
-        return [self._codec.encode(frame) for frame in frames]
+        return [self._encode(frame) for frame in frames]
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """Take a frame from the bus; the frames that answer it. Anything whatsoever may come."""
@@ -145,8 +147,13 @@ class VirtualDevice:
         if isinstance(frame, Refused):
             self.refused += frame.refusal is not Refusal.FOREIGN
             return []
-        answers = self._answer(frame)
-        return [self._codec.encode(answer) for answer in answers]
+        return [self._encode(answer) for answer in self._answer(frame)]
+
+    def _encode(self, frame: DeviceFrame) -> can.Message:
+        """The frame as a message; an acknowledge tells in which epoch it was given."""
+        if isinstance(frame, Ack):
+            frame = replace(frame, epoch=self.epoch % EPOCH_TAG)
+        return self._codec.encode(frame)
 
     def _answer(self, frame: Frame) -> list[DeviceFrame]:
         """What the firmware says to a host's frame."""

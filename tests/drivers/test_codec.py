@@ -24,7 +24,7 @@ SAMPLES: list[frames.Frame] = [
     frames.Setpoint(255, 120.25, 1), frames.Mode(1, 0, 47.125, 2), frames.Load(3, -5.0, 3),
     frames.Heartbeat(2**32 - 1, 65535, 63), frames.Status(1, 2, 3, 255), frames.TelemetryPv(9, 88.5, -0.0001),
     frames.TelemetrySp(9, 90.0, 1, -1, 31, 65535), frames.Identity(1, 0xBEEF, 2.0), frames.PageItem(2, 1, 15, 0.5, 9),
-    frames.PageEnd(2, 1, 3, 9, 12345), frames.Ack(5, 9, 18, 9, 2), frames.Challenge(127, 1, 2**48 - 1),
+    frames.PageEnd(2, 1, 3, 9, 12345), frames.Ack(5, 9, 18, 9, 2, 8191), frames.Challenge(127, 1, 2**48 - 1),
 ]  # fmt: skip
 
 
