@@ -47,6 +47,10 @@ class BitLayout:
         self._length = layout.length
         self._fields = tuple(_field(layout.name, layout.get_signal_by_name(name)) for name in order)
 
+    def range_of(self, place: int) -> tuple[float, float]:
+        """Least and greatest value of the signal at this place of the order."""
+        return self._fields[place].low, self._fields[place].high
+
     def unpack(self, data: bytes | bytearray) -> list[float] | None:
         """The numbers in data, which must have the frame's length; None when one is not finite or out of range."""
         whole = int.from_bytes(data, "little")

@@ -7,21 +7,22 @@ nothing.
 """
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import lru_cache
 from importlib.resources import files
 
 import can
-import cantools.database
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message as Layout
 
 from retuner.drivers.bit_layout import BitLayout
 from retuner.drivers.checksum import frame_crc
+from retuner.drivers.dbc_reading import DbcError, read_dbc
 from retuner.drivers.frames import HIGHEST_NODE, NAMES, Frame
 
+DBC = "retuner.dbc"
 COMMAND_BITS = 5
 CHECKSUM = "CHECKSUM"
 
@@ -72,38 +73,63 @@ class _Plan:
 
 @lru_cache(maxsize=1)
 def _plans() -> dict[int, _Plan]:
-    """Command number to plan, from the DBC."""
+    """Command number to plan, from the shipped DBC."""
+    return plans_of(_database(), DBC)
+
+
+def plans_of(database: Database, source: str) -> dict[int, _Plan]:
+    """Command number to plan.
+
+    Raises
+    ------
+    DbcError
+        The database lacks a frame or signal of this protocol, has one too many, or one that cannot be laid out.
+    """
+    names = sorted(layout.name for layout in database.messages)
+    if names != sorted(NAMES):
+        odd = ", ".join(sorted(set(names) ^ set(NAMES))) or "twice the same"
+        raise DbcError(f"{source}: has not the frames of this protocol: {odd}")
     plans = {}
-    for layout in _database().messages:
-        make = NAMES[layout.name]
-        by_field = {signal.name.lower(): signal for signal in layout.signals}
-        signals = []
-        for field in fields(make):
-            signal = by_field[field.name]
-            if signal.minimum is None or signal.maximum is None:
-                raise FrameError(f"retuner.dbc: {layout.name}.{signal.name} has no range; give it one")
-            signals.append(_Signal(signal.name, field.name, float(signal.minimum), float(signal.maximum)))
-        bits = BitLayout(layout, [signal.name for signal in signals])
-        plan = _Plan(layout, bits, make, make, tuple(signals), CHECKSUM.lower() in by_field)
-        plans[layout.frame_id & ((1 << COMMAND_BITS) - 1)] = plan
+    for layout in database.messages:
+        node, command = divmod(layout.frame_id, 1 << COMMAND_BITS)
+        if node != 1 or layout.is_extended_frame or command in plans:
+            raise DbcError(f"{source}: {layout.name}: id {layout.frame_id} is not that of a frame of node 1 of its own")
+        plans[command] = _plan(layout, source)
     return plans
+
+
+def _plan(layout: Layout, source: str) -> _Plan:
+    """The plan of one frame; DbcError when its signals are not its class's fields."""
+    make = NAMES[layout.name]
+    by_field = {signal.name.lower(): signal for signal in layout.signals}
+    names = [field.name for field in fields(make)]
+    if set(by_field) - {CHECKSUM.lower()} != set(names) or len(by_field) != len(layout.signals):
+        odd = ", ".join(sorted(set(by_field) ^ set(names)))
+        raise DbcError(f"{source}: {layout.name} has not the signals of this protocol: {odd}")
+    try:
+        bits = BitLayout(layout, [by_field[name].name for name in names])
+    except ValueError as error:
+        raise DbcError(f"{source}: {error}") from None
+    signals = [_Signal(by_field[name].name, name, *bits.range_of(i)) for i, name in enumerate(names)]
+    return _Plan(layout, bits, make, make, tuple(signals), CHECKSUM.lower() in by_field)
 
 
 @lru_cache(maxsize=1)
 def _database() -> Database:
     """The shipped DBC."""
-    text = files("retuner.drivers").joinpath("retuner.dbc").read_text(encoding="ascii")
-    database = cantools.database.load_string(text, database_format="dbc", strict=True)
-    if not isinstance(database, Database):
-        raise FrameError("retuner.dbc is no CAN database")
-    return database
+    return read_dbc(files("retuner.drivers").joinpath(DBC).read_text(encoding="ascii"), DBC)
 
 
 @lru_cache(maxsize=1)
 def schema() -> int:
     """Layout of all frames as 16 bits of a CRC-32: equal on both ends or nothing is written. Comments do not count."""
+    return schema_of(_plans())
+
+
+def schema_of(plans: Mapping[int, _Plan]) -> int:
+    """The same of any plans."""
     parts = []
-    for command, plan in sorted(_plans().items()):
+    for command, plan in sorted(plans.items()):
         parts.append(f"{command} {plan.layout.name} {plan.layout.length}")
         parts += [
             f"{s.name} {s.start} {s.length} {s.byte_order} {s.is_signed} {s.is_float} {s.scale} {s.offset}"
