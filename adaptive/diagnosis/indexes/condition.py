@@ -25,7 +25,9 @@ DEAD = 1e-9
 STILL_SHARE = 0.6
 """Share of the record in long stretches of constant co from which it counts as manual."""
 STILL_STRETCH = 20
-"""Samples of constant co that make a long stretch."""
+"""Samples of constant co that make a long stretch, at least."""
+STILL_LENGTH = 0.1
+"""The same as a share of the record: a rounded co stands still for a while as well."""
 MOVING_SHARE = 0.3
 """Share of samples with a setpoint change from which the setpoint moves all the time."""
 OFFSET_RATIO = 6.0
@@ -88,7 +90,7 @@ def record_condition(window: Window, at_limit_share: float = 0.0) -> RecordCondi
     e = window.sp - window.pv
     spread = float(np.std(e))
     offset = abs(float(np.mean(e))) / spread if spread > 0 else 0.0
-    still = _still_share(window.co)
+    still = sum(end - start for start, end in still_stretches(window.co)) / len(window.co)
     moving = float(np.mean(np.diff(window.sp) != 0))
     condition = _condition(window, still - at_limit_share, moving, offset, at_limit_share)
     return RecordCondition(condition, still, moving, offset)
@@ -115,11 +117,11 @@ def _dead(x: FloatArray) -> bool:
     return float(np.ptp(x)) <= DEAD * float(np.max(np.abs(x)))
 
 
-def _still_share(co: FloatArray) -> float:
-    """Share of samples in long stretches without any change of co."""
+def still_stretches(co: FloatArray) -> list[tuple[int, int]]:
+    """Long stretches without any change of co: first sample, and sample after the last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (np.diff(co) == 0).astype(np.int8), [0]])))
-    lengths = edges[1::2] - edges[::2]
-    return float(np.sum(lengths[lengths >= STILL_STRETCH])) / len(co)
+    shortest = max(STILL_STRETCH, STILL_LENGTH * len(co))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= shortest]
 
 
 def _slow_movement(x: FloatArray) -> bool:
