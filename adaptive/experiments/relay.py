@@ -1,0 +1,244 @@
+"""Relay feedback: ultimate gain and period from the half-waves of a limit cycle (Astrom & Hagglund 1984).
+
+    Ku = 4 d / (pi a)                        ideal relay of amplitude d, a the amplitude of pv
+    Ku = 4 d / (pi sqrt(a^2 - eps^2))        with hysteresis eps
+    Pu = mean duration of a full wave
+
+The formulas take the wave for a sine (describing function): right within about 10 % for lags, worst (30 %) for an
+integrator with dead time. A full wave begins at every switching, and each gives one Ku and one Pu. Reported is the mean
+with the standard deviation over the waves, which says what noise, drift and coarse sampling did. Left out are the first
+wave, waves that last less than half or more than twice the median (a setpoint change), and outliers of the rest by
+their median absolute deviation (the limit cycle has not been reached). Noisy peaks are read off a smoothed record.
+
+The frequency response at the fundamental, G(jw) = Y1/U1 by Fourier over whole waves, needs no sine wave. Its phase
+would be -180 degrees for an ideal relay: what is missing is hysteresis, and the time that passes between pv's crossing
+and co's switching.
+"""
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.noise import noise_sigma
+from retuner.adaptive.sample import FloatArray, Window
+
+FEWEST_WAVES = 2
+"""Full waves from which a result is given; the first after the start is not among them."""
+LEVEL_WIDTH = 0.05
+"""co within this share of the relay's range belongs to one of its two levels."""
+OFF_LEVEL = 0.02
+"""Share of samples (after the first switching) that may be at neither level."""
+ODD_WAVE = 2.0
+"""Waves that differ from the median by more than this factor in duration are not of the limit cycle."""
+SHORT_HALF = 20.0
+"""A half-wave shorter than this part of a wave is noise at the switching point."""
+OUTLIER, MAD_TO_SIGMA = 3.0, 1.4826
+"""Waves further from the median than this many standard deviations, estimated robustly, are left out."""
+SMOOTHED_SHARE, NOISE_LEFT = 20.0, 0.03
+"""pv is smoothed over at most this part of a wave, until this share of its height is left of the noise."""
+NEXT_TO_HYSTERESIS = 1.05
+"""An amplitude within this factor of the hysteresis says nothing: the root in Ku's formula vanishes."""
+
+
+@dataclass(frozen=True, slots=True)
+class RelayCycle:
+    """A relay's limit cycle.
+
+    ku, pu_s : ultimate gain in co per pv (positive) and period in s. ku_std, pu_std_s : standard deviation over the
+        waves. waves : how many full waves count.
+    amplitude, co_amplitude : half the height of pv's wave and of the relay's. hysteresis : as given, pv units.
+    high_s, low_s : mean duration of the relay's upper and lower half-wave.
+    pv_high, pv_low : mean of the waves' largest and smallest pv. pv_mean, co_mean : means over whole waves.
+    co_high, co_low : the relay's levels. from_s, to_s : time of the waves that count.
+    gain, phase_deg : of the process at the fundamental, G(j 2 pi/Pu); phase in -360..0.
+    """
+
+    ku: float
+    pu_s: float
+    ku_std: float
+    pu_std_s: float
+    waves: int
+    amplitude: float
+    co_amplitude: float
+    hysteresis: float
+    high_s: float
+    low_s: float
+    pv_high: float
+    pv_low: float
+    pv_mean: float
+    co_mean: float
+    co_high: float
+    co_low: float
+    from_s: float
+    to_s: float
+    gain: float
+    phase_deg: float
+
+    def to_dict(self) -> dict[str, float | int]:
+        """Keys as in the JSON output of `retuner experiment relay`."""
+        return {
+            "ku": self.ku, "pu": self.pu_s, "ku_std": self.ku_std, "pu_std": self.pu_std_s, "waves": self.waves,
+            "amplitude": self.amplitude, "co_amplitude": self.co_amplitude, "hysteresis": self.hysteresis,
+            "high": self.high_s, "low": self.low_s, "gain": self.gain, "phase_deg": self.phase_deg,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Waves:
+    """Full waves: index of first and last sample, duration in s, largest and smallest pv."""
+
+    spans: list[tuple[int, int]]
+    periods: FloatArray
+    highs: FloatArray
+    lows: FloatArray
+
+    @property
+    def amplitudes(self) -> FloatArray:
+        """Half the height of each."""
+        return (self.highs - self.lows) / 2
+
+
+def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
+    """Evaluate a record of relay feedback.
+
+    Parameters
+    ----------
+    window : the record; what comes before the first switching, and odd waves, are left out.
+    hysteresis : of the relay on either side of its reference, pv units.
+
+    Raises
+    ------
+    ValueError
+        co is not a relay's, it switches too rarely, the hysteresis is negative, or the waves do not rise above it.
+    """
+    if not (math.isfinite(hysteresis) and hysteresis >= 0):
+        raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
+    upper = _levels(window.co)
+    switches = np.flatnonzero(np.diff(upper.astype(np.int8))) + 1
+    if len(switches) < 2 * FEWEST_WAVES + 2:
+        raise ValueError(f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
+                         "record longer, or see whether its sign and size let pv cross the reference")  # fmt: skip
+    starts = _regular(window.t_s, switches)
+    waves = _waves(window, [(int(switches[i]), int(switches[i + 2])) for i in starts])
+    a = float(np.mean(waves.amplitudes))
+    if np.min(waves.amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
+        raise ValueError(f"the waves of pv are {a:.3g} high on either side, no more than the hysteresis of "
+                         f"{hysteresis:.3g}; raise the relay's amplitude or lower its hysteresis")  # fmt: skip
+    co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
+    d = (co_high - co_low) / 2
+    gains = 4 * d / (math.pi * np.sqrt(waves.amplitudes**2 - hysteresis**2))
+    ku = 4 * d / (math.pi * math.sqrt(a * a - hysteresis * hysteresis))
+    point = _fundamental(window, waves.spans)
+    high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
+    return RelayCycle(
+        ku, float(np.mean(waves.periods)), float(np.std(gains)), float(np.std(waves.periods)), len(waves.spans), a, d,
+        hysteresis, high_s, low_s, float(np.mean(waves.highs)), float(np.mean(waves.lows)),
+        *_means(window, waves.spans), co_high, co_low,
+        float(window.t_s[waves.spans[0][0]]), float(window.t_s[waves.spans[-1][1]]), abs(point),
+        math.degrees(cmath.phase(point)) % 360 - 360,
+    )  # fmt: skip
+
+
+def _waves(window: Window, spans: list[tuple[int, int]]) -> _Waves:
+    """Measure the waves and leave outliers out."""
+    t, dt = window.t_s, window.sample_time_s
+    periods = np.array([t[b] - t[a] for a, b in spans])
+    pv = _peaks_kept(window.pv, float(np.median(periods)) / dt)
+    highs = np.array([float(np.max(pv[a:b])) for a, b in spans])
+    lows = np.array([float(np.min(pv[a:b])) for a, b in spans])
+    steps = np.abs(np.diff(window.pv))
+    quantum = float(np.min(steps[steps > 0], initial=np.inf))
+    usual = _near_median(periods, dt) & _near_median(highs - lows, min(2 * quantum, float(np.median(highs - lows))))
+    spans = [span for span, kept in zip(spans, usual, strict=True) if kept]
+    return _Waves(spans, periods[usual], highs[usual], lows[usual])
+
+
+def _near_median(values: FloatArray, slack: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which values are no outliers; slack is what rounding may move a value by."""
+    off = np.abs(values - np.median(values))
+    spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.01 * float(np.median(np.abs(values))))
+    return np.asarray(off <= OUTLIER * spread + slack)
+
+
+def _peaks_kept(pv: FloatArray, samples_a_wave: float) -> FloatArray:
+    """pv smoothed over so few samples that a sine's peak loses less than half a per cent, if there is noise at all."""
+    low, high = (float(x) for x in np.quantile(pv, (0.05, 0.95)))
+    most = int(samples_a_wave / SMOOTHED_SHARE) // 2 * 2 + 1
+    sigma = noise_sigma(pv)
+    wanted = (sigma / (NOISE_LEFT * max(high - low, sigma))) ** 2 if sigma else 0.0
+    n = min(int(wanted) // 2 * 2 + 1, most)
+    if n < 3:
+        return pv
+    padded = np.concatenate([np.full(n // 2, pv[0]), pv, np.full(n // 2, pv[-1])])
+    return np.convolve(padded, np.full(n, 1 / n), mode="valid")
+
+
+def _levels(co: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Whether the relay stands at its upper level, for each sample; before it begins, at neither, counts as lower."""
+    low, high = float(np.min(co)), float(np.max(co))
+    if high == low:
+        raise ValueError(f"co stays at {low:g}: the relay never switched")
+    width = LEVEL_WIDTH * (high - low)
+    at_level = (co >= high - width) | (co <= low + width)
+    first = int(np.argmax(at_level))
+    off = float(np.mean(~at_level[first:]))
+    if off > OFF_LEVEL:
+        raise ValueError(f"co is between its levels {low:g} and {high:g} in {off:.0%} of the samples; this is not what "
+                         "a relay puts out")  # fmt: skip
+    return np.asarray(co > (low + high) / 2)
+
+
+def _regular(t_s: FloatArray, switches: np.ndarray[tuple[int], np.dtype[np.int_]]) -> list[int]:
+    """Indices into switches at which a full wave of usual duration begins, without the first half-wave."""
+    times = t_s[switches]
+    halves = np.diff(times)
+    middle = float(np.median(halves[1:] + halves[:-1]))
+    kept = []
+    for i in range(1, len(switches) - 2):
+        usual = all(h > middle / SHORT_HALF for h in halves[i : i + 2])
+        wave = float(times[i + 2] - times[i])
+        if usual and middle / ODD_WAVE < wave < middle * ODD_WAVE:
+            kept.append(i)
+    if len(kept) < FEWEST_WAVES:
+        raise ValueError("no two waves of the relay are alike; this is no limit cycle yet: record longer")
+    return kept
+
+
+def _half_waves(
+    t_s: FloatArray, spans: list[tuple[int, int]], upper: np.ndarray[tuple[int], np.dtype[np.bool_]]
+) -> tuple[float, float]:
+    """Mean durations of the upper and of the lower half-wave."""
+    found: dict[bool, list[float]] = {True: [], False: []}
+    for a, b in spans:
+        first = bool(upper[a])
+        switch = a + int(np.argmax(upper[a:b] != first))
+        found[first].append(float(t_s[switch] - t_s[a]))
+        found[not first].append(float(t_s[b] - t_s[switch]))
+    return float(np.mean(found[True])), float(np.mean(found[False]))
+
+
+def _means(window: Window, spans: list[tuple[int, int]]) -> tuple[float, float]:
+    """pv and co averaged over time, wave by wave."""
+    held = np.diff(window.t_s)
+    pv, co = (
+        float(np.mean([float(x[a:b] @ held[a:b] / np.sum(held[a:b])) for a, b in spans]))
+        for x in ((window.pv + np.roll(window.pv, -1)) / 2, window.co)
+    )
+    return pv, co
+
+
+def _fundamental(window: Window, waves: list[tuple[int, int]]) -> complex:
+    """G(jw) from the fundamentals of pv and co, the mean over the waves; co is held between samples."""
+    ratios = []
+    for a, b in waves:
+        t, end = window.t_s[a:b], float(window.t_s[b])
+        w = 2 * math.pi / (end - float(t[0]))
+        edges = np.append(t, end)
+        turns = np.exp(-1j * w * edges)
+        u1 = np.sum(window.co[a:b] * np.diff(turns)) / (-1j * w)
+        pv = window.pv[a : b + 1] - float(np.mean(window.pv[a:b]))
+        y1 = np.trapezoid(pv * turns, edges)
+        ratios.append(y1 / u1)
+    return complex(np.mean(ratios))

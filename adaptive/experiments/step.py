@@ -1,0 +1,179 @@
+"""Open-loop step: first order + dead time read off the response by the methods with names.
+
+    two-point       tau = 1.5 (T2 - T1),  theta = T2 - tau      T1, T2 at 28.3 and 63.2 % of the change
+                    (Smith 1972; the lambda-tuning bump test: 28.3 % = 1 - e^(-1/3), 63.2 % = 1 - e^(-1))
+    tangent         tau = B/S, theta where the tangent at the inflection leaves the old level (Ziegler & Nichols 1942)
+    reaction-curve  tau = B/S, theta until the response starts                                (Cohen & Coon 1953)
+    63-percent      theta until the response starts, tau the further time to 63.2 %           (Skogestad 2003)
+
+k = B/A with A the change of co, B that of pv, S the steepest slope. They need a response that has come to rest and one
+clean step; the fit (identify) needs neither and says how sure it is, so it is the default and these are for comparison.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from retuner.adaptive.experiments.levels import CLEAR, crossing, smoothed
+from retuner.adaptive.noise import noise_sigma
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.sample import FloatArray, Window
+
+T1_SHARE = 1 - math.exp(-1 / 3)
+T2_SHARE = 1 - math.exp(-1)
+SAME_LEVEL = 0.02
+"""co within this share of the step belongs to a level; more is another move."""
+REST_SHARE = 0.1
+"""The final level is the mean over this last share of the record."""
+REST_DRIFT = 0.03
+"""pv is at rest when it moves less than this share of its change over the last tenth of the record."""
+SLOPE_ERROR = 0.05
+"""The steepest slope is taken over enough samples that noise moves it by about this share."""
+STARTED = 0.02
+"""The response has started at this share of its change, or at the edge of the noise where that is wider."""
+
+
+class StepMethod(StrEnum):
+    """Graphical methods under the names that the command line uses."""
+
+    TWO_POINT = "two-point"
+    TANGENT = "tangent"
+    REACTION_CURVE = "reaction-curve"
+    PERCENT_63 = "63-percent"
+
+
+@dataclass(frozen=True, slots=True)
+class StepResponse:
+    """One clean step and the response to it.
+
+    at_s : time of the step. co_change, pv_change : A and B. pv_before, pv_after : levels of pv.
+    t_s, pv : the record from the step on, time counted from it, pv smoothed just enough.
+    sigma, sigma_left : standard deviation of pv's noise as recorded, and as smoothed.
+    """
+
+    at_s: float
+    co_change: float
+    pv_change: float
+    pv_before: float
+    pv_after: float
+    t_s: FloatArray
+    pv: FloatArray
+    sigma: float
+    sigma_left: float
+
+
+def step_response(window: Window) -> StepResponse:
+    """Find the step in a record.
+
+    Raises
+    ------
+    ValueError
+        co does not make exactly one step, pv was not recorded before it, hardly answers, or has not come to rest.
+    """
+    i = _step_index(window.co)
+    a = float(window.co[-1] - window.co[0])
+    sigma = noise_sigma(window.pv)
+    # what pv reads at the step's own sample it owes to the output before it
+    before = float(np.mean(window.pv[: i + 1]))
+    tail = window.pv[-max(int(REST_SHARE * (len(window.pv) - i)), 2) :]
+    after = float(np.mean(tail))
+    b = after - before
+    if abs(b) <= CLEAR * sigma:
+        raise ValueError(f"pv answers the step by {b:.3g}, and its noise has a standard deviation of {sigma:.2g}; make "
+                         "a larger step")  # fmt: skip
+    slope = float(np.polyfit(np.linspace(-0.5, 0.5, len(tail)), tail, 1)[0])
+    if abs(slope) > REST_DRIFT * abs(b) + CLEAR * sigma / math.sqrt(len(tail)) * math.sqrt(12):
+        raise ValueError(f"pv has not come to rest: it still moves by {slope:.3g} over the last tenth of the record; "
+                         "record longer, or use the fit")  # fmt: skip
+    t = window.t_s[i:] - window.t_s[i]
+    pv, left = smoothed(window.pv[i:], b)
+    return StepResponse(float(window.t_s[i]), a, b, before, after, t, pv, sigma, left)
+
+
+def _step_index(co: FloatArray) -> int:
+    """Index of the first sample with the new co."""
+    change = float(co[-1] - co[0])
+    if change == 0:
+        raise ValueError("co ends where it began: this record has no step; the fit takes any move")
+    near_old = np.abs(co - co[0]) <= SAME_LEVEL * abs(change)
+    near_new = np.abs(co - co[-1]) <= SAME_LEVEL * abs(change)
+    i = int(np.argmax(~near_old))
+    if i < 1 or not (np.all(near_old[:i]) and np.all(near_new[i:])):
+        raise ValueError("co makes more than one step; the graphical methods need exactly one, the fit takes any move")
+    return i
+
+
+def model_by(method: StepMethod, response: StepResponse) -> ProcessModel:
+    """First order + dead time by a named method; see the head of this file.
+
+    Raises
+    ------
+    ValueError
+        The response is faster than the samples.
+    """
+    work = {
+        StepMethod.TWO_POINT: _two_point,
+        StepMethod.TANGENT: _tangent,
+        StepMethod.REACTION_CURVE: _reaction_curve,
+        StepMethod.PERCENT_63: _percent_63,
+    }
+    tau, theta = work[method](response)
+    if tau <= 0:
+        raise ValueError(f"{method}: the response is over within a sample; record faster")
+    return ProcessModel(ProcessType.FOPDT, response.pv_change / response.co_change, tau, 0.0, max(theta, 0.0))
+
+
+def _share_time(response: StepResponse, share: float) -> float:
+    """Time after the step at which a share of the change has happened."""
+    level = response.pv_before + share * response.pv_change
+    return crossing(response.t_s, response.pv, level, rising=response.pv_change > 0)
+
+
+def _two_point(response: StepResponse) -> tuple[float, float]:
+    t1, t2 = _share_time(response, T1_SHARE), _share_time(response, T2_SHARE)
+    tau = 1.5 * (t2 - t1)
+    return tau, t2 - tau
+
+
+def _percent_63(response: StepResponse) -> tuple[float, float]:
+    theta = _start(response)
+    return _share_time(response, T2_SHARE) - theta, theta
+
+
+def _tangent(response: StepResponse) -> tuple[float, float]:
+    slope, t, pv = _steepest(response)
+    return response.pv_change / slope, t - (pv - response.pv_before) / slope
+
+
+def _reaction_curve(response: StepResponse) -> tuple[float, float]:
+    return response.pv_change / _steepest(response)[0], _start(response)
+
+
+def _start(response: StepResponse) -> float:
+    """Time until the response starts: where it leaves the old level for good."""
+    share = max(STARTED, min(CLEAR * response.sigma_left / abs(response.pv_change), 0.5))
+    return _share_time(response, share)
+
+
+def _steepest(response: StepResponse) -> tuple[float, float, float]:
+    """Steepest slope towards the new level with a point of its tangent: slope, time, pv.
+
+    A straight line is fitted to as few samples as keep the noise out of its slope, whose standard deviation is
+    sigma sqrt(12)/(dt m^1.5) over m samples.
+    """
+    t, pv = response.t_s, response.pv
+    dt = float(np.median(np.diff(t)))
+    rise = max(1.5 * (_share_time(response, T2_SHARE) - _share_time(response, T1_SHARE)), dt)
+    wanted = (math.sqrt(12) * response.sigma * rise / (SLOPE_ERROR * abs(response.pv_change) * dt)) ** (2 / 3)
+    m = int(min(max(3.0, wanted), max(rise / (2 * dt), 3.0), len(t)))
+    best = (0.0, 0.0, 0.0)
+    sign = math.copysign(1.0, response.pv_change)
+    for i in range(len(t) - m + 1):
+        part_t, part = t[i : i + m], pv[i : i + m]
+        middle, level = float(np.mean(part_t)), float(np.mean(part))
+        slope = float((part_t - middle) @ (part - level) / ((part_t - middle) @ (part_t - middle)))
+        if slope * sign > best[0] * sign:
+            best = (slope, middle, level)
+    return best

@@ -1,0 +1,379 @@
+"""What records of experiments say: exact processes, printed examples, a real relay record, and what is refused."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.experiments import asymmetric_relay, setpoint, step
+from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
+from retuner.adaptive.experiments.sustained import swing
+from retuner.adaptive.process import LinearProcess, ProcessType
+from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.sample import Window
+from retuner.drivers.linear_plant import LinearPlant
+from retuner.drivers.recording import read_recording
+
+SERVO = Path(__file__).parents[1] / "data" / "servo" / "relay.csv"
+
+
+def plant(process: LinearProcess, noise: float, seed: int) -> LinearPlant:
+    return LinearPlant(process, start_co=0.0, co_min=-1e9, co_max=1e9, noise=noise, seed=seed)
+
+
+def step_record(
+    process: LinearProcess, *, size: float = 2.0, dt: float = 0.1, n: int = 1500, noise: float = 0.0
+) -> Window:
+    machine = plant(process, noise, 1)
+    co = [size if i >= 50 else 0.0 for i in range(n)]
+    pv = [machine.step(u, 0.0, dt) for u in [0.0, *co[:-1]]]
+    return Window(np.arange(n) * dt, np.zeros(n), np.array(pv) + 20.0, np.array(co) + 30.0)
+
+
+def setpoint_record(
+    process: LinearProcess, kc: float, *, size: float = 1.0, dt: float = 0.01, n: int = 4000, noise: float = 0.0
+) -> Window:
+    machine, co, rows = plant(process, noise, 2), 0.0, []
+    for i in range(n):
+        pv = machine.step(co, 0.0, dt)
+        sp = size if i >= 100 else 0.0
+        co = kc * (sp - pv)
+        rows.append((i * dt, sp, pv, co))
+    return Window(*np.array(rows).T)
+
+
+def relay_record(
+    process: LinearProcess, up: float, down: float, *, eps: float = 0.0, dt: float = 0.02, n: int = 4000,
+    noise: float = 0.0, shift: float = 0.0,
+) -> Window:  # fmt: skip
+    machine, co, high, rows = plant(process, noise, 3), 0.0, True, []
+    sign = math.copysign(1.0, process.k)
+    for i in range(n):
+        pv = machine.step(co, 0.0, dt)
+        if i >= 50:
+            error = -pv * sign
+            high = True if error > eps else False if error < -eps else high
+            co = up if high else -down
+        rows.append((i * dt, shift, pv + shift, co + shift))
+    return Window(*np.array(rows).T)
+
+
+def ultimate(process: LinearProcess) -> tuple[float, float]:
+    """Ku and Pu from the frequency response."""
+    w = np.geomspace(1e-3, 1e2, 200001)
+    phase = np.unwrap(np.angle(process.response(w) / process.k))
+    i = int(np.argmax(phase < -math.pi))
+    return 1 / abs(process.response(w[i : i + 1])[0]), 2 * math.pi / w[i]
+
+
+# open-loop step
+
+
+@pytest.mark.parametrize("method", ["two-point", "tangent"])
+@pytest.mark.parametrize("process", [LinearProcess(1.5, (20.0,), (), 5.0), LinearProcess(-0.4, (8.0,), (), 12.0)])
+def test_graphical_methods_find_first_order_with_dead_time(method: str, process: LinearProcess) -> None:
+    found = step.model_by(step.StepMethod(method), step.step_response(step_record(process)))
+    assert found.k == pytest.approx(process.k, rel=2e-3)
+    assert found.tau1_s == pytest.approx(process.lags_s[0], rel=0.02)
+    assert found.theta_s == pytest.approx(process.theta_s, abs=0.1)
+
+
+@pytest.mark.parametrize("method", ["reaction-curve", "63-percent"])
+def test_methods_by_the_start_of_the_response_see_it_at_two_per_cent(method: str) -> None:
+    response = step.step_response(step_record(LinearProcess(1.5, (20.0,), (), 5.0)))
+    found = step.model_by(step.StepMethod(method), response)
+    late = -20.0 * math.log(1 - 0.02)
+    assert found.theta_s == pytest.approx(5.0 + late, abs=0.1)
+    assert found.tau1_s == pytest.approx(20.0 - (late if method == "63-percent" else 0.0), rel=0.02)
+
+
+def test_two_point_times_on_two_equal_lags_are_those_of_the_exact_response() -> None:
+    # 1 - (1 + x) e^-x is 28.3 % at x = 1.0483 and 63.2 % at x = 2.1462
+    found = step.model_by(step.StepMethod.TWO_POINT, step.step_response(step_record(LinearProcess(1.0, (10.0, 10.0)))))
+    assert found.tau1_s == pytest.approx(1.5 * 10 * (2.1462 - 1.0483), rel=0.01)
+    assert found.theta_s == pytest.approx(21.462 - found.tau1_s, abs=0.15)
+
+
+@pytest.mark.parametrize("method", list(step.StepMethod))
+def test_noise_of_one_per_cent_moves_graphical_methods_little(method: step.StepMethod) -> None:
+    record = step_record(LinearProcess(1.5, (20.0,), (), 5.0), noise=0.03)
+    found = step.model_by(method, step.step_response(record))
+    assert found.k == pytest.approx(1.5, rel=0.02)
+    assert found.tau1_s + found.theta_s == pytest.approx(25.0, rel=0.12)
+
+
+REFUSED_STEPS = {
+    "no step": (lambda r: Window(r.t_s, r.sp, r.pv, r.co * 0 + 1), "no step"),
+    "two steps": (lambda r: Window(r.t_s, r.sp, r.pv, r.co + (r.t_s > 60)), "more than one step"),
+    "pv does not answer": (
+        lambda r: Window(r.t_s, r.sp, r.pv * 0 + 1 + 0.1 * np.sin(1e4 * r.t_s), r.co),
+        "larger step",
+    ),
+    "not at rest yet": (lambda r: Window(r.t_s[:300], r.sp[:300], r.pv[:300], r.co[:300]), "not come to rest"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED_STEPS)
+def test_records_that_are_no_step_response_are_refused(case: str) -> None:
+    change, words = REFUSED_STEPS[case]
+    with pytest.raises(ValueError, match=words):
+        step.step_response(change(step_record(LinearProcess(1.5, (20.0,), (), 5.0))))
+
+
+# setpoint overshoot
+
+
+def test_skogestad_grimholt_worked_example() -> None:
+    """Process E2, Kc0 = 1.5: printed to two or three digits."""
+    seen = setpoint.Overshoot(1.0, 0.79, 0.54, 4.4)
+    assert seen.dy_inf == pytest.approx(0.5985, abs=5e-5)
+    assert seen.d == pytest.approx(0.32, abs=5e-3)
+    assert seen.b == pytest.approx(0.67, abs=5e-3)
+    assert seen.a == pytest.approx(0.6038, abs=5e-4)
+    model = setpoint.two_step_model(seen, 1.5)
+    assert model.k == pytest.approx(0.994, abs=5e-4)
+    assert model.theta_s == pytest.approx(1.67, abs=5e-3)
+    assert model.tau1_s == pytest.approx(3.00, abs=5e-3)
+
+
+def test_the_worked_example_is_seen_in_the_simulated_response() -> None:
+    process = LinearProcess(1.0, (2.0, 1.0, 0.4, 0.2, 0.05, 0.05, 0.05), (-0.3, 0.08))
+    seen = setpoint.measure(setpoint_record(process, 1.5))
+    assert (seen.dy_p, seen.dy_u) == pytest.approx((0.79, 0.54), abs=0.01)
+    assert seen.t_p_s == pytest.approx(4.4, abs=0.06)
+
+
+TABLE = {  # process: Kc0 for 30 % overshoot, t_p, b (tuning-rules digest, section 9)
+    "tau 5": (LinearProcess(1.0, (5.0,), (), 1.0), 4.007, 3.02, 0.800),
+    "tau 10": (LinearProcess(1.0, (10.0,), (), 1.0), 7.988, 3.14, 0.889),
+    "integrating": (LinearProcess(1.0, (), (), 1.0, 1), 0.798, 3.29, 1.0),
+}
+
+
+@pytest.mark.parametrize("case", TABLE)
+def test_thirty_per_cent_overshoot_table(case: str) -> None:
+    process, kc0, t_p, b = TABLE[case]
+    record = setpoint_record(process, kc0, dt=0.002, n=15000)
+    seen = setpoint.measure(record)
+    final = b  # of a unit step
+    assert (seen.dy_p - final) / final == pytest.approx(0.30, abs=2e-3)
+    assert seen.t_p_s == pytest.approx(t_p, abs=0.006)
+    assert seen.dy_inf == pytest.approx(final, rel=5e-3)
+    model = setpoint.two_step_model(seen, kc0)
+    assert model.slope == pytest.approx(process.k / (process.lags_s[0] if process.lags_s else 1.0), rel=0.06)
+    assert model.theta_s == pytest.approx(1.0, rel=0.05)
+    assert model.type == (ProcessType.FOPDT if process.lags_s else ProcessType.INTEGRATING)
+
+
+@pytest.mark.parametrize("case", TABLE)
+def test_direct_settings_are_about_those_of_simc(case: str) -> None:
+    process, kc0, _, _ = TABLE[case]
+    direct = setpoint.direct_settings(setpoint.measure(setpoint_record(process, kc0)), kc0).to_dict()["gains"]
+    best = simc(setpoint.two_step_model(setpoint.measure(setpoint_record(process, kc0)), kc0)).to_dict()["gains"]
+    assert isinstance(direct, dict)
+    assert isinstance(best, dict)
+    assert direct["kc"] == pytest.approx(best["kc"], rel=0.02)
+    assert direct["tau_i"] == pytest.approx(best["tau_i"], rel=0.4)
+
+
+def test_detuning_slows_both_settings() -> None:
+    seen = setpoint.Overshoot(1.0, 1.3, 0.91, 3.29)
+    tight, slow = (setpoint.direct_settings(seen, 0.8, f).gains for f in (1.0, 2.0))
+    assert slow.kp == pytest.approx(tight.kp / 2)
+    assert slow.kp / slow.ki == pytest.approx(2 * tight.kp / tight.ki)
+
+
+@given(scale=st.floats(0.01, 100), gain=st.floats(0.01, 100), sign=st.sampled_from([-1, 1]))
+def test_setpoint_method_scales_with_time_and_gain(scale: float, gain: float, sign: int) -> None:
+    plain = setpoint.two_step_model(setpoint.Overshoot(1.0, 0.79, 0.54, 4.4), 1.5)
+    scaled = setpoint.two_step_model(setpoint.Overshoot(-3.0, -2.37, -1.62, 4.4 * scale), sign * 1.5 / gain)
+    assert scaled.k == pytest.approx(sign * plain.k * gain)
+    assert (scaled.tau1_s, scaled.theta_s) == pytest.approx((plain.tau1_s * scale, plain.theta_s * scale))
+
+
+def test_reverse_acting_noisy_setpoint_response() -> None:
+    record = setpoint_record(LinearProcess(-1.0, (5.0,), (), 1.0), -4.007, size=-2.0, dt=0.1, n=600, noise=0.02)
+    model = setpoint.two_step_model(setpoint.measure(record), -4.007)
+    assert model.k == pytest.approx(-1.0, rel=0.1)
+    assert model.theta_s == pytest.approx(1.0, rel=0.15)
+
+
+def test_setpoint_responses_that_say_nothing_are_refused() -> None:
+    process = LinearProcess(1.0, (5.0,), (), 1.0)
+    with pytest.raises(ValueError, match="no overshoot"):
+        setpoint.measure(setpoint_record(process, 1.0))
+    with pytest.raises(ValueError, match="0 steps"):
+        setpoint.measure(step_record(process))
+    small = setpoint.Overshoot(1.0, 0.63, 0.60, 3.0)
+    with pytest.raises(ValueError, match="larger gain"):
+        setpoint.two_step_model(small, 1.5)
+    with pytest.raises(ValueError, match="smaller gain"):
+        setpoint.direct_settings(setpoint.Overshoot(1.0, 1.5, 0.2, 3.0), 1.5)
+    with pytest.raises(ValueError, match="kc0 = 0"):
+        setpoint.two_step_model(setpoint.Overshoot(1.0, 0.79, 0.54, 4.4), 0.0)
+    with pytest.raises(ValueError, match="beyond the undershoot"):
+        setpoint.Overshoot(1.0, 0.5, 0.6, 3.0)
+    with pytest.raises(ValueError, match="not a finite"):
+        setpoint.Overshoot(1.0, math.nan, 0.6, 3.0)
+
+
+# relay
+
+
+RELAYS = {  # process: share by which the describing function may miss Ku
+    "four lags": (LinearProcess(1.0, (1.0,) * 4), 0.05),
+    "first order": (LinearProcess(1.0, (5.0,), (), 1.0), 0.20),
+    "Putra's example": (LinearProcess(4.0, (7.0,), (), 3.5), 0.20),
+    "integrating": (LinearProcess(1.0, (), (), 1.0, 1), 0.25),
+}
+
+
+@pytest.mark.parametrize("case", RELAYS)
+def test_relay_gives_ultimate_gain_and_period(case: str) -> None:
+    process, miss = RELAYS[case]
+    cycle = relay_cycle(relay_record(process, 1.0, 1.0, dt=0.01, n=8000))
+    ku, pu = ultimate(process)
+    assert cycle.ku == pytest.approx(ku, rel=miss)
+    assert cycle.pu_s == pytest.approx(pu, rel=0.08)
+    assert cycle.ku_std < 0.02 * cycle.ku
+    assert cycle.high_s == pytest.approx(cycle.low_s, abs=0.02)
+
+
+def test_relay_formula_to_the_last_digit_on_a_drawn_wave() -> None:
+    t = np.arange(0, 20, 0.01)
+    co = np.where((t % 4.0) < 2.0, 5.0, -5.0)
+    pv = 0.5 * np.sin(2 * math.pi * (t + 0.005) / 4.0)
+    cycle = relay_cycle(Window(t, t * 0, pv, co), hysteresis=0.3)
+    assert cycle.amplitude == pytest.approx(0.5, rel=1e-4)
+    assert cycle.ku == pytest.approx(4 * 5 / (math.pi * 0.4), rel=2e-4)
+    assert cycle.pu_s == pytest.approx(4.0)
+
+
+def test_the_point_of_the_frequency_response_is_exact_where_the_describing_function_is_not() -> None:
+    for process, _ in RELAYS.values():
+        cycle = relay_cycle(relay_record(process, 1.0, 1.0, eps=0.05, dt=0.005, n=16000), 0.05)
+        true = process.response(np.array([2 * math.pi / cycle.pu_s]))[0]
+        assert cycle.gain == pytest.approx(abs(true), rel=0.01)
+        assert cycle.phase_deg == pytest.approx(math.degrees(np.angle(true)) % 360 - 360, abs=1.0)
+
+
+def test_noise_round_the_switching_point_needs_the_hysteresis() -> None:
+    process = LinearProcess(1.0, (5.0,), (), 1.0)
+    quiet = relay_cycle(relay_record(process, 1.0, 1.0, eps=0.06), 0.06)
+    noisy = relay_cycle(relay_record(process, 1.0, 1.0, eps=0.06, noise=0.02, n=8000), 0.06)
+    assert noisy.ku == pytest.approx(quiet.ku, rel=0.1)
+    assert noisy.pu_s == pytest.approx(quiet.pu_s, rel=0.1)
+    assert noisy.ku_std > 2 * quiet.ku_std
+    chattering = relay_record(process, 1.0, 1.0, eps=0.0, noise=0.02, n=8000)
+    switches = np.count_nonzero(np.diff(chattering.co))
+    assert switches > 1.3 * np.count_nonzero(np.diff(relay_record(process, 1, 1, eps=0.06, noise=0.02, n=8000).co))
+
+
+@pytest.mark.parametrize("eps", [0.0, 0.05])
+@pytest.mark.parametrize(
+    "process",
+    [LinearProcess(1.0, (5.0,), (), 1.0), LinearProcess(-1.0, (1.0,), (), 1.0), LinearProcess(3.0, (1.0,), (), 2.0)],
+)
+def test_asymmetric_relay_finds_first_order_with_dead_time_exactly(process: LinearProcess, eps: float) -> None:
+    cycle = relay_cycle(relay_record(process, 1.3, 0.7, eps=eps, dt=0.01, n=8000, shift=40.0), eps)
+    model = asymmetric_relay.first_order(cycle, 40.0, 40.0)
+    assert model.k == pytest.approx(process.k, rel=0.01)
+    assert model.tau1_s == pytest.approx(process.lags_s[0], rel=0.03)
+    assert model.theta_s == pytest.approx(process.theta_s, abs=0.02)  # up to two samples of switching delay
+
+
+def test_asymmetric_relay_refuses_what_it_has_no_formula_for() -> None:
+    process = LinearProcess(1.0, (5.0,), (), 1.0)
+    with pytest.raises(ValueError, match="symmetric"):
+        asymmetric_relay.first_order(relay_cycle(relay_record(process, 1.0, 1.0)), 0.0, 0.0)
+    integrating = relay_cycle(relay_record(LinearProcess(1.0, (), (), 1.0, 1), 1.3, 0.7))
+    with pytest.raises(ValueError, match=r"use the fit|symmetric"):
+        asymmetric_relay.first_order(integrating, 0.0, 0.0)
+
+
+def test_the_real_servo_record_has_this_ultimate_gain_and_period() -> None:
+    cycle = relay_cycle(read_recording(SERVO).window())
+    # the record by hand: 5 full waves between 0.262 and 0.464 s, switchings 20 +- 2 ms apart, peaks 1 or 2 quanta of
+    # 3.5 either side
+    assert cycle.waves > 60
+    assert cycle.pu_s == pytest.approx(0.041, abs=0.001)
+    assert 0.001 < cycle.pu_std_s < 0.004
+    assert 3.5 <= cycle.amplitude <= 5.3
+    assert cycle.ku == pytest.approx(4 * 100 / (math.pi * cycle.amplitude))
+    assert cycle.ku == pytest.approx(29, abs=4)
+    assert 5 < cycle.ku_std < 15  # the encoder's quantum is of the size of the wave, and the spread says so
+
+
+def test_a_setpoint_change_inside_the_record_makes_no_difference() -> None:
+    window = read_recording(SERVO).window()
+    part = window.t_s < 1.0  # before the change
+    alone = relay_cycle(Window(window.t_s[part], window.sp[part], window.pv[part], window.co[part]))
+    whole = relay_cycle(window)
+    assert whole.pu_s == pytest.approx(alone.pu_s, rel=0.05)
+    assert whole.ku == pytest.approx(alone.ku, rel=0.15)
+
+
+REFUSED_RELAYS = {
+    "never switched": (lambda r: replace(r, co=r.co * 0 + 1.0), "never switched"),
+    "too short": (lambda r: Window(r.t_s[:300], r.sp[:300], r.pv[:300], r.co[:300]), "switches"),
+    "not a relay": (lambda r: replace(r, co=np.sin(r.t_s)), "not what a relay"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED_RELAYS)
+def test_records_without_a_limit_cycle_are_refused(case: str) -> None:
+    change, words = REFUSED_RELAYS[case]
+    with pytest.raises(ValueError, match=words):
+        relay_cycle(change(relay_record(LinearProcess(1.0, (5.0,), (), 1.0), 1.0, 1.0)))
+
+
+def test_hysteresis_as_high_as_the_wave_is_refused() -> None:
+    record = relay_record(LinearProcess(1.0, (5.0,), (), 1.0), 1.0, 1.0)
+    for hysteresis, words in ((0.2, "no more than the hysteresis"), (-0.1, "hysteresis = -0.1"), (math.nan, "nan")):
+        with pytest.raises(ValueError, match=words):
+            relay_cycle(record, hysteresis)
+
+
+@given(time=st.sampled_from([0.25, 8.0]), pv_gain=st.sampled_from([0.5, 16.0]), co_gain=st.sampled_from([0.125, 4.0]))
+def test_relay_results_scale(time: float, pv_gain: float, co_gain: float) -> None:
+    record = relay_record(LinearProcess(1.0, (1.0,) * 4), 1.2, 0.8, n=2000)
+    plain: RelayCycle = relay_cycle(record)
+    scaled = relay_cycle(Window(record.t_s * time, record.sp, record.pv * pv_gain, record.co * co_gain))
+    assert scaled.ku == pytest.approx(plain.ku * co_gain / pv_gain)
+    assert scaled.pu_s == pytest.approx(plain.pu_s * time)
+    assert scaled.gain == pytest.approx(plain.gain * pv_gain / co_gain)
+
+
+# sustained swing
+
+
+@pytest.mark.parametrize(("share", "noise"), [(0.7, 0.0), (0.9, 0.0), (0.9, 0.02), (1.0, 0.0), (1.0, 0.02), (1.03, 0)])
+def test_swing_under_proportional_control_shows_period_and_decay(share: float, noise: float) -> None:
+    process = LinearProcess(4.0, (7.0,), (), 3.5)
+    ku, pu = ultimate(process)
+    seen = swing(setpoint_record(process, share * ku, dt=0.05, n=4000 if share > 0.8 else 2000, noise=noise))
+    assert seen.period_s == pytest.approx(pu, rel=0.12)  # longer below the ultimate gain
+    assert seen.sustained == (0.9 < share < 1.05)
+    if share == 1.0:
+        assert seen.period_s == pytest.approx(pu, rel=0.01)
+        assert seen.decay == pytest.approx(1.0, abs=0.03)
+
+
+@given(decay=st.floats(0.15, 1.2), period=st.floats(0.5, 20.0))
+def test_decay_of_a_drawn_swing(decay: float, period: float) -> None:
+    t = np.arange(0, 8, 0.01)
+    pv = 3 + np.sin(2 * math.pi * t - 0.5) * decay**t
+    seen = swing(Window(t * period, t * 0, pv, t * 0))
+    assert seen.period_s == pytest.approx(period, rel=0.05)
+    assert seen.decay == pytest.approx(decay, rel=0.1)
+    assert ("Ku" in seen.verdict()) != (0.18 <= seen.decay <= 0.35)
+
+
+def test_no_swing_is_refused() -> None:
+    t = np.arange(0, 20, 0.1)
+    with pytest.raises(ValueError, match="periods"):
+        swing(Window(t, t * 0, 1 - np.exp(-t), t * 0))
