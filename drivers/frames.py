@@ -11,8 +11,7 @@ STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANo
 HIGHEST_NODE = 63  # 11-bit ids: 6 bits of node, 5 bits of command
 OWNER_TAG, STORE_TAG = 64, 256  # STAGE carries the owner modulo the former, STORE and STATUS modulo the latter
 RUNNING_TAG, EPOCH_TAG = 32, 8192  # telemetry carries the running sequence, ACK the boot epoch modulo these
-TOKENS = 1 << 16  # a question carries a number 0..65535
-PAGE_TAG, CHALLENGE_TAG = 16, 128  # ITEM and PAGE repeat it modulo the former, CHALLENGE modulo the latter
+TOKENS, PAGE_TAG, CHALLENGE_TAG = 65536, 16, 128  # of questions; ITEM and PAGE, CHALLENGE repeat them modulo these
 
 
 class Page(IntEnum):
