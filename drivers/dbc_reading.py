@@ -1,8 +1,8 @@
 """A DBC text to a database, every way to fail told in one line.
 
 cantools takes a lot: of damaged DBC files one in eight is read without complaint, with other names, places or scales.
-So what is read is held to the frames that this release knows, and what still differs has another layout hash, which both
-ends compare before anything is written.
+So what is read is held to the frames that this release knows, and what still differs has another layout hash, which
+both ends compare before anything is written.
 """
 
 import cantools.database

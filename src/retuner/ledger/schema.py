@@ -11,6 +11,7 @@ from retuner.errors import LedgerError
 
 APPLICATION_ID = 0x72746E72  # "rtnr", at byte 68 of the file
 VERSION = 1
+READING_ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the second: a message of SQLite's about damaged text
 SMALLEST = 512  # bytes; SQLite's smallest page, so no database is smaller
 NO_DATABASE = "is not a database, so not a ledger; give another path"
 BUSY_TIMEOUT_S = 5.0  # longest wait for another process's short lock (a checkpoint, a reader that recovers the WAL)
@@ -58,7 +59,7 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
         if mode == "rwc":
             _create(connection)
         _check_version(connection, path)
-    except (sqlite3.Error, LedgerError) as error:
+    except (*READING_ERRORS, LedgerError) as error:
         if connection is not None:
             connection.close()
         if isinstance(error, LedgerError):
@@ -69,6 +70,14 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
+def _pragma(connection: sqlite3.Connection, name: str) -> int:
+    """A number in the file's head; SQLite gives no row for it when the file is damaged enough."""
+    row: tuple[int] | None = connection.execute(f"PRAGMA {name}").fetchone()
+    if row is None:
+        raise sqlite3.DatabaseError("its head cannot be read")
+    return row[0]
+
+
 def _as_text(raw: bytes) -> str:
     """Text of a column; bytes that are no UTF-8 stay visible to the hash check instead of stopping the reading."""
     return raw.decode("utf-8", errors="surrogateescape")
@@ -76,7 +85,7 @@ def _as_text(raw: bytes) -> str:
 
 def _create(connection: sqlite3.Connection) -> None:
     """Lay the tables into an empty file, all or nothing; a file that has content already stays as it is."""
-    if connection.execute("PRAGMA schema_version").fetchone()[0] != 0:
+    if _pragma(connection, "schema_version") != 0:
         return
     connection.execute("PRAGMA journal_mode = WAL")
     marks = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION};"
@@ -91,8 +100,7 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
     LedgerError
         Saying which.
     """
-    application = connection.execute("PRAGMA application_id").fetchone()[0]
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    application, version = _pragma(connection, "application_id"), _pragma(connection, "user_version")
     if application != APPLICATION_ID:
         raise LedgerError(f"{path}: is an SQLite file of another program, not a ledger; give another path")
     if version != VERSION:

@@ -14,7 +14,7 @@ from retuner.files import sync_folder
 from retuner.ledger.canonical import canonical_json
 from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
 from retuner.ledger.lock import WriterLock
-from retuner.ledger.schema import connect
+from retuner.ledger.schema import READING_ERRORS, connect
 
 
 class LedgerReader:
@@ -37,7 +37,7 @@ class LedgerReader:
         query = "SELECT seq, clock_s, kind, body, previous, hash FROM ledger ORDER BY seq"
         try:
             yield from (Row(*columns) for columns in self._connection.execute(query))
-        except sqlite3.Error as error:
+        except READING_ERRORS as error:
             raise LedgerError(f"{self.path}: cannot be read: {error}") from None
 
     def head(self) -> str:
@@ -62,11 +62,11 @@ class LedgerReader:
     def _head(self) -> tuple[int, str]:
         try:
             found: tuple[int, str] | None = self._connection.execute("SELECT seq, hash FROM head").fetchone()
-        except sqlite3.Error as error:
+        except READING_ERRORS as error:
             raise LedgerError(f"{self.path}: cannot be read: {error}") from None
         if found is None:
             raise LedgerError(f"{self.path}: its head is missing; the file was tampered with")
-        return found
+        return found[0], str(found[1])  # damaged, it may be of any type
 
     def close(self) -> None:
         """Close the file; more than once does no harm."""
