@@ -46,6 +46,7 @@ def kc_bound(case: IdentificationCase) -> float:
     columns += [(output(theta + e) - output(theta - e)) / (2 * STEP) for e in base]
     jacobian = np.column_stack(columns) / case.noise
     size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0  # the logarithm of a dead time of zero
     covariance = np.linalg.pinv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
     first = len(columns) - len(theta)
     free = slice(first, first + _free(case.process))

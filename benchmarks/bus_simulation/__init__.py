@@ -1,0 +1,1 @@
+"""Host and device over a simulated bus that loses, doubles, delays, reorders, corrupts and forges, from one seed."""

@@ -1,0 +1,142 @@
+"""The virtual device on the simulated bus: it may crash before or after any frame, and every change of its gains is
+held to the invariants."""
+
+from random import Random
+
+import can
+
+from bus_simulation import truth as t
+from bus_simulation.bus import Bus
+from bus_simulation.truth import Ran, Truth, Violation
+from retuner.drivers.codec import COMMAND_BITS
+from retuner.drivers.gain_pages import Slot
+from retuner.drivers.virtual_device import VirtualDevice
+
+NAME = "device"
+COMMIT = 5
+COMMAND = (1 << COMMAND_BITS) - 1
+SAFE = 1 << 60  # messages until a crash: none
+
+
+class LagPlant:
+    """First-order lag in a few operations: pv' = (2 co + load - pv) / 30 s."""
+
+    def __init__(self) -> None:
+        self.pv = 50.0
+
+    def step(self, co: float, load: float, dt_s: float) -> float:
+        """Hold co and load for dt_s."""
+        self.pv += (co + load - 0.5 * self.pv) * dt_s / 30.0
+        return self.pv
+
+    def steady_co(self, pv: float, load: float = 0.0) -> float:
+        """Controller output that holds pv."""
+        return 0.5 * pv - load
+
+
+class DeviceEnd:
+    """One device. fuse counts the messages until it crashes; down the steps for which it then stays off."""
+
+    def __init__(self, bus: Bus, device: VirtualDevice, truth: Truth, rng: Random) -> None:
+        self.bus, self.device, self.truth, self._rng = bus, device, truth, rng
+        self._way = bus.ways[NAME]
+        self.fuse = SAFE
+        self.down = 0
+        self.slow = 1.0
+        self._running = device.pages.running
+        self._confirmed = device.pages.confirmed
+        self._holder: dict[int, int] = {}
+        self.ledgers: dict[str, list[tuple[str, object]]] = {}
+
+    def answer(self) -> None:
+        """Take what has arrived."""
+        if self.down:
+            self._way.take()
+            return
+        for message in self._way.take():
+            self._take(message)
+            if self.down:
+                return
+
+    def _take(self, message: can.Message) -> None:
+        """One frame, and its answers, a crash perhaps between them."""
+        pages = self.device.pages
+        if message.arbitration_id & COMMAND == COMMIT and len(message.data) == 8:
+            self._holder[int.from_bytes(message.data[:2], "little")] = self.device.lease.owner
+        self.fuse -= 1
+        replies = self.device.receive(message)
+        if pages.running is not self._running:
+            raise Violation(f"running_set_is_a_committed_one: {pages.running} began between samples")
+        if pages.confirmed is not self._confirmed:
+            self._confirmed = pages.confirmed
+            self.truth.confirmed.add((pages.confirmed.seq, pages.confirmed.gains))
+        self._send(replies)
+
+    def sample(self) -> None:
+        """One controller sample, unless it is off."""
+        if self.down:
+            self.down -= 1
+            return
+        messages = self.device.step(2.0 * self.slow)
+        if self.device.pages.running is not self._running:
+            self._changed()
+        self._send(messages)
+
+    def _send(self, messages: list[can.Message]) -> None:
+        """Frames to the bus, until a crash."""
+        for message in messages:
+            if self.fuse <= 0:
+                break
+            self.fuse -= 1
+            self.bus.send(NAME, message)
+        if self.fuse <= 0:
+            self.crash()
+
+    def crash(self) -> None:
+        """Power fails; a store under way may be torn."""
+        device, rng = self.device, self._rng
+        self.truth.counts["device crashes"] += 1
+        self.fuse, self.down = SAFE, rng.choice((0, 0, 1, 3, 8, 30))
+        if rng.random() < 0.3:
+            self._tear()
+        device.restart()
+        running = device.pages.running
+        now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
+        t.restarted_on_a_confirmed_set(self.truth, now)
+        self.truth.newest_swapped = None
+        self._running = self._confirmed = running
+        self.truth.began(now)
+
+    def _tear(self) -> None:
+        """The slot that was being written is not whole: the newer one, if both are there."""
+        slots = self.device.pages.slots
+        there = [slot for slot in slots if slot is not None]
+        if len(there) == len(slots):
+            newest = max(there, key=lambda slot: slot.generation)
+            torn = Slot(newest.generation, newest.content, newest.crc ^ 1 << self._rng.randrange(32))
+            slots[slots.index(newest)] = torn
+
+    def _changed(self) -> None:
+        """Another set runs: swapped in, or the confirmed one come back."""
+        device, truth = self.device, self.truth
+        running, before = device.pages.running, truth.ran[-1]
+        now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
+        self._running = running
+        if running is device.pages.confirmed:
+            truth.counts["reverts"] += 1
+            t.reverted_to_the_confirmed_set(truth, now)
+            truth.began(now)
+            return
+        truth.counts["swaps"] += 1
+        order = t.running_set_is_a_committed_one(truth, now)
+        t.built_on_what_ran(order, before)
+        t.authentic(truth, order)
+        t.one_owner(order, self._holder[now.seq])
+        t.finite_and_inside_the_box(truth, now, before)
+        t.sequence_is_monotonic(truth, now)
+        t.failed_sets_stay_dead(truth, now)
+        if order.who in self.ledgers:
+            t.ledger_has_the_intent(self.ledgers[order.who], order)
+        else:
+            truth.counts["sets of the intruder"] += 1
+        truth.began(now)

@@ -1,0 +1,207 @@
+"""A host on the simulated bus: the real client, a clerk who keeps the ledger, crashes at any frame or row."""
+
+from random import Random
+
+import can
+
+from bus_simulation import truth as t
+from bus_simulation.bus import Bus
+from bus_simulation.truth import Order, Truth
+from retuner.adaptive.sample import LoopSample
+from retuner.drivers.can_device import CanDevice
+from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.checksum import to_wire
+from retuner.drivers.device import (
+    DeviceError,
+    DeviceRestarted,
+    LinkState,
+    Reverted,
+    RunningChanged,
+    WriteDone,
+    WriteFailed,
+    WriteRefusedError,
+    WriteUnknown,
+)
+from retuner.drivers.link_settings import LinkSettings
+from retuner.schedule.gains import PidGains
+
+READ, PAGE_RUNNING = 2, 0
+COMMAND = 31
+SAFE = 1 << 60
+LINK = LinkSettings()
+REACH = 1.5  # decades by which an ordered gain may differ from the running one: further than the box allows
+
+
+class CrashError(Exception):
+    """The host's process ends here and now."""
+
+
+class HostEnd:
+    """One host; when its process has died another one begins, with another number for the lease or the same.
+
+    Parameters
+    ----------
+    name : on the bus. bus, truth, rng : of the run. key : for codes. same_owner : every life has the same number.
+    eager : share of steps in which it begins a write when it can.
+    """
+
+    settings = LINK
+    state = LinkState.UP
+
+    def __init__(
+        self, name: str, bus: Bus, truth: Truth, rng: Random, *, key: bytes | None, same_owner: bool, eager: float
+    ) -> None:
+        self.name, self.bus, self.truth, self._rng, self._random = name, bus, truth, rng, rng.random
+        self._way = bus.ways[name]
+        self._key, self._same_owner, self._eager = key, same_owner, eager
+        self._owner = rng.randrange(1, 65536)
+        self.now_s = self._drift = 0.0
+        self.fuse = SAFE
+        self.lives = 0
+        self.ledgers: dict[str, list[tuple[str, object]]] = {}
+        self.calm = False
+        self.start()
+
+    def start(self) -> None:
+        """A new process."""
+        self.lives += 1
+        if not self._same_owner:
+            self._owner = self._rng.randrange(1, 65536)
+        self.life = f"{self.name}{self.lives}"
+        self.rows: list[tuple[str, object]] = []
+        self.ledgers[self.life] = self.rows
+        settings = CanDeviceSettings(owner=self._owner, key=self._key)
+        self.device: CanDevice | None = CanDevice(self, settings)
+        self.order: Order | None = None
+        self.last_outcome: object = None
+        self._asked = self.bus.step
+        self._t_s = float("-inf")
+        self._back_at = 0
+
+    def send(self, message: can.Message) -> bool:
+        """Put a frame on the bus, unless this is where the process ends."""
+        if message.arbitration_id & COMMAND == READ and message.data[0] == PAGE_RUNNING:
+            self._asked = self.bus.step
+        self._burn()
+        self.bus.send(self.name, message)
+        return True
+
+    def receive_all(self) -> list[can.Message]:
+        """What has arrived."""
+        return self._way.take()
+
+    def _record(self, kind: str, body: object) -> None:
+        """A row of the ledger, for good once this returns."""
+        self._burn()
+        self.rows.append((kind, body))
+
+    def _burn(self) -> None:
+        """One more thing done."""
+        self.fuse -= 1
+        if self.fuse <= 0:
+            raise CrashError
+
+    def jump(self, seconds: float) -> None:
+        """The machine was suspended: its clock has gone on."""
+        self.now_s += seconds
+
+    def drift(self, share: float) -> None:
+        """The clock goes too fast by this share from now on."""
+        self._drift = share
+
+    def act(self) -> None:
+        """One turn: poll, keep the ledger, perhaps begin a write."""
+        self.now_s += 2.0 * (1.0 + self._drift)
+        if self.device is None:
+            self._way.take()
+            if self.bus.step >= self._back_at:
+                self.start()
+            return
+        try:
+            for event in self.device.poll(self.now_s):
+                self._event(event)
+            if self.order is None and not self.calm and self._random() < self._eager:
+                self.begin(self._choose())
+        except (CrashError, DeviceError):
+            self.die()
+
+    def die(self) -> None:
+        """The process is gone, whatever it was about."""
+        self.truth.counts["host crashes"] += 1
+        if self.order is not None or sum(k == "intent" for k, _ in self.rows) > sum(
+            k in {"committed", "failed", "refused"} for k, _ in self.rows
+        ):
+            self.rows.append(("died", None))
+        t.ledger_has_every_outcome(self.rows, 0)
+        self.device, self.order, self.fuse = None, None, SAFE
+        self._back_at = self.bus.step + self._rng.choice((0, 1, 5, 60))
+
+    def _event(self, event: object) -> None:
+        """What the client tells."""
+        if isinstance(event, LoopSample):
+            t.time_goes_forward(self._t_s, event.t_s)
+            self._t_s = event.t_s
+        elif isinstance(event, WriteDone | WriteFailed):
+            self._ended(event)
+        elif isinstance(event, DeviceRestarted | RunningChanged | Reverted):
+            t.reported_is_what_ran(self.truth, event.running, self._asked)
+            self._record("news", event)
+        else:
+            self.truth.counts[type(event).__name__] += 1
+            if isinstance(event, WriteUnknown):
+                self._record("unknown", event)
+
+    def _ended(self, event: WriteDone | WriteFailed) -> None:
+        """A write is over."""
+        order = self.order
+        t.reported_is_what_ran(self.truth, event.running, self._asked)
+        if order is None:
+            raise t.Violation(f"done_is_what_was_ordered: {event} without an order")
+        t.done_is_what_was_ordered(event, order)
+        if isinstance(event, WriteFailed):
+            self.truth.dead.add(order.gains)
+            self.truth.counts[f"failed: {event.reason.split(' (')[0]}"] += 1
+        else:
+            self.truth.counts["done"] += 1
+        self._record("committed" if isinstance(event, WriteDone) else "failed", order.gains)
+        self.order, self.last_outcome = None, event
+
+    def _choose(self) -> PidGains | None:
+        """Other gains: mostly legal ones."""
+        running = self.device.running if self.device is not None else None
+        if running is None:
+            return None
+        gains, random = running.gains, self._random
+        reach = REACH if random() < 0.1 else 0.3
+        kp = gains.kp * 10.0 ** (reach * (2.0 * random() - 1.0))
+        ki = gains.ki * 10.0 ** (reach * (2.0 * random() - 1.0))
+        kd = (gains.kd or 0.3) * 10.0 ** (reach * (2.0 * random() - 1.0)) if random() < 0.9 else 0.0
+        sign = -1.0 if random() < 0.01 else 1.0
+        return to_wire(PidGains(sign * kp, sign * ki, sign * kd))
+
+    def begin(self, gains: PidGains | None) -> None:
+        """Write these gains: the intent goes to the ledger first."""
+        device = self.device
+        if gains is None or device is None or device.running is None or device.writing:
+            return
+        base = device.running.seq
+        self._record("intent", gains)
+        try:
+            seq = self._begin(device, gains, base)
+        except WriteRefusedError:
+            self.truth.counts["not begun"] += 1
+            self._record("refused", gains)
+            return
+        self.order = Order(device.epoch or 0, seq, base, gains, self._owner, self.life)
+
+    def _begin(self, device: CanDevice, gains: PidGains, base: int) -> int:
+        """The order is known to the truth before its first frame can be on the bus, whatever its number will be."""
+        epoch, seq = device.epoch or 0, device.next_sequence
+        order = Order(epoch, seq, base, gains, self._owner, self.life)
+        self.truth.ordered(order)
+        self.order = order
+        try:
+            return device.begin_write(gains, self.now_s)
+        except WriteRefusedError:
+            self.order = None
+            raise
