@@ -10,7 +10,6 @@ from enum import Enum
 
 from retuner.drivers import frames
 from retuner.drivers.arrival_check import Stream
-from retuner.drivers.bus import CanLink
 from retuner.drivers.can_settings import CanDeviceSettings
 from retuner.drivers.codec import Codec, FrameError, Refusal, Refused
 from retuner.drivers.device import (
@@ -29,13 +28,12 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.host_requests import HostRequests
 from retuner.drivers.identity import mismatch
+from retuner.drivers.link_settings import FramePort
 from retuner.drivers.page_reader import PageReader, ReadBack
 from retuner.drivers.running_belief import Belief, RunningBelief
 from retuner.drivers.sample_joiner import SampleJoiner
 from retuner.drivers.write_protocol import WritePhase
 from retuner.schedule.gains import PidGains
-
-__all__ = ["CanDevice", "CanDeviceSettings", "ConnectPhase"]
 
 
 class ConnectPhase(Enum):
@@ -51,11 +49,11 @@ class CanDevice:
 
     Parameters
     ----------
-    link : open bus; one CanDevice per link.
+    link : open bus of its own, or this node's port of a shared one.
     settings : address and patience.
     """
 
-    def __init__(self, link: CanLink, settings: CanDeviceSettings) -> None:
+    def __init__(self, link: FramePort, settings: CanDeviceSettings) -> None:
         self.link, self.settings = link, settings
         self.phase = ConnectPhase.SEARCHING
         self.foreign_commands = 0  # frames to this node from another host
@@ -65,7 +63,7 @@ class CanDevice:
         self._belief = RunningBelief(settings.node)
         self._requests = HostRequests(settings, self._reader, self._codec.encode)
         self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
-        self._first_poll_s: float | None = None
+        self._first_poll_s = float("inf")
         self._heard_s = self._sample_s = self._ask_s = float("-inf")
         self._ever_connected = False
         self._events: list[Event] = []
@@ -85,11 +83,14 @@ class CanDevice:
         """Whether a write is under way or its result unknown."""
         return self._requests.write.busy
 
+    @property
+    def epoch(self) -> int | None:
+        """Boot epoch of the device, as read-back has proved it."""
+        return self._belief.epoch
+
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
-        if self._first_poll_s is None:
-            self._first_poll_s = now_s
-        self._events = []
+        self._first_poll_s = min(self._first_poll_s, now_s)
         for message in self.link.receive_all():
             frame = self._codec.decode(message)
             if isinstance(frame, Refused):
@@ -102,7 +103,8 @@ class CanDevice:
         self._notice_silence(now_s)
         self._ask(now_s)
         self._send_due(now_s)
-        return self._events
+        events, self._events = self._events, []
+        return events
 
     def _take(self, frame: frames.DeviceFrame, now_s: float) -> None:
         """One frame of the device, by its type."""
@@ -214,8 +216,7 @@ class CanDevice:
 
     def _notice_nobody(self, now_s: float) -> None:
         """The first connection takes too long."""
-        started_s = self._first_poll_s if self._first_poll_s is not None else now_s
-        if not self._ever_connected and now_s - started_s > self.settings.connect_s:
+        if not self._ever_connected and now_s - self._first_poll_s > self.settings.connect_s:
             raise DeviceSilentError(
                 f"{self._where}: no answer within {self.settings.connect_s:g} s; "
                 "is the device running there, under this node number?"

@@ -1,8 +1,12 @@
-"""How a link is opened and when it is doubted, and what it counts."""
+"""What a host needs of a link, how a link is opened and when it is doubted, and what it counts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Protocol
+
+import can
+
+from retuner.drivers.device import LinkState
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +63,25 @@ class LinkCounters:
     def to_dict(self) -> dict[str, int]:
         """Counter name to count."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+class FramePort(Protocol):
+    """Where one controller's host sends and receives: a whole link (bus.py) or a node's port of one (link_share.py)."""
+
+    @property
+    def settings(self) -> LinkSettings:
+        """How the bus was opened."""
+        ...
+
+    @property
+    def state(self) -> LinkState:
+        """Whether the bus is open, and heard."""
+        ...
+
+    def send(self, message: can.Message) -> bool:
+        """Send a frame; False when the bus did not take it. Never raises."""
+        ...
+
+    def receive_all(self) -> list[can.Message]:
+        """All frames that have arrived, oldest first. Never raises."""
+        ...

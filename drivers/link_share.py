@@ -85,7 +85,7 @@ class LinkPort:
         self._waiting.append(message)
 
     def receive_all(self, limit: int = WAITING_MAX) -> list[can.Message]:
-        """This node's frames that have arrived, oldest first, at most limit."""
+        """The node's frames that have arrived, oldest first, at most limit."""
         self._share.pump()
         waiting = self._waiting
         if len(waiting) > limit:

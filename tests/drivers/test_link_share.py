@@ -1,0 +1,106 @@
+"""Many loops on one link: each host gets its own controller's frames, and one that is not polled takes no memory."""
+
+import itertools
+
+import can
+import pytest
+
+from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.sample import LoopSample
+from retuner.drivers import link_share
+from retuner.drivers.bus import CanLink, LinkSettings
+from retuner.drivers.can_device import CanDevice, CanDeviceSettings
+from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.device import LinkState, SamplesLost
+from retuner.drivers.device_process import DeviceOnBus
+from retuner.drivers.linear_plant import LinearPlant
+from retuner.drivers.link_share import LinkShare
+from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.schedule.gains import PidGains
+
+NODES = (1, 5, 63)
+CHANNELS = itertools.count()
+OTHER = 17  # a node that nobody here watches
+
+
+class Plant:
+    """Devices on links of their own, hosts on ports of one link."""
+
+    def __init__(self) -> None:
+        self.clock, channel = SimulatedClock(), f"share-{next(CHANNELS)}"
+        settings = LinkSettings(channel=channel)
+        self.devices, self.links = [], []
+        for node in (*NODES, OTHER):
+            firmware = VirtualDeviceSettings(PidGains(node, 0.125), node=node, sample_time_s=1.0)
+            plant = LinearPlant(LinearProcess(1.0, (20.0,)), start_pv=float(node))
+            self.links.append(CanLink(settings, self.clock))
+            self.devices.append(DeviceOnBus(VirtualDevice(firmware, plant), self.links[-1]))
+        self.links.append(CanLink(settings, self.clock))
+        self.share = LinkShare(self.links[-1])
+        self.hosts = {
+            node: CanDevice(self.share.port(node), CanDeviceSettings(node=node, sample_time_s=1.0)) for node in NODES
+        }
+        self.events = {node: [] for node in NODES}
+
+    def run(self, samples: int, watched: tuple[int, ...] = NODES) -> None:
+        for _ in range(samples):
+            self.clock.advance(1.0)
+            for device in self.devices:
+                device.sample()
+            for node in watched:
+                self.events[node] += self.hosts[node].poll(self.clock.now_s())
+            for device in self.devices:
+                device.answer()
+
+    def samples(self, node: int) -> list[LoopSample]:
+        return [event for event in self.events[node] if isinstance(event, LoopSample)]
+
+
+@pytest.fixture
+def plant():
+    made = Plant()
+    yield made
+    for link in made.links:
+        link.close()
+
+
+def test_every_host_hears_its_own_controller(plant: Plant) -> None:
+    plant.run(30)
+    for node, host in plant.hosts.items():
+        assert host.connected
+        assert host.running.gains == PidGains(node, 0.125)
+        assert len(plant.samples(node)) > 20
+        assert {round(sample.pv) for sample in plant.samples(node)} == {node}
+        assert host.refused_frames == 0
+    assert plant.share.unclaimed > 60, "frames of the node that nobody watches"
+    assert plant.share.port(1).state is LinkState.UP
+    assert plant.share.port(1) is plant.share.port(1)
+
+
+def test_a_host_that_is_not_polled_takes_no_memory_and_sees_the_gap(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link_share, "WAITING_MAX", 20)
+    plant.run(30)
+    plant.run(18, watched=(1, 63))
+    assert plant.share.port(5).dropped > 0
+    plant.run(20)
+    lost = sum(event.count for event in plant.events[5] if isinstance(event, SamplesLost))
+    times = [sample.t_s for sample in plant.samples(5)]
+    assert lost >= 5
+    assert len(times) + lost == times[-1] - times[0] + 1
+    assert plant.hosts[5].connected
+
+
+def test_a_limit_leaves_the_rest_for_later(plant: Plant) -> None:
+    port = plant.share.port(7)
+    for i in range(5):
+        port.give(can.Message(arbitration_id=7 << 5, is_extended_id=False, data=[i]))
+    assert [message.data[0] for message in port.receive_all(limit=2)] == [0, 1]
+    assert [message.data[0] for message in port.receive_all()] == [2, 3, 4]
+
+
+@pytest.mark.parametrize("node", [0, 64])
+def test_a_node_that_cannot_be_is_refused(plant: Plant, node: int) -> None:
+    with pytest.raises(ValueError, match="from 1 to 63"):
+        plant.share.port(node)
