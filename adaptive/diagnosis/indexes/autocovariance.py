@@ -9,7 +9,9 @@ oscillates; noise is gone from r except at lag 0. With the intervals D between c
 
 More than 1 means a regular oscillation (the spread is under a third of the mean). The first interval, from lag 0, is
 half of one and left out; at most ten are used, as in the paper. Where a slow drift lies under the oscillation the paper
-filters; here the mean over a few window lengths is taken off as well and the most regular result counts.
+filters; here running means over a third, a tenth and a thirtieth of the record are taken off in turn until the rest is
+regular. That alone makes any drift look like an oscillation of once or twice the length of the mean, so a period
+counts only when it is a good deal shorter than the mean.
 
 Decay ratio (Miao & Seborg 1999, figure 2): a / b, b the height of the first minimum of r under the line from r(0) to
 the first maximum, a the height of that maximum over the line between the first two minima. It is 1 for an undamped
@@ -24,12 +26,20 @@ import numpy as np
 from retuner.adaptive.diagnosis.indexes.crossings import crossings, detrended
 from retuner.adaptive.sample import FloatArray
 
+REGULAR = 1.0
+"""Regularity above which a signal oscillates (Thornhill, Huang & Zhang 2003)."""
+LEAST_STRENGTH = 0.3
+"""Strength from which an oscillation is one: filtered noise and drift stay below."""
 MOST_INTERVALS = 10
 """Intervals between zero crossings that are used (Thornhill, Huang & Zhang 2003)."""
 FEWEST_INTERVALS = 4
 """Two full periods; the spread of fewer intervals says nothing."""
-DRIFT_WINDOWS = (0.3, 0.15, 0.075)
+DRIFT_WINDOWS = (0.3, 0.1, 0.03)
 """Lengths of the running means taken off for slow drifts, as shares of the record."""
+WITHIN_WINDOW = 0.6
+"""Longest period, as a share of that length, that is not the running mean's own doing."""
+FINEST = 0.1
+"""Spread of the intervals in samples below which none is believed: crossings are read between samples."""
 CONFIDENCE = 2.0
 """Auto-covariances within this many standard deviations of noise, 1 / sqrt(n), count as zero."""
 
@@ -39,13 +49,19 @@ class Regularity:
     """An oscillation seen in the auto-covariance.
 
     period : in samples. regularity : see the head of this file, more than 1 is regular. cycles : periods in the record.
-    strength : the largest |r| between the first and the third crossing, 0 to 1: share of the signal that oscillates.
+    strength : median over the intervals of the largest |r| in each, 0 to 1. A lasting oscillation keeps its height in
+        r, the share of the signal that oscillates; filtered noise falls to a tenth or two.
     """
 
     period: float
     regularity: float
     cycles: float
     strength: float
+
+    @property
+    def lasting(self) -> bool:
+        """Whether it is regular and keeps on."""
+        return self.regularity > REGULAR and self.strength > LEAST_STRENGTH
 
 
 def autocovariance(x: FloatArray) -> FloatArray:
@@ -60,23 +76,20 @@ def autocovariance(x: FloatArray) -> FloatArray:
 
 
 def regularity(x: FloatArray) -> Regularity | None:
-    """The most regular oscillation of a signal (the control error or pv), shape (n,); None when there is none.
+    """The oscillation of a signal (the control error or pv), shape (n,); None when r has too few crossings.
 
     Source: Thornhill, Huang & Zhang (2003), Journal of Process Control 13, 91-100.
     """
     flat = detrended(x)
-    found = [_of_autocovariance(autocovariance(flat), len(x))]
+    best = _of_autocovariance(autocovariance(flat), len(x))
     for share in DRIFT_WINDOWS:
         width = 2 * int(share * len(x) / 2) + 1
-        if width >= 2 * FEWEST_INTERVALS:
-            found.append(_of_autocovariance(autocovariance(flat - running_mean(flat, width)), len(x)))
-    there = [f for f in found if f is not None]
-    if not there:
-        return None
-    plain = found[0]
-    if plain is not None and plain.regularity > 1:
-        return plain
-    return max(there, key=lambda f: f.regularity)
+        if best is not None and best.lasting:
+            break
+        found = _of_autocovariance(autocovariance(flat - running_mean(flat, width)), len(x))
+        if found is not None and found.lasting and found.period < WITHIN_WINDOW * width:
+            best = found
+    return best
 
 
 def running_mean(x: FloatArray, width: int) -> FloatArray:
@@ -90,13 +103,13 @@ def running_mean(x: FloatArray, width: int) -> FloatArray:
 def _of_autocovariance(r: FloatArray, n: int) -> Regularity | None:
     """Period and regularity of one auto-covariance."""
     at = crossings(r, CONFIDENCE / math.sqrt(n))[: MOST_INTERVALS + 1]
-    if len(at) <= FEWEST_INTERVALS:
-        return None
     intervals = np.diff(at)
+    if len(intervals) < FEWEST_INTERVALS:
+        return None
     mean, spread = float(np.mean(intervals)), float(np.std(intervals, ddof=1))
-    strength = float(np.max(np.abs(r[int(at[0]) : int(at[2]) + 1])))
-    # crossings are read between samples: no spread under a tenth of a sample is believed
-    return Regularity(2 * mean, mean / (3 * max(spread, 0.1)), n / (2 * mean), min(strength, 1.0))
+    heights = np.maximum.reduceat(np.abs(r), at.astype(np.intp))[: len(intervals)]
+    regular = mean / (3 * max(spread, FINEST))
+    return Regularity(2 * mean, regular, n / (2 * mean), min(float(np.median(heights)), 1.0))
 
 
 def decay_ratio(x: FloatArray) -> float | None:

@@ -3,13 +3,15 @@
     bic^2(f1, f2) = |E[X(f1) X(f2) X*(f1+f2)]|^2 / (E|X(f1) X(f2)|^2 E|X(f1+f2)|^2),   0 to 1
 
 over half-overlapping Hann windows. Phases of a linear process driven by Gaussian noise are independent: bic^2 is then
-about 1 / K, K the number of independent windows, and exceeds chi2(2, 95 %) / (2 K) in 5 % of the bins.
+about 1 / K, K the number of independent windows; 2 K bic^2 is chi-square with 2 degrees of freedom in each of L bins.
 
-    NGI  = mean(bic^2) over the significant bins - the limit         non-Gaussianity index, above 0.001: not Gaussian
-    NLI  = max(bic^2) - (mean + 2 std)                               non-linearity index, above 0.01: not linear
-    TNLI = sum of the significant bic^2                              total non-linearity, grows with its strength
+    NGI  = mean(bic^2) - chi2(2 L, 99 %) / (2 K L)         non-Gaussianity index, above 0.001: not Gaussian
+    NLI  = max(bic^2) - (mean + 2 std)                     non-linearity index, above 0.01 with NGI: not linear
+    TNLI = sum of the bic^2 beyond chi2(2, 99 %) / (2 K)   total non-linearity, grows with its strength
 
-all over the principal domain (f2 <= f1, f1 + f2 below half the sampling rate).
+all over the principal domain (f2 <= f1, f1 + f2 below half the sampling rate). Waves with equal halves (triangle,
+square, what a sticking valve alone makes) have odd harmonics only, whose bicoherence is zero: a small index acquits
+nothing.
 """
 
 from dataclasses import dataclass
@@ -27,10 +29,14 @@ FEWEST_SEGMENTS = 8
 """Fewer windows give no expectation."""
 MOST_SEGMENTS = 200
 """Longer records are thinned to so many windows: the rest adds time and no insight."""
-CHI2_95 = 5.991
-"""95 % point of chi-square with 2 degrees of freedom."""
-INDEPENDENT = 0.6
-"""Share of half-overlapping Hann windows that counts as independent."""
+CHI2_99 = 9.210
+"""99 % point of chi-square with 2 degrees of freedom."""
+NORMAL_99 = 2.326
+"""The same of the normal distribution."""
+INDEPENDENT = 0.9
+"""Share of half-overlapping Hann windows that counts as independent for products of three spectra."""
+INDEPENDENT_BINS = 0.3
+"""Share of the bins that counts as independent: a Hann window ties neighbours together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +71,11 @@ def bicoherence(x: FloatArray, segment: int = SEGMENT) -> Bicoherence | None:
     pieces = np.lib.stride_tricks.sliding_window_view(flat, segment)[starts]
     spectra = np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * np.hanning(segment), axis=1)
     bic2 = _bic2(np.asarray(spectra / max(float(np.std(flat)), 1e-300), dtype=np.complex128), segment)
-    limit = CHI2_95 / (2 * INDEPENDENT * len(starts))
-    strong = bic2[bic2 > limit]
-    ngi = float(np.mean(strong)) - limit if strong.size else 0.0
+    windows = INDEPENDENT * len(starts)
+    freedom = 2 * INDEPENDENT_BINS * len(bic2)
+    point = (1 - 2 / (9 * freedom) + NORMAL_99 * (2 / (9 * freedom)) ** 0.5) ** 3  # Wilson & Hilferty (1931)
+    strong = bic2[bic2 > CHI2_99 / (2 * windows)]
+    ngi = float(np.mean(bic2)) - point / windows
     nli = max(float(np.max(bic2) - (np.mean(bic2) + 2 * np.std(bic2))), 0.0)
     return Bicoherence(ngi, nli, float(np.sum(strong)))
 

@@ -5,7 +5,8 @@ In this order, the first that applies:
     dead pv, dead co      the signal does not change: a broken sensor, a closed line, a flat-lined tag
     no response           co moves and pv does not follow: it stays within its noise, or on a few values of its grid
     manual                co stands exactly still for most of the time although the error would move it
-    not controlling       the error stays far on one side and co is not at a limit: another controller has the valve
+    not controlling       the error stays far on one side and co is not at a limit: no integral action, or another
+                          controller has the valve
     moving setpoint       the setpoint changes all the time: the inner loop of a cascade
     quiet                 nothing happens beyond noise: no setpoint change, pv within its noise band
 """
@@ -57,7 +58,8 @@ SENTENCES = {
     Condition.DEAD_CO: "co does not change in the whole record: manual, or a dead signal",
     Condition.NO_RESPONSE: "co moves and pv does not respond to it",
     Condition.MANUAL: "co stands still for most of the record: the loop is in manual",
-    Condition.NOT_CONTROLLING: "pv stays far from its setpoint with co inside its range: this controller has no say",
+    Condition.NOT_CONTROLLING: "pv stays far from its setpoint with co inside its range: there is no integral action, or "
+    "another controller has the valve",
     Condition.MOVING_SETPOINT: "the setpoint moves all the time: the inner loop of a cascade",
     Condition.QUIET: "nothing happens in this record beyond noise",
 }

@@ -46,6 +46,8 @@ def flat_share(pv: FloatArray, co: FloatArray, width: int) -> float | None:
 
     pv, co : shape (n,). width : samples per stretch; about a twentieth of the oscillation's period.
     """
+    if len(pv) < 3 * width:
+        return None
     means = [_means(x, width) for x in (pv, co)]
     moves = []
     for x, mean in zip((pv, co), means, strict=True):

@@ -64,7 +64,7 @@ def iae_detection(t_s: FloatArray, e: FloatArray, amplitude: float, w_rad_s: flo
         if not 0 < value < math.inf:
             raise ValueError(f"{name} = {value} must be positive and finite")
     limit = 2 * amplitude / w_rad_s
-    at = np.interp(crossings(e), np.arange(len(t_s)), t_s)
+    at = np.concatenate([t_s[:1], np.interp(crossings(e), np.arange(len(t_s)), t_s), t_s[-1:]])
     area = np.concatenate([[0.0], np.cumsum((np.abs(e[1:]) + np.abs(e[:-1])) / 2 * np.diff(t_s))])
     iae = np.diff(np.interp(at, t_s, area))
     times = at[1:][iae > limit]

@@ -6,8 +6,10 @@ co moves (IS, DS; the first letter is co's) and then moves on:
     rho1 = (t_IS + t_DS) / (t_all - t_SS)
     rho3 = rho1 - (t_ISDD + t_ISDI + t_ISSD + t_ISID + t_DSDI + t_DSSI + t_DSID + t_DSII) / (t_all - t_SS)
 
-the second without the standing samples that are followed by a movement that no valve would make. By chance both are
-0.25; above it they speak for a sticking valve. Made for flow loops, where pv is the valve's flow.
+the second without the standing samples that are followed by a movement that no valve would make. By chance rho1 is
+0.25; well above it they speak for a sticking valve. Made for flow loops, where pv is the valve's flow. Increments count
+as steady within 0.43 of their standard deviation: noise then is rising, steady and falling equally often, which is what
+makes 0.25 the value of chance.
 
 Ellipse (Choudhury, Shah & Thornhill 2008, section 8.3): with correlation c of pv and co the ellipse of their covariance
 is 2 sqrt(2) std(co) sqrt(1 - c^2) wide along co: about the stick band when the valve is what makes the curve.
@@ -22,8 +24,8 @@ import numpy as np
 from retuner.adaptive.diagnosis.indexes.crossings import detrended
 from retuner.adaptive.sample import FloatArray
 
-STEADY = 1.0
-"""Increments within this many of their standard deviations are steady (Yamashita 2006)."""
+STEADY = 0.4307
+"""Increments within this many of their standard deviations are steady: a third of those of Gaussian noise."""
 LEAST_SPREAD = 1e-9
 """Determinant of the correlation matrix below which the curve is a straight line."""
 

@@ -28,12 +28,10 @@ from retuner.adaptive.noise import noise_sigma
 from retuner.adaptive.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
-REGULAR = 1.0
-"""Regularity above which a signal oscillates (Thornhill, Huang & Zhang 2003)."""
 FEWEST_CYCLES = 2.0
-"""Cycles in the record for an oscillation to be looked at."""
-LEAST_STRENGTH = 0.15
-"""Auto-covariance at the first minimum and maximum below which an oscillation is not worth a shape."""
+"""Cycles in the record for the shape of an oscillation to be looked at."""
+SHAPE_STRENGTH = 0.1
+"""Strength from which that is done: limit cycles are often irregular, and the evidence is worth having."""
 STRETCHES_PER_PERIOD = 20
 """Samples per period that the indexes of movement work on."""
 IAE_AMPLITUDE = 0.1
@@ -49,7 +47,8 @@ class Screening:
     """What the classic indexes say of a record.
 
     condition : whether there is a loop at work at all. evidence : finite numbers by name (glossary.py), only those
-        that apply. period_s : period of the oscillation in seconds, None when there is none.
+        that apply. period_s : period of a regular, lasting oscillation in seconds, None when there is none (the
+        evidence may still hold the period and shape of an irregular one).
     limits : time of co at its limits.
     """
 
@@ -60,8 +59,8 @@ class Screening:
 
     @property
     def oscillates(self) -> bool:
-        """Whether the error oscillates regularly (regularity above 1)."""
-        return self.evidence.get("regularity", 0.0) > REGULAR
+        """Whether the error, or co, oscillates regularly and lastingly."""
+        return self.period_s is not None
 
 
 def screen(
@@ -85,10 +84,10 @@ def screen(
     period_s = None
     if np.ptp(window.pv) > 0 and np.ptp(window.co) > 0:
         found |= _movement(window, gains, wave)
-        if wave is not None and wave.cycles >= FEWEST_CYCLES and wave.strength >= LEAST_STRENGTH:
-            period_s = wave.period * window.sample_time_s
-            more, period_s = _shape(window, gains, period_s)
+        if wave is not None and wave.cycles >= FEWEST_CYCLES and wave.strength >= SHAPE_STRENGTH:
+            more, refined_s = _shape(window, gains, wave.period * window.sample_time_s)
             found |= more
+            period_s = refined_s if wave.lasting else None
     found |= _detection(window, gains, period_s)
     kept = {name: float(v) for name, v in found.items() if v is not None and math.isfinite(v)}
     return Screening(state, MappingProxyType(kept), period_s, limits)
@@ -116,11 +115,11 @@ def _setpoint(window: Window) -> dict[str, float | None]:
 
 def _oscillation(window: Window) -> Regularity | None:
     """The oscillation of the error, else that of co."""
-    for x in (window.sp - window.pv, window.co):
-        wave = regularity(x)
-        if wave is not None and wave.regularity > REGULAR:
-            return wave
-    return regularity(window.sp - window.pv)
+    error = regularity(window.sp - window.pv)
+    if error is not None and error.lasting:
+        return error
+    output = regularity(window.co)
+    return output if output is not None and (output.lasting or error is None) else error
 
 
 def _movement(window: Window, gains: PidGains | None, wave: Regularity | None) -> dict[str, float | None]:
@@ -137,10 +136,10 @@ def _movement(window: Window, gains: PidGains | None, wave: Regularity | None) -
     if gains is not None and np.ptp(window.sp) == 0:
         found["idle_index"] = idle_index(window.pv, window.co, gains.direction, width)
     if wave is not None:
-        found |= {"regularity": wave.regularity, "cycles": wave.cycles}
+        found |= {"regularity": wave.regularity, "cycles": wave.cycles, "strength": wave.strength}
     higher = bicoherence(thinned(e, wave.period if wave is not None else 1.0))
     if higher is not None:
-        found |= {"ngi": higher.ngi, "nli": higher.nli, "nonlinearity": higher.total}
+        found |= {"non_gaussianity": higher.ngi, "nonlinearity": higher.total}
     return found
 
 

@@ -1,0 +1,160 @@
+"""Limits, recording, condition and the screening as a whole."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.adaptive.diagnosis.indexes.condition import Condition, record_condition, still_stretches
+from retuner.adaptive.diagnosis.indexes.glossary import GLOSSARY
+from retuner.adaptive.diagnosis.indexes.limits import at_limits
+from retuner.adaptive.diagnosis.indexes.recording_quality import quantum, recording_quality
+from retuner.adaptive.diagnosis.indexes.screening import screen
+from retuner.adaptive.sample import Window
+from retuner.schedule.gains import PidGains
+
+T = np.arange(1000.0)
+
+
+def window(pv, co, sp=None) -> Window:
+    """A record at one sample a second, setpoint 0 unless given."""
+    n = len(pv)
+    return Window(np.arange(float(n)), np.zeros(n) if sp is None else sp, pv, co)
+
+
+def test_time_at_given_limits(wave):
+    co = np.clip(60 * wave("sine"), -30, 45)
+    found = at_limits(co, -30, 45)
+    # asin(1/2)/pi and asin(3/4)/pi of a period are within
+    assert found.low == pytest.approx(0.5 - math.asin(0.5) / math.pi, abs=0.02)
+    assert found.high == pytest.approx(0.5 - math.asin(0.75) / math.pi, abs=0.02)
+    assert (found.hit, found.given) == (2, True)
+    assert at_limits(60 * wave("sine"), -100, 100).hit == 0
+
+
+def test_limits_are_recognised_but_not_where_co_only_stands_still(wave):
+    clipped = at_limits(np.clip(60 * wave("sine"), -30, 100))
+    assert (clipped.low > 0.3, clipped.high, clipped.given) == (True, 0.0, False)
+    assert at_limits(60 * wave("sine")).hit == 0
+    assert at_limits(np.repeat([1.0, 2, 3, 2, 1, 3, 1, 3], 100)).hit == 0  # held values
+    assert at_limits(np.ones(100)).hit == 0
+
+
+@given(st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.integers(0, 5), st.sampled_from(["double", "single", "2 digits"]))
+@settings(max_examples=60)
+def test_the_step_of_a_converter_is_found(wave, step, level, seed, written):
+    rng = np.random.default_rng(seed)
+    exact = np.round(20 * wave("sine") + rng.normal(size=1000)) * step + level * step
+    written_as = {"double": exact, "single": np.float32(exact).astype(float)}
+    x = written_as.get(written, np.round(exact / step * 100) / 100 * step)
+    assert quantum(x) == pytest.approx(step, rel=0.01)
+
+
+def test_no_step_where_there_is_none(rng):
+    assert quantum(rng.normal(size=1000)) == 0
+    assert quantum(np.repeat(rng.normal(size=100), 10)) == 0  # held, not rounded
+    assert quantum(np.round(rng.normal(size=1000), 6)) == 0  # digits of a file
+    assert quantum(np.repeat([1.0, 2.0], 50)) == 0
+
+
+def test_compression_and_repetition(rng):
+    corners = np.interp(np.arange(1001), np.arange(0, 1001, 10), rng.normal(size=101))
+    found = recording_quality(corners)
+    assert found is not None
+    assert found.compression == pytest.approx(10, rel=0.05)
+    held = recording_quality(np.repeat(rng.normal(size=100), 10))
+    assert held is not None
+    assert held.repeated == pytest.approx(0.9, abs=0.01)
+    plain = recording_quality(rng.normal(size=1000))
+    assert plain is not None
+    assert (plain.compression, plain.repeated) == (1, 0)
+    assert plain.noise_share == pytest.approx(1, abs=0.15)
+    assert recording_quality(np.ones(10)) is None
+
+
+def test_conditions(rng):
+    noise = 0.01 * rng.normal(size=1000)
+    moving = np.cumsum(rng.normal(size=1000)) / 10
+    cases = {
+        Condition.NORMAL: window(moving, np.roll(moving, 5)),
+        Condition.DEAD_PV: window(np.full(1000, 3e-44), moving),
+        Condition.DEAD_CO: window(moving, np.ones(1000)),
+        Condition.NO_RESPONSE: window(noise, np.cumsum(np.abs(moving))),
+        Condition.MANUAL: window(moving, np.repeat([10.0, 20, 25, 5], 250)),
+        Condition.NOT_CONTROLLING: window(moving + 50, np.roll(moving, 5)),
+        Condition.MOVING_SETPOINT: window(moving, np.roll(moving, 5), moving + noise),
+        Condition.QUIET: window(noise, -noise),
+    }
+    for condition, record in cases.items():
+        found = record_condition(record)
+        assert found.condition == condition
+        assert found.sentence
+    assert {c.condition for c in map(record_condition, cases.values())} == set(Condition)
+
+
+def test_a_rounded_co_that_rests_for_a_while_is_not_manual(wave):
+    co = np.round(wave("sine", period=300.0) * 2)
+    assert still_stretches(co) == []
+    assert record_condition(window(wave("sine", period=300.0), co)).condition == Condition.NORMAL
+    assert still_stretches(np.repeat([1.0, 2.0], 200)) == [(0, 199), (200, 399)]
+
+
+def test_screening_of_a_sticking_valve_and_of_a_tone(rng, wave):
+    noise = 0.05 * rng.normal(size=(2, 1000))
+    gains = PidGains(0.5, 0.5 / 20)
+    valve = screen(window(wave("square") + noise[0], wave("triangle", phase=-0.25) + 0.2 * noise[1]), gains)
+    tone = screen(window(wave("sine") + noise[0], -wave("sine", phase=0.1) + 0.2 * noise[1]), gains)
+    for found in (valve, tone):
+        assert found.oscillates
+        assert found.period_s == pytest.approx(40, rel=0.01)
+        assert found.evidence["period_to_tau_i"] == pytest.approx(2, rel=0.01)
+    assert valve.evidence["triangle_co"] > 0.6
+    assert tone.evidence["triangle_co"] < 0.4
+    assert valve.evidence["jump_share"] > 0.3 > tone.evidence["jump_share"]
+    assert valve.evidence["third_harmonic"] > 0.3
+    assert tone.evidence["third_harmonic"] < 0.05
+    assert valve.evidence["horch_drho"] > 0.67
+    assert tone.evidence["horch_drho"] < 0.33
+    assert tone.evidence["phase_deg"] == pytest.approx(-216, abs=2)
+
+
+def test_every_number_has_its_words_and_no_word_is_idle(rng, wave):
+    step = np.where(T < 300, 0.0, 1.0)
+    followed = np.convolve(step, np.exp(-np.arange(60) / 20) / 20, "full")[:1000]
+    seen = set(screen(window(followed + 0.01 * rng.normal(size=1000), followed * 2, step), PidGains(1, 0.1)).evidence)
+    seen |= set(screen(window(wave("square"), wave("triangle")), PidGains(1, 0.1)).evidence)
+    seen |= set(screen(window(np.exp(-T / 80), np.exp(-T / 80)), PidGains(1, 0.1)).evidence)
+    damped = np.where(T < 300, 0, 1 - np.exp(-(T - 300) / 60) * np.cos((T - 300) / 15))
+    seen |= set(screen(window(damped, damped, step), PidGains(1, 0.1)).evidence)
+    assert seen == set(GLOSSARY)
+
+
+@given(
+    st.lists(st.sampled_from(["sine", "square", "noise", "constant", "ramp", "spike"]), min_size=3, max_size=3),
+    st.integers(3, 300),
+    st.integers(0, 5),
+    st.floats(1e-12, 1e12),
+)
+@settings(max_examples=150)
+def test_any_record_gives_finite_numbers(wave, kinds, n, seed, scale):
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "noise": rng.normal(size=n), "constant": np.full(n, 0.1), "ramp": np.arange(float(n)),
+        "spike": np.where(np.arange(n) == n // 2, 1.0, 0.0),
+    }  # fmt: skip
+    sp, pv, co = (scale * (shapes[k] if k in shapes else wave(k, n=n, period=17.0)) for k in kinds)
+    found = screen(Window(np.arange(float(n)), sp, pv, co), PidGains(-1, -0.1))
+    assert all(math.isfinite(v) for v in found.evidence.values())
+    assert set(found.evidence) <= set(GLOSSARY)
+
+
+def test_scale_and_level_do_not_matter(rng, wave):
+    pv, co = wave("square") + 0.1 * rng.normal(size=1000), wave("triangle") + 0.1 * rng.normal(size=1000)
+    small = screen(window(pv, co)).evidence
+    large = screen(window(1e4 * pv, 1e-3 * co)).evidence
+    in_units = {name for name, entry in GLOSSARY.items() if entry.unit in {"pv", "co"}}
+    assert set(small) == set(large)
+    for name in set(small) - in_units:
+        assert large[name] == pytest.approx(small[name], rel=1e-6, abs=1e-9), name
