@@ -7,11 +7,13 @@ nothing.
 """
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import lru_cache
 from importlib.resources import files
+from operator import attrgetter
+from typing import Any
 
 import can
 from cantools.database.can.database import Database
@@ -50,24 +52,17 @@ class FrameError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class _Signal:
-    """Range of one field; its name in the DBC and in the frame's class."""
-
-    name: str
-    field: str
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True)
 class _Plan:
-    """What is known of one frame: its layout, class, the fields in the class's order, whether a checksum ends it."""
+    """What is known of one frame: its layout, class, how to take a frame's values in the class's order, the signals'
+    names in the DBC in that order, whether a checksum ends it.
+    """
 
     layout: Layout
     bits: BitLayout
     type: type[Frame]
     make: Callable[..., Frame]
-    signals: tuple[_Signal, ...]
+    values: Callable[[Frame], Sequence[float]]
+    names: tuple[str, ...]
     checked: bool
 
 
@@ -110,8 +105,15 @@ def _plan(layout: Layout, source: str) -> _Plan:
         bits = BitLayout(layout, [by_field[name].name for name in names])
     except ValueError as error:
         raise DbcError(f"{source}: {error}") from None
-    signals = [_Signal(by_field[name].name, name, *bits.range_of(i)) for i, name in enumerate(names)]
-    return _Plan(layout, bits, make, make, tuple(signals), CHECKSUM.lower() in by_field)
+    return _Plan(
+        layout, bits, make, make, _values(names), tuple(by_field[n].name for n in names), CHECKSUM.lower() in by_field
+    )
+
+
+def _values(names: list[str]) -> Callable[[Frame], Sequence[float]]:
+    """What takes the fields of these names out of a frame."""
+    get: Callable[[Frame], Any] = attrgetter(*names)
+    return get if len(names) > 1 else lambda frame: (get(frame),)
 
 
 @lru_cache(maxsize=1)
@@ -167,18 +169,16 @@ class Codec:
             A value is not finite or outside the range that the DBC gives.
         """
         id_, plan = self._by_type[type(frame)]
-        values: list[float] = []
-        for signal in plan.signals:
-            value: float = getattr(frame, signal.field)
-            if not signal.low <= value <= signal.high:
-                raise FrameError(
-                    f"{plan.layout.name}.{signal.name} = {value}; give a number from {signal.low:g} to {signal.high:g}"
-                )
-            values.append(value)
+        values = plan.values(frame)
+        bad = plan.bits.outside(values)
+        if bad is not None:
+            low, high = plan.bits.ranges[bad]
+            where = f"{plan.layout.name}.{plan.names[bad]}"
+            raise FrameError(f"{where} = {values[bad]}; give a number from {low:g} to {high:g}")
         data = plan.bits.pack(values)
         if plan.checked:
             data[-1] = frame_crc(id_, data[:-1])
-        return can.Message(arbitration_id=id_, is_extended_id=False, data=data, check=True)
+        return can.Message(arbitration_id=id_, is_extended_id=False, data=data)
 
     def decode(self, message: can.Message) -> Frame | Refused:
         """The frame in a message, or why there is none."""
