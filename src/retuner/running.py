@@ -34,6 +34,22 @@ def nothing(kind: str, t_s: float, body: object) -> None:
     del kind, t_s, body
 
 
+@contextmanager
+def virtual_bench(
+    config: Config, log: Path | None = None
+) -> Iterator[tuple[CanLink, SimulatedClock, Callable[[], None]]]:
+    """The configured virtual device on a bus of its own in this process, in simulated time.
+
+    Yields the host's link, the clock, and `turn`: the device takes in what came and makes a sample.
+    """
+    clock = SimulatedClock()
+    settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
+    device = VirtualDevice(virtual_device_settings(config), make_plant(config))
+    with CanLink(settings, clock) as far, CanLink(settings, clock, log) as near:
+        on_bus = DeviceOnBus(device, far)
+        yield near, clock, on_bus.sample
+
+
 class Run:
     """One run of a configuration.
 
@@ -72,13 +88,9 @@ class Run:
 
     @contextmanager
     def _bench(self) -> Iterator[tuple[Session, SimulatedClock, Callable[[], None]]]:
-        """Device and host on a virtual bus of their own; `turn` lets the device take in what came and make a sample."""
-        config, clock = self.config, SimulatedClock()
-        settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
-        device = VirtualDevice(virtual_device_settings(config), make_plant(config))
-        with CanLink(settings, clock) as far, CanLink(settings, clock, self._log) as near:
-            on_bus = DeviceOnBus(device, far)
-            yield self._session(near), clock, on_bus.sample
+        """The host's session on a virtual bench."""
+        with virtual_bench(self.config, self._log) as (near, clock, turn):
+            yield self._session(near), clock, turn
 
     def live(self, speed: float = 1.0) -> Session:
         """Run against whatever answers on the configured bus, until the scenario is over or the user stops it.
