@@ -1,0 +1,102 @@
+"""The states of an experiment on demand, as data: one enum, one table, every way out ends in the verified old state.
+
+    CONNECTING -> RESTING -> PREPARING -> EXCITING -> PARKING -> RESTORING -> RESTORED
+    aborted in CONNECTING or RESTING: RESTORED at once, nothing has been touched yet
+    aborted in PREPARING or EXCITING: PARKING; in PARKING or RESTORING: goes on
+    old state not verified in time: STRANDED
+
+PARKING holds the output where it was before the controller takes over again; RESTORING sends gains, setpoint and mode
+of before and waits until they have been read back. What calls for leaving is an abort, whatever its cause; an abort
+while the old state is being restored changes nothing: restoring goes on.
+"""
+
+from enum import Enum, auto
+
+
+class Phase(Enum):
+    """How far an experiment is."""
+
+    CONNECTING = "waiting for the controller"
+    RESTING = "watching it at rest"
+    PREPARING = "taking over"
+    EXCITING = "experiment"
+    PARKING = "output back"
+    RESTORING = "restoring"
+    RESTORED = "the old state is restored and read back"
+    STRANDED = "the old state could not be verified"
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more happens."""
+        return self in {Phase.RESTORED, Phase.STRANDED}
+
+    @property
+    def touched(self) -> bool:
+        """Whether the controller may be in another state than before."""
+        return self in {Phase.PREPARING, Phase.EXCITING, Phase.PARKING, Phase.RESTORING}
+
+
+class Happening(Enum):
+    """What moves an experiment on."""
+
+    CONNECTED = auto()
+    AT_REST = auto()
+    PREPARED = auto()
+    FINISHED = auto()
+    ABORTED = auto()
+    PARKED = auto()
+    VERIFIED = auto()
+    GIVEN_UP = auto()
+
+
+class Cause(Enum):
+    """Why an experiment was aborted; the text goes on with what was seen."""
+
+    PV_BAND = "pv left its band"
+    NO_ROOM = "the output has no room for this amplitude"
+    SATURATED = "the output does not follow"
+    TIME = "the time limit has passed"
+    NEVER_SWITCHED = "the relay never switched back"
+    NOT_AT_REST = "the loop did not come to rest"
+    WRONG_MODE = "the controller is in the wrong mode"
+    SILENT = "telemetry was lost"
+    RESTARTED = "the controller has restarted"
+    FOREIGN = "somebody else changed the controller"
+    REFUSED = "the controller refused a command"
+    INTERRUPTED = "stopped by the user"
+    RECORDER = "the ledger cannot be written"
+
+
+TRANSITIONS: dict[Phase, dict[Happening, Phase]] = {
+    Phase.CONNECTING: {Happening.CONNECTED: Phase.RESTING, Happening.ABORTED: Phase.RESTORED},
+    Phase.RESTING: {Happening.AT_REST: Phase.PREPARING, Happening.ABORTED: Phase.RESTORED},
+    Phase.PREPARING: {Happening.PREPARED: Phase.EXCITING, Happening.ABORTED: Phase.PARKING},
+    Phase.EXCITING: {Happening.FINISHED: Phase.PARKING, Happening.ABORTED: Phase.PARKING},
+    Phase.PARKING: {
+        Happening.PARKED: Phase.RESTORING,
+        Happening.ABORTED: Phase.PARKING,
+        Happening.GIVEN_UP: Phase.STRANDED,
+    },
+    Phase.RESTORING: {
+        Happening.VERIFIED: Phase.RESTORED,
+        Happening.ABORTED: Phase.RESTORING,
+        Happening.GIVEN_UP: Phase.STRANDED,
+    },
+    Phase.RESTORED: {Happening.ABORTED: Phase.RESTORED},
+    Phase.STRANDED: {Happening.ABORTED: Phase.STRANDED},
+}
+"""Where each happening leads; what is not in the table cannot happen there."""
+
+
+def after(phase: Phase, happening: Happening) -> Phase:
+    """The next phase.
+
+    Raises
+    ------
+    ValueError
+        This cannot happen in this phase.
+    """
+    try:
+        return TRANSITIONS[phase][happening]
+    except KeyError:
+        raise ValueError(f"{happening.name} cannot happen in {phase.name}") from None

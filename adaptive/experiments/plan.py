@@ -1,0 +1,190 @@
+"""What an experiment on demand does, and when it has seen enough: pure step functions and their settings.
+
+    step       co = co0 + amplitude until pv has come to rest again, or has gone far enough to show a ramp
+    relay      co = co0 + (1 + bias) amplitude while pv is too low, co0 - (1 - bias) amplitude while it is too high,
+               switched where pv leaves the reference by more than the hysteresis
+    setpoint   sp = sp0 + amplitude under proportional control until the second turn of pv has died down
+
+The hysteresis is three standard deviations of the noise seen at rest unless it is given: noise alone then switches the
+relay about once in a thousand samples near the reference (Astrom & Hagglund 1995, section 3.6).
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from retuner.adaptive.noise import noise_sigma
+from retuner.adaptive.sample import FloatArray, LoopSample
+
+HYSTERESIS_STD = 3.0
+"""Hysteresis in standard deviations of the noise."""
+REST_DRIFT = 0.02
+"""pv is at rest when its trend over the watch moves it by less than this share of the band, or than noise explains."""
+TREND_STD = 4.0
+"""A trend within this many of its standard deviations is noise."""
+SETTLED_SHARE = 0.02
+"""A response has come to rest when its last third moves by less than this share of the whole."""
+ENOUGH_OF_BAND = 0.6
+"""A response that has gone this share of the way to the edge of the band has shown its slope."""
+SHORTEST_WATCH = 20
+"""Samples before a response may count as come to rest."""
+
+
+class Kind(StrEnum):
+    """The experiments under the names of the command line."""
+
+    STEP = "step"
+    SETPOINT = "setpoint"
+    RELAY = "relay"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Settings of an experiment on demand.
+
+    kind : which. amplitude : co percent for step and relay (negative: step down), pv units for setpoint.
+    pv_low, pv_high : band that pv must not leave; within it the experiment is aborted by nothing but the other limits.
+    co_low, co_high : range of the output, percent. time_s : longest duration of the excitation.
+    rest_samples : samples for which the loop is watched before anything is touched; 10 to 10000.
+    rest_time_s : how long to wait for rest.
+    cycles : full waves of the relay that count; the first is left out; 2 to 50.
+    bias : asymmetry of the relay, 0 (symmetric) to 0.8. hysteresis : pv units, None from the noise.
+    kc0 : proportional gain of the setpoint experiment, None for that in force.
+
+    Raises
+    ------
+    ValueError
+        A setting is out of its range (named).
+    """
+
+    kind: Kind
+    amplitude: float
+    pv_low: float
+    pv_high: float
+    co_low: float = 0.0
+    co_high: float = 100.0
+    time_s: float = 3600.0
+    rest_samples: int = 30
+    rest_time_s: float = 600.0
+    cycles: int = 4
+    bias: float = 0.0
+    hysteresis: float | None = None
+    kc0: float | None = None
+
+    def __post_init__(self) -> None:
+        numbers = {name: getattr(self, name) for name in ("amplitude", "pv_low", "pv_high", "time_s", "rest_time_s")}
+        for name, value in numbers.items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} = {value} is not a finite number")
+        if self.amplitude == 0 or (self.kind == Kind.RELAY and self.amplitude < 0):
+            raise ValueError(f"amplitude = {self.amplitude}: give a number other than 0, positive for a relay")
+        for name, low, high in (("cycles", 2, 50), ("rest_samples", 10, 10000), ("bias", 0.0, 0.8)):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} = {getattr(self, name)}: give {low} to {high}")
+        if self.time_s <= 0 or self.rest_time_s < 0:
+            raise ValueError(f"time = {self.time_s} s, rest time = {self.rest_time_s} s: give positive times")
+        if not self.pv_low < self.pv_high:
+            raise ValueError(f"pv band {self.pv_low:g} to {self.pv_high:g}: the lower end must be below the upper")
+        if self.hysteresis is not None and not 0 <= self.hysteresis < math.inf:
+            raise ValueError(f"hysteresis = {self.hysteresis}: give 0 or a positive number of pv units")
+        if self.kc0 is not None and not (math.isfinite(self.kc0) and self.kc0):
+            raise ValueError(f"kc0 = {self.kc0}: give a finite gain other than 0")
+
+    def co_levels(self, co0: float) -> tuple[float, float]:
+        """Lowest and highest output of the experiment about co0."""
+        if self.kind == Kind.STEP:
+            return min(co0, co0 + self.amplitude), max(co0, co0 + self.amplitude)
+        if self.kind == Kind.RELAY:
+            return co0 - (1 - self.bias) * self.amplitude, co0 + (1 + self.bias) * self.amplitude
+        return co0, co0
+
+
+class Rest(NamedTuple):
+    """The loop at rest: mean pv and co, noise of pv, and the hysteresis that follows."""
+
+    pv: float
+    co: float
+    sigma: float
+    hysteresis: float
+
+
+def at_rest(plan: Plan, samples: list[LoopSample]) -> Rest | None:
+    """What the last rest_samples show, or None while the loop moves."""
+    if len(samples) < plan.rest_samples:
+        return None
+    watched = samples[-plan.rest_samples :]
+    if len({(s.sp, s.mode) for s in watched}) > 1:
+        return None
+    pv = np.array([s.pv for s in watched])
+    n = len(pv)
+    sigma = noise_sigma(pv)
+    moved = abs(float(np.polyfit(np.linspace(-0.5, 0.5, n), pv, 1)[0]))
+    if moved > max(REST_DRIFT * (plan.pv_high - plan.pv_low), TREND_STD * sigma * math.sqrt(12 / n)):
+        return None
+    hysteresis = HYSTERESIS_STD * sigma if plan.hysteresis is None else plan.hysteresis
+    return Rest(float(np.mean(pv)), float(np.mean([s.co for s in watched])), sigma, hysteresis)
+
+
+class RelayState(NamedTuple):
+    """The relay: whether it stands at its upper level, and how often it has switched."""
+
+    high: bool
+    switches: int
+
+
+def relay_start() -> RelayState:
+    """It begins upwards: pv rests at the reference."""
+    return RelayState(high=True, switches=0)
+
+
+def relay_step(state: RelayState, pv: float, rest: Rest, direction: int) -> RelayState:
+    """Switch or stay; direction is -1 for a process whose pv falls with co."""
+    low_by = (rest.pv - pv) * direction
+    high = True if low_by > rest.hysteresis else False if low_by < -rest.hysteresis else state.high
+    return RelayState(high, state.switches + (high != state.high))
+
+
+def relay_output(plan: Plan, state: RelayState, rest: Rest) -> float:
+    """co of the relay in percent."""
+    low, high = plan.co_levels(rest.co)
+    return high if state.high else low
+
+
+def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState) -> bool:
+    """Whether the samples since the excitation began show what the experiment is for."""
+    if plan.kind == Kind.RELAY:
+        return relay.switches >= 2 * plan.cycles + 3
+    pv = np.array([s.pv for s in samples])
+    if len(pv) < SHORTEST_WATCH:
+        return False
+    if plan.kind == Kind.SETPOINT:
+        return _turned(pv - rest.pv, rest.sigma) >= 3 and _come_to_rest(pv, rest)
+    room = plan.pv_high - rest.pv if pv[-1] > rest.pv else rest.pv - plan.pv_low
+    far = abs(float(pv[-1]) - rest.pv) > ENOUGH_OF_BAND * room
+    return far or _come_to_rest(pv, rest)
+
+
+def _come_to_rest(pv: FloatArray, rest: Rest) -> bool:
+    """Whether the last third is flat, after a clear move."""
+    last = pv[-len(pv) // 3 :]
+    moved = abs(float(np.mean(last)) - rest.pv)
+    if moved <= 2 * TREND_STD * rest.sigma:
+        return False
+    trend = abs(float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0]))
+    flat = max(SETTLED_SHARE * moved, TREND_STD * rest.sigma * math.sqrt(12 / len(last)))
+    return trend < flat and float(np.ptp(last)) < 3 * SETTLED_SHARE * moved + 2 * TREND_STD * rest.sigma
+
+
+def _turned(y: FloatArray, sigma: float) -> int:
+    """How often a signal has turned back by more than the noise."""
+    turns, extreme, rising = 0, float(y[0]), True
+    clear = max(2 * TREND_STD * sigma, SETTLED_SHARE * float(np.ptp(y)))
+    for value in y if float(y[-1]) > 0 else -y:
+        if (value > extreme) == rising:
+            extreme = float(value)
+        elif abs(float(value) - extreme) > clear:
+            turns, extreme, rising = turns + 1, float(value), not rising
+    return turns

@@ -1,0 +1,71 @@
+"""What ends an experiment: each limit a function or small watch that names the cause and what was seen, or nothing."""
+
+from retuner.adaptive.experiments.phases import Cause
+from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest
+from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.experiment.target import CO_SHOWN, Helm, Target
+
+FOLLOW_SAMPLES = 6
+"""Samples that the controller may take to show a new output, setpoint or mode."""
+LIMITED_MOST = 2
+"""Samples for which the output may stand at a limit during a setpoint experiment."""
+
+Trouble = tuple[Cause, str]
+
+
+def out_of_band(plan: Plan, sample: LoopSample) -> Trouble | None:
+    """pv outside its band."""
+    if plan.pv_low <= sample.pv <= plan.pv_high:
+        return None
+    return Cause.PV_BAND, f"pv = {sample.pv:.6g}, band {plan.pv_low:.6g} to {plan.pv_high:.6g}"
+
+
+def cannot_begin(plan: Plan, rest: Rest, sample: LoopSample) -> Trouble | None:
+    """No room for the amplitude, or the wrong mode."""
+    low, high = plan.co_levels(rest.co)
+    if not (plan.co_low <= low and high <= plan.co_high):
+        return Cause.NO_ROOM, (f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %, its range is "
+                               f"{plan.co_low:g} to {plan.co_high:g} %")  # fmt: skip
+    if plan.kind == Kind.SETPOINT and sample.mode != LoopMode.AUTO:
+        return Cause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual"
+    return None
+
+
+def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | None:
+    """The time limit of the excitation has passed."""
+    if excited_s <= plan.time_s:
+        return None
+    if plan.kind == Kind.RELAY and relay.switches < 2:
+        return Cause.NEVER_SWITCHED, (f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
+                                      "sign of the gains in force right?")  # fmt: skip
+    return Cause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
+
+
+class Following:
+    """Whether the controller does what it is told: output, mode and setpoint, with some samples of patience.
+
+    Parameters
+    ----------
+    kind : of the experiment. helm : knows what is shown.
+    """
+
+    def __init__(self, kind: Kind, helm: Helm) -> None:
+        self._kind, self._helm = kind, helm
+        self._limited = self._foreign = 0
+
+    def trouble(self, wanted: Target, sample: LoopSample, sp: float) -> Trouble | None:
+        """One sample under a target; sp is the setpoint that should be in force unless the target has one."""
+        differs = self._helm.differs(wanted, sample, sp)
+        self._foreign = self._foreign + 1 if differs else 0
+        if self._foreign > FOLLOW_SAMPLES:
+            return Cause.FOREIGN, differs
+        if self._kind == Kind.SETPOINT:
+            self._limited = self._limited + 1 if sample.limited else 0
+            if self._limited > LIMITED_MOST:
+                return Cause.SATURATED, f"co stands at {sample.co:.4g} %; give a smaller amplitude or kc0"
+            return None
+        off = wanted.co is not None and sample.mode == LoopMode.MANUAL and abs(sample.co - wanted.co) > CO_SHOWN
+        self._limited = self._limited + 1 if off else 0
+        if self._limited > FOLLOW_SAMPLES:
+            return Cause.SATURATED, f"co stands at {sample.co:.4g} %, it was told {wanted.co:.4g} %"
+        return None
