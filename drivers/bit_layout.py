@@ -18,14 +18,27 @@ FLOAT_BITS = 32
 CODES = {8: "B", 16: "H", 32: "I"}  # of the struct module, unsigned; lower case is signed
 
 
-class _Odd(NamedTuple):
-    """A signal that no C struct holds: first bit, mask and sign bit of the raw number, scale."""
+class _Piece(NamedTuple):
+    """Whole bytes of the frame that the struct reads as one: a signal that it can hold, or a group of others."""
 
     start: int
+    length: int
+    signals: tuple[Signal, ...]
+    is_group: bool
+
+
+class _Odd(NamedTuple):
+    """A signal in a group: slot of the group among the pieces; first bit in it, mask and sign bit of the raw number,
+    scale and offset; place of its value in the order.
+    """
+
+    slot: int
+    shift: int
     mask: int
     sign: int
     scale: float
     offset: float
+    place: int
 
 
 class BitLayout:
@@ -45,16 +58,19 @@ class BitLayout:
     def __init__(self, layout: Layout, order: Sequence[str]) -> None:
         signals = [layout.get_signal_by_name(name) for name in order]
         self.ranges = tuple(_range(layout.name, signal) for signal in signals)
-        plain = sorted((s for s in signals if _is_plain(s)), key=lambda signal: signal.start)
-        odd = [signal for signal in signals if signal not in plain]
-        self._length = layout.length
-        self._struct = _struct(plain, layout.length)
-        self._odd = tuple(_odd(signal) for signal in odd)
-        stored = [signal.name for signal in (*plain, *odd)]
-        self._to_order = _picker([stored.index(name) for name in order])
-        self._from_order = _picker([list(order).index(name) for name in stored])
-        self._plain = len(plain)
         self._bounds = tuple((i, *self.ranges[i]) for i, signal in enumerate(signals) if not _is_full(signal))
+        place = {name: i for i, name in enumerate(order)}
+        pieces = _pieces(signals)
+        self._struct = struct.Struct("<" + _codes(pieces, layout.length))
+        self._plain = tuple((i, place[p.signals[0].name]) for i, p in enumerate(pieces) if not p.is_group)
+        self._wide = tuple((i, p.length) for i, p in enumerate(pieces) if p.is_group and 8 * p.length not in CODES)
+        self._odd = tuple(
+            _odd(i, p.start, s, place[s.name]) for i, p in enumerate(pieces) if p.is_group for s in p.signals
+        )
+        self._blank = [0] * len(pieces)
+        source = {at: slot for slot, at in self._plain}
+        source |= {field.place: len(pieces) + i for i, field in enumerate(self._odd)}
+        self._to_order = _picker([source[i] for i in range(len(signals))])
 
     def outside(self, values: Sequence[float]) -> int | None:
         """Place in the order of the first number that is not finite or out of range; None when all are well."""
@@ -65,17 +81,17 @@ class BitLayout:
 
     def unpack(self, data: bytes | bytearray) -> Sequence[float] | None:
         """The numbers in data, which must have the frame's length; None when one is not finite or out of range."""
-        values: Sequence[float] = self._struct.unpack(data)
+        raw: Any = self._struct.unpack(data)
         if self._odd:
-            whole = int.from_bytes(data, "little")
-            more = [*values]
-            for start, mask, sign, scale, offset in self._odd:
-                raw = whole >> start & mask
-                if raw & sign:
-                    raw -= mask + 1
-                more.append(raw if scale == 1 and not offset else raw * scale + offset)
-            values = more
-        values = self._to_order(values)
+            raw = [*raw]
+            for slot, _ in self._wide:
+                raw[slot] = int.from_bytes(raw[slot], "little")
+            for slot, shift, mask, sign, scale, offset, _ in self._odd:
+                number = raw[slot] >> shift & mask
+                if number & sign:
+                    number -= mask + 1
+                raw.append(number if scale == 1 and not offset else number * scale + offset)
+        values = self._to_order(raw)
         for place, low, high in self._bounds:
             if not low <= values[place] <= high:
                 return None
@@ -83,15 +99,15 @@ class BitLayout:
 
     def pack(self, values: Sequence[float]) -> bytearray:
         """The frame's bytes; every number must be within its range, which outside() tells."""
-        values = self._from_order(values)
-        plain = bytearray(self._struct.pack(*values[: self._plain]))
-        if not self._odd:
-            return plain
-        whole = int.from_bytes(plain, "little")
-        for value, (start, mask, _, scale, offset) in zip(values[self._plain :], self._odd, strict=True):
-            raw = round(value if scale == 1 and not offset else (value - offset) / scale)
-            whole |= (raw & mask) << start
-        return bytearray(whole.to_bytes(self._length, "little"))
+        raw: list[Any] = self._blank.copy()
+        for slot, place in self._plain:
+            raw[slot] = values[place]
+        for slot, shift, mask, _, scale, offset, place in self._odd:
+            value = values[place]
+            raw[slot] |= (round(value if scale == 1 and not offset else (value - offset) / scale) & mask) << shift
+        for slot, length in self._wide:
+            raw[slot] = raw[slot].to_bytes(length, "little")
+        return bytearray(self._struct.pack(*raw))
 
 
 def _picker(places: list[int]) -> Callable[[Sequence[float]], Sequence[float]]:
@@ -144,17 +160,34 @@ def _is_plain(signal: Signal) -> bool:
     return signal.is_float or (unscaled and signal.start % 8 == 0 and signal.length in CODES)
 
 
-def _struct(plain: Iterable[Signal], length: int) -> struct.Struct:
-    """The struct of signals in the order of their places; what lies between them is padding."""
-    code, at = "<", 0
-    for signal in plain:
-        letter = "f" if signal.is_float else CODES[signal.length]
-        code += "x" * (signal.start // 8 - at) + (letter.lower() if signal.is_signed else letter)
-        at = (signal.start + signal.length) // 8
-    return struct.Struct(code + "x" * (length - at))
+def _pieces(signals: Iterable[Signal]) -> list[_Piece]:
+    """The frame's bytes in their order: signals that a struct holds, and groups of others that share bytes."""
+    pieces: list[_Piece] = []
+    for signal in sorted(signals, key=lambda signal: signal.start):
+        first, last = signal.start // 8, (signal.start + signal.length - 1) // 8
+        before = pieces[-1] if pieces else None
+        if before is not None and first < before.start + before.length:
+            pieces[-1] = _Piece(before.start, last + 1 - before.start, (*before.signals, signal), True)
+        else:
+            pieces.append(_Piece(first, last + 1 - first, (signal,), not _is_plain(signal)))
+    return pieces
 
 
-def _odd(signal: Signal) -> _Odd:
-    """What is known beforehand of a signal that is read bit by bit."""
+def _codes(pieces: Iterable[_Piece], length: int) -> str:
+    """What the struct module calls them; what lies between them is padding."""
+    code, at = "", 0
+    for piece in pieces:
+        signal = piece.signals[0]
+        letter = CODES.get(8 * piece.length, f"{piece.length}s")
+        if not piece.is_group:
+            letter = "f" if signal.is_float else letter.lower() if signal.is_signed else letter
+        code += "x" * (piece.start - at) + letter
+        at = piece.start + piece.length
+    return code + "x" * (length - at)
+
+
+def _odd(slot: int, start: int, signal: Signal, place: int) -> _Odd:
+    """What is known beforehand of a signal in the group that begins with byte `start`."""
     sign = 1 << signal.length - 1 if signal.is_signed else 0
-    return _Odd(signal.start, (1 << signal.length) - 1, sign, signal.scale, signal.offset)
+    mask = (1 << signal.length) - 1
+    return _Odd(slot, signal.start - 8 * start, mask, sign, signal.scale, signal.offset, place)

@@ -105,24 +105,11 @@ class CanLink:
 
     def receive_all(self, limit: int = 10_000) -> list[can.Message]:
         """All frames that have arrived, oldest first, at most limit; own echoes and error frames left out."""
-        messages: list[can.Message] = []
-        garbage = 0
-        while len(messages) < limit and (bus := self._opened()) is not None:
-            try:
-                message = bus.recv(timeout=0.0)
-            except BUS_ERRORS as error:
-                garbage += 1
-                if not is_garbage(error) or garbage > self.settings.garbage_limit:
-                    self._fail(fault_of_error(error, LinkFault.RECEIVE))
-                    break
-                self.counters.garbage += 1
-                self.faults.note(LinkFault.GARBAGE)
-                continue
-            if message is None:
-                break
-            if self._is_ours(message):
-                continue
-            messages.append(message)
+        messages = self._receive(limit)
+        self.counters.received += len(messages)
+        if self._log is not None:
+            for message in messages:
+                self._write_log(message, received=True)
         if messages:
             self._heard = True
             self._last_frame_s = self._clock.now_s()
@@ -131,6 +118,27 @@ class CanLink:
         elif self._heard and not self._silence_is_normal and self.state is LinkState.SILENT:
             self._fail(LinkFault.DEAF)
         self._look_at_socket()
+        return messages
+
+    def _receive(self, limit: int) -> list[can.Message]:
+        """Other nodes' frames; this loop is the cost of a frame, so it looks nothing up twice."""
+        messages: list[can.Message] = []
+        garbage = 0
+        bus = self._opened()
+        while bus is not None and len(messages) < limit:
+            try:
+                message = bus.recv(timeout=0.0)
+            except BUS_ERRORS as error:
+                garbage += 1
+                bus = self._after(error, garbage)
+                continue
+            if message is None:
+                break
+            if message.is_error_frame:
+                self._take_error_frame(message)
+                bus = self._bus
+            elif not self._own or not self._take_echo(message):
+                messages.append(message)
         return messages
 
     def news(self) -> list[FaultNews]:
@@ -169,8 +177,7 @@ class CanLink:
 
     def _opened(self) -> can.BusABC | None:
         """The bus, opened anew if it is down and the pause is over."""
-        now_s = self._clock.now_s()
-        if self._bus is None and now_s >= self._next_open_s:
+        if self._bus is None and self._clock.now_s() >= self._next_open_s:
             try:
                 self._open()
             except BusError:
@@ -225,22 +232,23 @@ class CanLink:
         except BUS_ERRORS:
             return -1
 
-    def _is_ours(self, message: can.Message) -> bool:
-        """Count a frame; whether it is an echo of ours or an error frame."""
-        if message.is_error_frame:
-            self.counters.error_frames += 1
-            fault = fault_of_frame(message)
-            if fault is LinkFault.BUS_OFF:
-                self._fail(fault)
-            else:
-                self.faults.note(fault)
-            return True
-        if self._own and self._take_echo(message):
-            self.counters.echoes += 1
-            return True
-        self.counters.received += 1
-        self._write_log(message, received=True)
-        return False
+    def _after(self, error: BaseException, garbage: int) -> can.BusABC | None:
+        """The bus to go on with after a receive failed: the same one after so little garbage, else none for now."""
+        if is_garbage(error) and garbage <= self.settings.garbage_limit:
+            self.counters.garbage += 1
+            self.faults.note(LinkFault.GARBAGE)
+        else:
+            self._fail(fault_of_error(error, LinkFault.RECEIVE))
+        return self._bus
+
+    def _take_error_frame(self, message: can.Message) -> None:
+        """Count it; bus-off closes the bus."""
+        self.counters.error_frames += 1
+        fault = fault_of_frame(message)
+        if fault is LinkFault.BUS_OFF:
+            self._fail(fault)
+        else:
+            self.faults.note(fault)
 
     def _take_echo(self, message: can.Message) -> bool:
         """Whether this is a frame that we sent on udp_multicast, which hands each frame to its sender as well."""
@@ -248,6 +256,7 @@ class CanLink:
         if frame not in self._own:
             return False
         self._own.remove(frame)
+        self.counters.echoes += 1
         return True
 
     def _write_log(self, message: can.Message, *, received: bool) -> None:
