@@ -1,0 +1,91 @@
+"""What identify and diagnose share: a recorded loop with its columns, and the controller that was in force."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from retuner.drivers.recording import ROLES, Recording, read_recording, require_setpoint
+from retuner.errors import UserError, user_input
+from retuner.schedule.forms import from_form
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """The options of both commands; times in seconds, limits in units of co.
+
+    open_loop : the record was made in manual. columns : names of columns as role=name. kc, tau_i_s, tau_d_s, form : the
+    controller in force. co_min, co_max : the limits of co. plot : where to draw. as_json : one JSON document.
+    """
+
+    open_loop: bool = False
+    columns: str = ""
+    kc: float | None = None
+    tau_i_s: float | None = None
+    tau_d_s: float = 0.0
+    form: str = "series"
+    co_min: float | None = None
+    co_max: float | None = None
+    plot: Path | None = None
+    as_json: bool = False
+
+
+def read_loop(path: Path, options: RecordOptions) -> Recording:
+    """The record, checked against what the options say of it.
+
+    Raises
+    ------
+    UserError, RecordingError
+        The file or an option cannot be used, or a closed loop has no setpoint.
+    """
+    _check_limits(options)
+    if options.plot is not None and options.plot.suffix.lower() != ".png":
+        raise UserError(f"--plot {options.plot}: give a name that ends in .png")
+    recording = read_recording(path, renamed(options.columns))
+    if not options.open_loop:
+        require_setpoint(recording)
+    return recording
+
+
+def renamed(text: str) -> dict[str, str]:
+    """--columns as role to column name.
+
+    Raises
+    ------
+    UserError
+        A part is not role=name, a role is not known, or is given twice.
+    """
+    found: dict[str, str] = {}
+    for part in (p.strip() for p in text.split(",") if p.strip()):
+        role, equals, name = part.partition("=")
+        if not equals or role not in ROLES or not name or role in found:
+            raise UserError(f"--columns {part}: give role=name, each role once; roles are {', '.join(ROLES)}")
+        found[role] = name
+    return found
+
+
+def controller(options: RecordOptions) -> PidGains | None:
+    """The gains in force, when they were given.
+
+    Raises
+    ------
+    UserError
+        Times without a gain, a controller in an open loop, or a value outside its range.
+    """
+    if options.kc is None:
+        if options.tau_i_s is not None or options.tau_d_s:
+            raise UserError("--tau-i and --tau-d need --kc: give the gain of the controller in force, too")
+        return None
+    if options.open_loop:
+        raise UserError("--open-loop and --kc exclude each other: in manual no controller was in force")
+    with user_input("--kc, --tau-i, --tau-d"):
+        return from_form(options.form, options.kc, options.tau_i_s, options.tau_d_s)
+
+
+def _check_limits(options: RecordOptions) -> None:
+    """Refuse limits that are none."""
+    for name, value in (("--co-min", options.co_min), ("--co-max", options.co_max)):
+        if value is not None and not math.isfinite(value):
+            raise UserError(f"{name} {value}: give a finite number")
+    if options.co_min is not None and options.co_max is not None and options.co_min >= options.co_max:
+        raise UserError(f"--co-min {options.co_min:g} is not below --co-max {options.co_max:g}: exchange them")

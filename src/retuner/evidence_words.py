@@ -1,0 +1,68 @@
+"""The numbers of a diagnosis in words that engineers know, in the groups in which people look at them."""
+
+import math
+from collections.abc import Mapping
+
+from retuner.adaptive.diagnosis.indexes.glossary import GLOSSARY, Entry
+
+MARGINS = {
+    "ms": Entry("sensitivity peak Ms", "ratio", "at most 1.8", "Astrom & Hagglund 2006"),
+    "gm": Entry("gain margin", "ratio", "at least 2; SIMC has 3", ""),
+    "pm_deg": Entry("phase margin", "deg", "at least 45; SIMC has 61", ""),
+    "ki_ratio": Entry("SIMC's integral gain over the one in force", "ratio", "above 1.3: slow", "Skogestad 2003"),
+    "kp_ratio": Entry("SIMC's gain over the one in force", "ratio", "above 1.3: slow", "Skogestad 2003"),
+}
+WORDS = {**GLOSSARY, **MARGINS}
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "margins with the settings in force": tuple(MARGINS),
+    "oscillation": ("period_s", "cycles", "regularity", "strength", "decay_ratio", "iae_count", "period_to_tau_i",
+                    "phase_deg", "amplitude_pv", "amplitude_co"),
+    "setpoint and load responses": ("setpoint_steps", "overshoot", "damping", "idle_index"),
+    "valve or tone": ("triangle_co", "triangle_pv", "relay_pv", "tone_share", "distortion", "horch_drho",
+                      "yamashita_rho1", "jump_share", "flat_share", "stick_band", "nonlinearity"),
+    "limits and recording": ("at_low_limit", "at_high_limit", "still_share", "offset", "noise_share", "quantum_pv",
+                             "quantum_co", "compression_pv"),
+}  # fmt: skip
+"""Headings with the numbers under them; what is not here is in the JSON only, or under "hypotheses"."""
+SILENT_AT_ZERO = {"at_low_limit", "at_high_limit", "still_share", "quantum_pv", "quantum_co"}
+"""Numbers that say nothing when they are zero."""
+LONGEST = 44
+"""Width of the words in a table."""
+
+
+def value_text(name: str, value: float) -> str:
+    """A number with its unit."""
+    unit = WORDS[name].unit if name in WORDS else ""
+    if not math.isfinite(value):
+        return "none" if value > 0 else "-"
+    if unit == "share":
+        return f"{value:.1%}"
+    if unit == "count":
+        return f"{value:.3g}"
+    return f"{value:.3g}" + {"s": " s", "deg": " deg", "pv": " (pv)", "co": " (co)"}.get(unit, "")
+
+
+def evidence_table(evidence: Mapping[str, float]) -> dict[str, list[tuple[str, str, str]]]:
+    """Rows (words, value, how to read it) by heading; only what the evidence holds."""
+    found: dict[str, list[tuple[str, str, str]]] = {}
+    other = [name for name in evidence if name not in WORDS]
+    for heading, names in {**GROUPS, "hypotheses": tuple(other)}.items():
+        rows = []
+        for name in names:
+            if name not in evidence or (name in SILENT_AT_ZERO and evidence[name] == 0):
+                continue
+            entry = WORDS.get(name, Entry(name.replace("_", " "), "", "", ""))
+            rows.append((entry.words, value_text(name, evidence[name]), entry.reading))
+        if rows:
+            found[heading] = rows
+    return found
+
+
+def evidence_lines(evidence: Mapping[str, float]) -> list[str]:
+    """The table as text."""
+    lines = []
+    for heading, rows in evidence_table(evidence).items():
+        lines.append(f"  {heading}")
+        lines += [f"    {words:<{LONGEST}} {value:>12}   {reading}".rstrip() for words, value, reading in rows]
+    return lines

@@ -1,0 +1,122 @@
+"""The picture of one record: setpoint, pv and the model's pv, co and its limits, what is left, pv over co, evidence."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from retuner.adaptive.sample import FloatArray, Window
+from retuner.plots import DPI, MARK, PV, SP, time_axis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
+TITLE_WIDTH = 110
+"""Characters of a title line."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordPicture:
+    """What is drawn.
+
+    window : the record. title, subtitle : the finding and its sentence. lines : text beside the curves.
+    fitted : pv as the model explains it, shape (n,), or None. loads_s : when load steps entered.
+    limits : of co, None where not known. noise_std : of pv's noise, for the band round the remainder.
+    """
+
+    window: Window
+    title: str
+    subtitle: str
+    lines: Sequence[str]
+    fitted: FloatArray | None = None
+    loads_s: Sequence[float] = ()
+    limits: tuple[float | None, float | None] = (None, None)
+    noise_std: float = 0.0
+
+
+def record_png(picture: RecordPicture) -> bytes:
+    """Draw it as PNG."""
+    figure = Figure(figsize=(15, 8.2))
+    figure.suptitle(picture.title, x=0.06, ha="left", fontsize=14, weight="bold")
+    figure.text(0.06, 0.935, picture.subtitle[: 2 * TITLE_WIDTH], ha="left", va="top", fontsize=10.5, wrap=True)
+    grid = figure.add_gridspec(3, 2, width_ratios=(2.1, 1), height_ratios=(2, 1.3, 1), hspace=0.12, wspace=0.08,
+                               left=0.06, right=0.985, top=0.88, bottom=0.07)  # fmt: skip
+    top = figure.add_subplot(grid[0, 0])
+    middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
+    x, unit = time_axis(picture.window.t_s)
+    _signals(top, picture, x)
+    _output(middle, picture, x)
+    _remainder(bottom, picture, x)
+    _events(picture, x, (top, middle, bottom))
+    for axes in (top, middle):
+        axes.tick_params(labelbottom=False)
+    for axes in (top, middle, bottom):
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)
+    bottom.set_xlabel(f"time [{unit}]")
+    _curve(figure.add_subplot(grid[0, 1]), picture.window)
+    words = figure.add_subplot(grid[1:, 1])
+    words.set_axis_off()
+    words.text(0, 0.97, "\n".join(picture.lines), va="top", fontsize=8.2, family="monospace", linespacing=1.35)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
+    """pv, setpoint, and what the model makes of it."""
+    window = picture.window
+    axes.plot(x, window.pv, color=PV, lw=0.9, label="pv")
+    if np.ptp(window.sp) > 0 or abs(window.sp[0] - np.mean(window.pv)) < 2 * np.ptp(window.pv):
+        axes.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
+    if picture.fitted is not None:
+        axes.plot(x, picture.fitted, color=MODEL, lw=1.3, label="model")
+    axes.set_ylabel("pv, sp")
+    axes.legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=3)
+
+
+def _output(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
+    """co with its limits where it comes near them."""
+    co = picture.window.co
+    axes.plot(x, co, color=PV, lw=0.9, drawstyle="steps-post")
+    room = 0.3 * float(np.ptp(co))
+    for limit in picture.limits:
+        if limit is not None and np.min(co) - room <= limit <= np.max(co) + room:
+            axes.axhline(limit, color=LIMIT, lw=1.0, ls=":")
+    axes.set_ylabel("co")
+
+
+def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
+    """What the model leaves, in the band of the noise; without a model the control error."""
+    window = picture.window
+    if picture.fitted is None:
+        axes.plot(x, window.sp - window.pv, color=PV, lw=0.8)
+        axes.set_ylabel("sp - pv")
+    else:
+        axes.plot(x, window.pv - picture.fitted, color=PV, lw=0.8)
+        axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
+        axes.set_ylabel("pv - model")
+    axes.axhline(0, color=LIMIT, lw=0.8)
+
+
+def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> None:
+    """Load steps that were found, as vertical lines."""
+    for j, t_s in enumerate(picture.loads_s):
+        for axes in panels:
+            place = float(np.interp(t_s, picture.window.t_s, x))
+            axes.axvline(place, color=MARK, lw=0.9, ls="--", label="load step" if not j else None)
+    if picture.loads_s:
+        panels[0].legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=4)
+
+
+def _curve(axes: "Axes", window: Window) -> None:
+    """pv over co: an ellipse, a parallelogram, a cloud."""
+    axes.plot(window.co, window.pv, color=BEFORE, lw=0.6)
+    axes.scatter(window.co, window.pv, c=np.arange(len(window.co)), s=3, cmap="viridis", linewidths=0)
+    axes.set_title("pv over co", fontsize=10)
+    axes.yaxis.tick_right()
+    axes.grid(alpha=0.3)
