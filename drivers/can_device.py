@@ -12,6 +12,7 @@ from retuner.drivers import frames
 from retuner.drivers.arrival_check import Stream
 from retuner.drivers.can_settings import CanDeviceSettings
 from retuner.drivers.codec import Codec, FrameError, Refusal, Refused
+from retuner.drivers.contact import Contact
 from retuner.drivers.device import (
     DeviceMismatchError,
     DeviceRestarted,
@@ -63,9 +64,8 @@ class CanDevice:
         self._belief = RunningBelief(settings.node)
         self._requests = HostRequests(settings, self._reader, self._codec.encode)
         self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
-        self._first_poll_s = float("inf")
-        self._heard_s = self._sample_s = self._ask_s = float("-inf")
-        self._ever_connected = False
+        self._contact = Contact(settings.silent_s, settings.connect_s)
+        self._sample_s = self._ask_s = float("-inf")
         self._events: list[Event] = []
 
     @property
@@ -90,13 +90,13 @@ class CanDevice:
 
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
-        self._first_poll_s = min(self._first_poll_s, now_s)
+        self._contact.polled(now_s)
         for message in self.link.receive_all():
             frame = self._codec.decode(message)
             if isinstance(frame, Refused):
                 self.refused_frames += frame.refusal is not Refusal.FOREIGN
             elif isinstance(frame, frames.DeviceFrame):
-                self._heard_s = now_s
+                self._contact.heard_s = now_s
                 self._take(frame, now_s)
             else:
                 self._on_foreign()
@@ -165,7 +165,7 @@ class CanDevice:
         if not wrong:
             self.phase = ConnectPhase.READING
             self._ask_s = now_s
-        elif not self._ever_connected:
+        elif not self._contact.made:
             raise DeviceMismatchError(f"{self._where}: {wrong}")
 
     def _on_page(self, page: ReadBack | None, now_s: float) -> None:
@@ -190,7 +190,7 @@ class CanDevice:
             self._requests.on_restart()
             self._events.append(DeviceRestarted(self._belief.epoch or 0, running))
         if self.phase is ConnectPhase.READING:
-            self.phase, self._ever_connected = ConnectPhase.CONNECTED, True
+            self.phase, self._contact.made = ConnectPhase.CONNECTED, True
             self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))
         outcome = self._requests.on_running(running)
         if outcome is not None:
@@ -202,25 +202,21 @@ class CanDevice:
 
     def _notice_silence(self, now_s: float) -> None:
         """Nothing heard for too long, or no bus: nothing is known any more."""
-        down = self.link.state is LinkState.DOWN
-        if self.phase is ConnectPhase.SEARCHING or not (down or now_s - self._heard_s > self.settings.silent_s):
-            self._notice_nobody(now_s)
+        reason = self._contact.lost(now_s, self.link.state)
+        if self.phase is ConnectPhase.SEARCHING or not reason:
+            if self._contact.in_vain(now_s):
+                raise DeviceSilentError(
+                    f"{self._where}: no answer within {self.settings.connect_s:g} s; "
+                    "is the device running there, under this node number?"
+                )
             return
         if self.phase is ConnectPhase.CONNECTED:
-            reason = "the bus is gone" if down else f"no frame for {now_s - self._heard_s:.3g} s"
-            self._events.append(LinkChanged(LinkState.DOWN if down else LinkState.SILENT, reason))
+            state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
+            self._events.append(LinkChanged(state, reason))
         self.phase = ConnectPhase.SEARCHING
         self._belief.doubt()
         self._joiner.forget()
         self._requests.lease.forget()
-
-    def _notice_nobody(self, now_s: float) -> None:
-        """The first connection takes too long."""
-        if not self._ever_connected and now_s - self._first_poll_s > self.settings.connect_s:
-            raise DeviceSilentError(
-                f"{self._where}: no answer within {self.settings.connect_s:g} s; "
-                "is the device running there, under this node number?"
-            )
 
     @property
     def _where(self) -> str:
@@ -229,9 +225,10 @@ class CanDevice:
 
     def _ask(self, now_s: float) -> None:
         """Ask who is there, or what runs, as long as it is not known."""
+        unread = self.phase is ConnectPhase.READING or self._belief.doubtful
         if self.phase is ConnectPhase.SEARCHING:
             page = frames.Page.IDENTITY
-        elif self._belief.doubtful and self._requests.write.phase is not WritePhase.READING:
+        elif unread and self._requests.write.phase is not WritePhase.READING:
             page = frames.Page.RUNNING
         else:
             self._ask_s = now_s

@@ -127,7 +127,8 @@ class SampleJoiner:
         return Joined(sample._replace(x=sample[self._field]), lost)
 
     def _revision(self, tag: int) -> int:
-        """The sequence number with these low bits: the known one, the ordered one, else the next one upwards."""
-        if self.ordered is not None and self.ordered % RUNNING_TAG == tag:
-            return self.ordered
+        """The sequence number with these low bits: the known one's, the ordered one's, else the next one upwards."""
+        for known in (self.running, self.ordered):
+            if known is not None and known % RUNNING_TAG == tag:
+                return known
         return (self.running + (tag - self.running) % RUNNING_TAG) % SEQUENCES

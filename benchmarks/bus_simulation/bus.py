@@ -10,6 +10,7 @@ import can
 from bus_simulation.weather import CALM, FAULTS, Fault, Weather
 
 HISTORY = 256  # frames that a repeater may send again
+STRANGER = "intruder"  # may send, and receives nothing
 LONGEST_DELAY = 40  # steps
 LONG_DELAY_SHARE = 0.15
 
@@ -43,7 +44,9 @@ class Bus:
     def __init__(self, rng: Random, names: tuple[str, ...]) -> None:
         self._rng, self._random = rng, rng.random
         self.ways = {name: Way(name) for name in names}
-        self._others = {name: [way for way in self.ways.values() if way.name != name] for name in names}
+        self._others = {
+            sender: [way for name, way in self.ways.items() if name != sender] for sender in (*names, STRANGER)
+        }
         self._number = count()
         self.weather: Weather = CALM
         self.step = 0

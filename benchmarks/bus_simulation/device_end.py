@@ -1,5 +1,6 @@
 """The virtual device on the simulated bus: it may crash before or after any frame, and every change of its gains is
-held to the invariants."""
+held to the invariants.
+"""
 
 from random import Random
 
@@ -7,7 +8,7 @@ import can
 
 from bus_simulation import truth as t
 from bus_simulation.bus import Bus
-from bus_simulation.truth import Ran, Truth, Violation
+from bus_simulation.truth import Ran, Truth, ViolationError
 from retuner.drivers.codec import COMMAND_BITS
 from retuner.drivers.gain_pages import Slot
 from retuner.drivers.virtual_device import VirtualDevice
@@ -46,7 +47,6 @@ class DeviceEnd:
         self._running = device.pages.running
         self._confirmed = device.pages.confirmed
         self._holder: dict[int, int] = {}
-        self.ledgers: dict[str, list[tuple[str, object]]] = {}
 
     def answer(self) -> None:
         """Take what has arrived."""
@@ -66,7 +66,7 @@ class DeviceEnd:
         self.fuse -= 1
         replies = self.device.receive(message)
         if pages.running is not self._running:
-            raise Violation(f"running_set_is_a_committed_one: {pages.running} began between samples")
+            raise ViolationError(f"running_set_is_a_committed_one: {pages.running} began between samples")
         if pages.confirmed is not self._confirmed:
             self._confirmed = pages.confirmed
             self.truth.confirmed.add((pages.confirmed.seq, pages.confirmed.gains))
@@ -135,8 +135,8 @@ class DeviceEnd:
         t.finite_and_inside_the_box(truth, now, before)
         t.sequence_is_monotonic(truth, now)
         t.failed_sets_stay_dead(truth, now)
-        if order.who in self.ledgers:
-            t.ledger_has_the_intent(self.ledgers[order.who], order)
+        if order.who in truth.ledgers:
+            t.ledger_has_the_intent(truth.ledgers[order.who], order)
         else:
             truth.counts["sets of the intruder"] += 1
         truth.began(now)

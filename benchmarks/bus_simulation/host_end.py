@@ -54,11 +54,10 @@ class HostEnd:
         self.name, self.bus, self.truth, self._rng, self._random = name, bus, truth, rng, rng.random
         self._way = bus.ways[name]
         self._key, self._same_owner, self._eager = key, same_owner, eager
-        self._owner = rng.randrange(1, 65536)
+        self.owner = rng.randrange(1, 65536)
         self.now_s = self._drift = 0.0
         self.fuse = SAFE
         self.lives = 0
-        self.ledgers: dict[str, list[tuple[str, object]]] = {}
         self.calm = False
         self.start()
 
@@ -66,15 +65,15 @@ class HostEnd:
         """A new process."""
         self.lives += 1
         if not self._same_owner:
-            self._owner = self._rng.randrange(1, 65536)
+            self.owner = self._rng.randrange(1, 65536)
         self.life = f"{self.name}{self.lives}"
         self.rows: list[tuple[str, object]] = []
-        self.ledgers[self.life] = self.rows
-        settings = CanDeviceSettings(owner=self._owner, key=self._key)
+        self.truth.ledgers[self.life] = self.rows
+        settings = CanDeviceSettings(owner=self.owner, key=self._key)
         self.device: CanDevice | None = CanDevice(self, settings)
         self.order: Order | None = None
         self.last_outcome: object = None
-        self._asked = self.bus.step
+        self._asked = self._answered = self.bus.step
         self._t_s = float("-inf")
         self._back_at = 0
 
@@ -101,6 +100,10 @@ class HostEnd:
         if self.fuse <= 0:
             raise CrashError
 
+    def clear_up(self) -> None:
+        """No faults from now on: a process that has died is begun anew at once, the clock goes right."""
+        self.calm, self.fuse, self._drift, self._back_at = True, SAFE, 0.0, 0
+
     def jump(self, seconds: float) -> None:
         """The machine was suspended: its clock has gone on."""
         self.now_s += seconds
@@ -117,6 +120,7 @@ class HostEnd:
             if self.bus.step >= self._back_at:
                 self.start()
             return
+        self._answered = self._asked  # what this turn's answers can be answers to
         try:
             for event in self.device.poll(self.now_s):
                 self._event(event)
@@ -134,7 +138,7 @@ class HostEnd:
             self.rows.append(("died", None))
         t.ledger_has_every_outcome(self.rows, 0)
         self.device, self.order, self.fuse = None, None, SAFE
-        self._back_at = self.bus.step + self._rng.choice((0, 1, 5, 60))
+        self._back_at = 0 if self.calm else self.bus.step + self._rng.choice((0, 1, 5, 60))
 
     def _event(self, event: object) -> None:
         """What the client tells."""
@@ -144,7 +148,7 @@ class HostEnd:
         elif isinstance(event, WriteDone | WriteFailed):
             self._ended(event)
         elif isinstance(event, DeviceRestarted | RunningChanged | Reverted):
-            t.reported_is_what_ran(self.truth, event.running, self._asked)
+            t.reported_is_what_ran(self.truth, event.running, self._answered)
             self._record("news", event)
         else:
             self.truth.counts[type(event).__name__] += 1
@@ -154,9 +158,9 @@ class HostEnd:
     def _ended(self, event: WriteDone | WriteFailed) -> None:
         """A write is over."""
         order = self.order
-        t.reported_is_what_ran(self.truth, event.running, self._asked)
+        t.reported_is_what_ran(self.truth, event.running, self._answered)
         if order is None:
-            raise t.Violation(f"done_is_what_was_ordered: {event} without an order")
+            raise t.ViolationError(f"done_is_what_was_ordered: {event} without an order")
         t.done_is_what_was_ordered(event, order)
         if isinstance(event, WriteFailed):
             self.truth.dead.add(order.gains)
@@ -184,24 +188,13 @@ class HostEnd:
         device = self.device
         if gains is None or device is None or device.running is None or device.writing:
             return
-        base = device.running.seq
+        base, epoch = device.running.seq, device.epoch or 0
         self._record("intent", gains)
         try:
-            seq = self._begin(device, gains, base)
+            seq = device.begin_write(gains, self.now_s)
         except WriteRefusedError:
             self.truth.counts["not begun"] += 1
             self._record("refused", gains)
             return
-        self.order = Order(device.epoch or 0, seq, base, gains, self._owner, self.life)
-
-    def _begin(self, device: CanDevice, gains: PidGains, base: int) -> int:
-        """The order is known to the truth before its first frame can be on the bus, whatever its number will be."""
-        epoch, seq = device.epoch or 0, device.next_sequence
-        order = Order(epoch, seq, base, gains, self._owner, self.life)
-        self.truth.ordered(order)
-        self.order = order
-        try:
-            return device.begin_write(gains, self.now_s)
-        except WriteRefusedError:
-            self.order = None
-            raise
+        self.order = Order(epoch, seq, base, gains, self.owner, self.life)
+        self.truth.ordered(self.order)

@@ -1,5 +1,6 @@
 """Somebody else on the bus with the shipped DBC: noise under our identifiers, stale and forged commands, whole sets."""
 
+import contextlib
 import struct
 import zlib
 from collections.abc import Callable
@@ -7,6 +8,7 @@ from random import Random
 
 import can
 
+from bus_simulation.bus import STRANGER as NAME
 from bus_simulation.bus import Bus
 from bus_simulation.truth import Order, Truth
 from retuner.drivers.checksum import commit_crc, frame_crc, page_crc, set_crc, to_wire
@@ -44,7 +46,6 @@ from retuner.drivers.frames import (
 from retuner.drivers.virtual_device import VirtualDevice
 from retuner.schedule.gains import PidGains
 
-NAME = "intruder"
 BAD_NUMBERS = (float("nan"), float("inf"), float("-inf"), 1e30, -1.0, 0.0, 1e-40)
 
 
@@ -147,11 +148,14 @@ class Intruder:
         self._say(Commit(seq, base, commit_crc(set_crc(device.settings.node, device.epoch, seq, gains), base, owner)))
 
     def _bad_set(self) -> None:
-        """A set that must never run, with all checksums right."""
+        """A set that must hardly ever run, with all checksums right."""
         rng, device, base = self._rng, self.device, self.device.running.seq
         node, owner, seq = device.settings.node, device.lease.owner or 5, (device.pages.latest + 1) % 65536
         values = [0.5, 0.05, 0.1]
         values[rng.randrange(3)] = rng.choice(BAD_NUMBERS)
+        with contextlib.suppress(ValueError):  # some may be legal after all, on what runs now
+            gains = to_wire(PidGains(*values))
+            self.truth.ordered(Order(device.epoch, seq, base, gains, owner, NAME))
         for item, value in enumerate(values):
             id_ = node << 5 | 4
             data = struct.pack("<BfH", item | owner % OWNER_TAG << 2, value, seq)

@@ -1,6 +1,6 @@
 """What really happened in the device, and the invariants over it: every promise of docs/protocol.md as a function.
 
-Each takes what has just happened and raises Violation when a promise is broken. `Truth` only remembers.
+Each takes what has just happened and raises ViolationError when a promise is broken. `Truth` only remembers.
 """
 
 import math
@@ -13,7 +13,7 @@ from retuner.drivers.gain_box import GainBox
 from retuner.schedule.gains import PidGains
 
 
-class Violation(AssertionError):
+class ViolationError(AssertionError):
     """A promise is broken; the message begins with the invariant's name."""
 
 
@@ -56,6 +56,7 @@ class Truth:
         self.confirmed = {(first.seq, first.gains)}
         self.dead: set[PidGains] = set()
         self.newest_swapped: int | None = None
+        self.ledgers: dict[str, list[tuple[str, object]]] = {}
         self.counts: Counter[str] = Counter()
 
     def ordered(self, order: Order) -> None:
@@ -81,25 +82,25 @@ def running_set_is_a_committed_one(truth: Truth, now: Ran) -> Order:
     for order in truth.orders.get((now.epoch, now.seq), ()):
         if order.gains == now.gains:
             return order
-    raise Violation(f"running_set_is_a_committed_one: {now} was ordered by nobody")
+    raise ViolationError(f"running_set_is_a_committed_one: {now} was ordered by nobody")
 
 
 def built_on_what_ran(order: Order, before: Ran) -> None:
     """A set replaces the one that its author had seen running."""
     if order.base != before.seq:
-        raise Violation(f"built_on_what_ran: {order} replaced {before}")
+        raise ViolationError(f"built_on_what_ran: {order} replaced {before}")
 
 
 def authentic(truth: Truth, order: Order) -> None:
     """With a key, only who has it gets a set committed."""
     if truth.authentic and order.who == "intruder":
-        raise Violation(f"authentic: {order} has no right code")
+        raise ViolationError(f"authentic: {order} has no right code")
 
 
 def one_owner(order: Order, holder: int) -> None:
     """A commit is accepted from the holder of the lease alone."""
     if order.owner != holder:
-        raise Violation(f"one_owner: {order} was accepted while {holder} held the lease")
+        raise ViolationError(f"one_owner: {order} was accepted while {holder} held the lease")
 
 
 def finite_and_inside_the_box(truth: Truth, now: Ran, before: Ran) -> None:
@@ -110,32 +111,32 @@ def finite_and_inside_the_box(truth: Truth, now: Ran, before: Ran) -> None:
         inside = math.isfinite(value) and abs(value) <= largest and value * box.direction >= 0
         near = not (value and last) or 1 / box.ratio_max <= value / last <= box.ratio_max
         if not (inside and near):
-            raise Violation(f"finite_and_inside_the_box: {now} after {before}")
+            raise ViolationError(f"finite_and_inside_the_box: {now} after {before}")
 
 
 def sequence_is_monotonic(truth: Truth, now: Ran) -> None:
     """Within an epoch every swapped-in number is newer than all before it."""
     if truth.newest_swapped is not None and not newer(now.seq, truth.newest_swapped):
-        raise Violation(f"sequence_is_monotonic: {now} after {truth.newest_swapped}")
+        raise ViolationError(f"sequence_is_monotonic: {now} after {truth.newest_swapped}")
     truth.newest_swapped = now.seq
 
 
 def failed_sets_stay_dead(truth: Truth, now: Ran) -> None:
     """What was reported as failed does not run afterwards."""
     if not truth.forged and now.gains in truth.dead:
-        raise Violation(f"failed_sets_stay_dead: {now} runs after it was reported as failed")
+        raise ViolationError(f"failed_sets_stay_dead: {now} runs after it was reported as failed")
 
 
 def reverted_to_the_confirmed_set(truth: Truth, now: Ran) -> None:
     """A set that was not confirmed gives way to one that was."""
     if (now.seq, now.gains) not in truth.confirmed:
-        raise Violation(f"reverted_to_the_confirmed_set: {now} was never confirmed")
+        raise ViolationError(f"reverted_to_the_confirmed_set: {now} was never confirmed")
 
 
 def restarted_on_a_confirmed_set(truth: Truth, now: Ran) -> None:
     """After a restart a stored set runs, and only confirmed ones are stored; or the commissioned one."""
     if (now.seq, now.gains) not in truth.confirmed:
-        raise Violation(f"restarted_on_a_confirmed_set: {now} was never confirmed")
+        raise ViolationError(f"restarted_on_a_confirmed_set: {now} was never confirmed")
 
 
 def reported_is_what_ran(truth: Truth, running: RunningSet, asked_step: int) -> None:
@@ -143,7 +144,7 @@ def reported_is_what_ran(truth: Truth, running: RunningSet, asked_step: int) -> 
     if truth.forged:
         return
     if not any((ran.seq, ran.gains) == (running.seq, running.gains) for ran in truth.running_since(asked_step)):
-        raise Violation(
+        raise ViolationError(
             f"reported_is_what_ran: {running} reported, since step {asked_step} ran {truth.running_since(asked_step)}"
         )
 
@@ -152,13 +153,13 @@ def done_is_what_was_ordered(outcome: WriteDone | WriteFailed, order: Order) -> 
     """Done means that exactly the ordered gains run; failed that others do."""
     same = outcome.running.gains == order.gains
     if same != isinstance(outcome, WriteDone) or outcome.seq != order.seq:
-        raise Violation(f"done_is_what_was_ordered: {outcome} for {order}")
+        raise ViolationError(f"done_is_what_was_ordered: {outcome} for {order}")
 
 
 def ledger_has_the_intent(rows: list[tuple[str, object]], order: Order) -> None:
     """A set that begins to run was in its host's ledger before."""
     if ("intent", order.gains) not in rows:
-        raise Violation(f"ledger_has_the_intent: {order} runs, and its host's ledger does not know it")
+        raise ViolationError(f"ledger_has_the_intent: {order} runs, and its host's ledger does not know it")
 
 
 def ledger_has_every_outcome(rows: list[tuple[str, object]], open_writes: int) -> None:
@@ -166,25 +167,25 @@ def ledger_has_every_outcome(rows: list[tuple[str, object]], open_writes: int) -
     intents = sum(kind == "intent" for kind, _ in rows)
     ended = sum(kind in {"committed", "failed", "refused", "died"} for kind, _ in rows)
     if intents != ended + open_writes:
-        raise Violation(f"ledger_has_every_outcome: {intents} intents, {ended} ended, {open_writes} open")
+        raise ViolationError(f"ledger_has_every_outcome: {intents} intents, {ended} ended, {open_writes} open")
 
 
 def time_goes_forward(last_s: float, t_s: float) -> None:
     """A host's samples never go back in time or repeat."""
     if t_s <= last_s:
-        raise Violation(f"time_goes_forward: sample of {t_s} s after {last_s} s")
+        raise ViolationError(f"time_goes_forward: sample of {t_s} s after {last_s} s")
 
 
 def known_after_calm(*, connected: bool, writing: bool, running: RunningSet | None, truth: Truth) -> None:
     """When the faults have stopped, the host gets to know what runs, within a bounded time, and it is right."""
     real = truth.ran[-1]
     if not connected or writing or running is None:
-        raise Violation(f"known_after_calm: connected {connected}, writing {writing}, running {running}")
+        raise ViolationError(f"known_after_calm: connected {connected}, writing {writing}, running {running}")
     if (running.seq, running.gains) != (real.seq, real.gains):
-        raise Violation(f"known_after_calm: {running} believed, {real} runs")
+        raise ViolationError(f"known_after_calm: {running} believed, {real} runs")
 
 
 def writes_succeed_in_calm(outcome: object) -> None:
     """On a healthy bus a legal write by the owner of the lease is done."""
     if not isinstance(outcome, WriteDone):
-        raise Violation(f"writes_succeed_in_calm: {outcome}")
+        raise ViolationError(f"writes_succeed_in_calm: {outcome}")

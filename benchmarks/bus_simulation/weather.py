@@ -1,4 +1,4 @@
-"""What the bus and the machines suffer, drawn anew from time to time: calm, lossy, storm, cut, and everything at once."""
+"""What the bus and the machines suffer, drawn anew from time to time: calm, lossy, storm, cut, all at once."""
 
 from dataclasses import dataclass
 from enum import Enum

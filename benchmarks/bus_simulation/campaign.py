@@ -1,0 +1,107 @@
+"""Many seeds over all cores; what is done is kept in a file, so that a campaign can be stopped and gone on with."""
+
+import hashlib
+import json
+import multiprocessing
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from bus_simulation.truth import ViolationError
+from bus_simulation.world import World
+from retuner import drivers
+
+BATCH = 10  # seeds that a process takes at a time
+
+
+class Outcome(NamedTuple):
+    """What one seed came to: counts, or the promise that it broke (and in which step)."""
+
+    seed: int
+    counts: dict[str, int]
+    broken: str
+
+
+def run_seed(job: tuple[int, int]) -> Outcome:
+    """One run of (seed, steps)."""
+    seed, steps = job
+    world = World(seed)
+    try:
+        return Outcome(seed, dict(world.run(steps)), "")
+    except ViolationError as error:
+        return Outcome(seed, {}, f"step {world.step_number}: {error}")
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        return Outcome(
+            seed, {}, f"step {world.step_number}: no exception may come out: {type(error).__name__}: {error}"
+        )
+
+
+def fingerprint() -> str:
+    """Of the code under test and of this harness: results of other code are not added up."""
+    digest = hashlib.sha256()
+    folders = (Path(str(drivers.__file__)).parent, Path(__file__).parent)
+    for path in sorted(path for folder in folders for path in folder.iterdir() if path.suffix in {".py", ".dbc"}):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+class Campaign:
+    """Seeds from first on, counted up.
+
+    Parameters
+    ----------
+    first, seeds, steps : seeds first .. first + seeds - 1, each so many steps.
+    state : file that keeps what is done; None for none.
+    """
+
+    def __init__(self, first: int, seeds: int, steps: int, state: Path | None) -> None:
+        self.first, self.seeds, self.steps = first, seeds, steps
+        self._state = state
+        self.done: set[int] = set()
+        self.counts: Counter[str] = Counter()
+        self.broken: dict[int, str] = {}
+        self.busy_s = 0.0
+        self._key = f"{fingerprint()} {steps}"
+        if state is not None and state.exists():
+            self._load(json.loads(state.read_text(encoding="utf-8")))
+
+    def run(self, processes: int) -> Iterator[Outcome]:
+        """Run what is not done yet; outcomes as they come."""
+        todo = [(seed, self.steps) for seed in range(self.first, self.first + self.seeds) if seed not in self.done]
+        began = last_saved = time.monotonic()
+        before_s = self.busy_s
+        with multiprocessing.Pool(processes) as pool:
+            for outcome in pool.imap_unordered(run_seed, todo, chunksize=min(BATCH, 1 + len(todo) // processes // 4)):
+                self.done.add(outcome.seed)
+                self.counts.update(outcome.counts)
+                if outcome.broken:
+                    self.broken[outcome.seed] = outcome.broken
+                now = time.monotonic()
+                self.busy_s = before_s + now - began
+                if now - last_saved > 10.0 or outcome.broken:
+                    last_saved = now
+                    self.save()
+                yield outcome
+        self.save()
+
+    def save(self) -> None:
+        """Keep what is done."""
+        if self._state is None:
+            return
+        self._state.parent.mkdir(parents=True, exist_ok=True)
+        whole = {"key": self._key, "done": sorted(self.done), "counts": self.counts, "broken": self.broken,
+                 "busy_s": self.busy_s}  # fmt: skip
+        fresh = self._state.with_suffix(".new")
+        fresh.write_text(json.dumps(whole), encoding="utf-8")
+        fresh.replace(self._state)
+
+    def _load(self, kept: dict[str, object]) -> None:
+        """Go on from what was kept, if it is of this very code."""
+        if kept.get("key") != self._key:
+            return
+        self.done = set(kept["done"])
+        self.counts = Counter(kept["counts"])
+        self.broken = {int(seed): why for seed, why in kept["broken"].items()}
+        self.busy_s = kept["busy_s"]

@@ -1,0 +1,151 @@
+"""One run: a device, one or two hosts, perhaps an intruder, on a bus in bad weather, all from one seed.
+
+A step is one controller sample: mishaps are drawn, the device answers what has come, makes its sample, the hosts take
+their turns, the device answers again. At the end the weather clears, and what must be known then is.
+"""
+
+from collections import Counter
+from random import Random
+
+from bus_simulation import truth as t
+from bus_simulation.bus import Bus
+from bus_simulation.device_end import NAME as DEVICE
+from bus_simulation.device_end import DeviceEnd, LagPlant
+from bus_simulation.host_end import HostEnd
+from bus_simulation.intruder import Intruder
+from bus_simulation.truth import Ran, Truth
+from bus_simulation.weather import CALM, CHANGE_EVERY, draw
+from retuner.drivers.gain_box import GainBox
+from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.schedule.gains import PidGains
+
+FIRST = PidGains(1.0, 0.0625, 0.25)
+BOX = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0, direction=1)
+LEASE_LONGEST = 120  # samples
+CALM_STEPS = 60  # within which everything must be known; see docs/protocol.md for where the bound comes from
+LEASE_STEPS = 200  # a lease of somebody who is gone has run out by then
+WRITE_STEPS = 10  # the promise of the gain transaction on an idle bus
+
+
+class World:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    seed : decides everything.
+    """
+
+    def __init__(self, seed: int) -> None:
+        rng = self.rng = Random(seed)
+        key = rng.randbytes(16) if rng.random() < 0.3 else None
+        second = rng.random() < 0.4
+        forges = rng.random() < 0.15
+        hosts = ("host", "second") if second else ("host",)
+        self.bus = Bus(rng, (DEVICE, *hosts))
+        self.truth = Truth(Ran(0, 1, 0, FIRST), BOX, authentic=key is not None, forged=forges)
+        settings = VirtualDeviceSettings(
+            FIRST, box=BOX, lease_longest_samples=LEASE_LONGEST, trial_samples=rng.choice((0, 20, 40)), key=key,
+            lock_samples=20, heartbeat_samples=rng.choice((1, 5, 5, 20)),
+        )  # fmt: skip
+        self.device = VirtualDevice(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
+        self.far = DeviceEnd(self.bus, self.device, self.truth, rng)
+        eager, same_owner = rng.choice((0.05, 0.3)), rng.random() < 0.3
+        self.hosts = [HostEnd(name, self.bus, self.truth, rng, key=key, same_owner=same_owner, eager=eager)
+                      for name in hosts]  # fmt: skip
+        self.intruder = Intruder(self.bus, self.device, self.truth, rng, forges=forges)
+        self.step_number = 0
+
+    def step(self) -> None:
+        """One controller sample."""
+        self.step_number += 1
+        bus, weather, random = self.bus, self.bus.weather, self.rng.random
+        bus.tick(self.step_number)
+        if random() < weather.mishap:
+            self._mishap()
+        self.far.answer()
+        self.far.sample()
+        for host in self.hosts:
+            if not weather.stall or random() >= weather.stall:
+                host.act()
+        self.far.answer()
+        if weather.intruder and random() < weather.intruder:
+            self.intruder.act()
+
+    def change_weather(self) -> None:
+        """Another weather."""
+        weather = self.bus.weather = draw(self.rng)
+        for way in self.bus.ways.values():
+            way.cut = weather.out_cut if way.name == DEVICE else weather.back_cut
+
+    def clear_up(self) -> None:
+        """No faults from now on."""
+        self.bus.weather = CALM
+        self.bus.clear()
+        self.far.fuse, self.far.down, self.far.slow = 1 << 60, 0, 1.0
+        for host in self.hosts:
+            host.clear_up()
+
+    def run(self, steps: int) -> Counter[str]:
+        """So many steps in bad weather, then the calm and what must be true then; the counts of what happened.
+
+        Raises
+        ------
+        ViolationError
+            A promise is broken.
+        """
+        for number in range(steps):
+            if number % CHANGE_EVERY == 0:
+                self.change_weather()
+            self.step()
+        self.clear_up()
+        for _ in range(CALM_STEPS):
+            self.step()
+        for host in self.hosts:
+            self._known(host)
+        for _ in range(LEASE_STEPS):
+            self.step()
+        self._write_in_calm()
+        counts = self.truth.counts
+        counts["faults"] = self.bus.faults
+        counts["steps"] = steps
+        return counts
+
+    def _mishap(self) -> None:
+        """Something happens to a machine."""
+        rng = self.rng
+        host = rng.choice(self.hosts)
+        kind = rng.randrange(7)
+        if kind <= 1:
+            self.far.fuse = rng.randrange(1, 12)
+        elif kind <= 3:
+            host.fuse = rng.randrange(1, 14)
+        elif kind == 4:
+            host.jump(rng.choice((3.0, 50.0, 1000.0, 1e6)))
+        elif kind == 5:
+            host.drift(rng.choice((0.0, -0.5, -0.1, 0.1, 1.0)))
+        else:
+            self.far.slow = rng.choice((1.0, 1.0, 0.2, 3.0))
+
+    def _known(self, host: HostEnd) -> None:
+        """The host knows what runs."""
+        device = host.device
+        if device is None:
+            raise t.ViolationError("known_after_calm: the host has not come back")
+        t.known_after_calm(connected=device.connected, writing=device.writing, running=device.running, truth=self.truth)
+        t.ledger_has_every_outcome(host.rows, 0)
+
+    def _write_in_calm(self) -> None:
+        """Whoever holds the lease writes a legal set, and it is done in time."""
+        owner, gains = self.device.lease.owner, self.device.running.gains
+        if self.device.code.locked:
+            return
+        writers = [host for host in self.hosts if host.owner == owner]
+        if not writers:
+            raise t.ViolationError(f"writes_succeed_in_calm: {owner} still holds the lease")
+        host = writers[0]
+        host.last_outcome = None
+        factor = 0.5 if gains.kp > 1.0 else 2.0
+        host.begin(PidGains(gains.kp * factor, gains.ki, gains.kd))
+        for _ in range(WRITE_STEPS):
+            self.step()
+        t.writes_succeed_in_calm(host.last_outcome)
