@@ -2,16 +2,15 @@
 
 The size and the unwrapped phase of L are known in closed form, so a grid only has to separate the crossovers: they are
 looked for between neighbours of a logarithmic grid over all corners of the loop, which has extra points round every
-resonance and, where the dead time turns the phase fast, steps of a fixed angle. Each is then found by Brent's method.
+resonance and, where the dead time turns the phase fast, steps of a fixed angle. Each is then found to rounding.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 from retuner.adaptive.open_loop import OpenLoop
+from retuner.adaptive.root import bracketed_root
 from retuner.adaptive.sample import FloatArray
 
 POINTS_PER_DECADE = 60
@@ -24,6 +23,8 @@ DELAY_TURNS = 40
 """Turns of the dead time for which that holds."""
 RESONANCE_POINTS = 41
 """Extra points over ten half-widths of a resonance, to either side."""
+MOST_PHASE_CROSSOVERS = 12
+"""Phase crossovers that are worth finding: the dead time makes ever more, with ever smaller |L|."""
 TANGENT = 1e-3
 """An extreme of ln |L| this close to 0 is looked at for a pair of crossovers between two points."""
 
@@ -44,15 +45,10 @@ def grid(loop: OpenLoop) -> FloatArray:
     return w[w > 0]
 
 
-def _between(f: Callable[[float], float], low: float, high: float) -> float:
-    """The zero of f between two points where its signs differ."""
-    return float(brentq(f, low, high, xtol=1e-300, rtol=1e-14))
-
-
 def gain_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
     """Frequencies where |L| = 1, increasing. w : grid of the loop."""
     values, size = loop.log_size(w), loop.log_size_at
-    found = [_between(size, float(w[i]), float(w[i + 1])) for i in np.flatnonzero(values[:-1] * values[1:] < 0)]
+    found = [bracketed_root(size, float(w[i]), float(w[i + 1])) for i in np.flatnonzero(values[:-1] * values[1:] < 0)]
     found += [float(x) for x in w[values == 0]]
     middle = values[1:-1]
     touching = (np.abs(middle) < TANGENT) & (values[:-2] * middle > 0) & (values[2:] * middle > 0)
@@ -61,25 +57,29 @@ def gain_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
         fine = np.geomspace(w[i - 1], w[i + 1], 201)
         sizes = loop.log_size(fine)
         found += [
-            _between(size, float(fine[j]), float(fine[j + 1])) for j in np.flatnonzero(sizes[:-1] * sizes[1:] < 0)
+            bracketed_root(size, float(fine[j]), float(fine[j + 1])) for j in np.flatnonzero(sizes[:-1] * sizes[1:] < 0)
         ]
     return sorted(found)
 
 
 def phase_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
-    """Frequencies where L is real and negative, increasing; the first one between two grid points. w : grid."""
+    """Frequencies where L is real and negative, increasing, of those with the largest |L| only. w : grid."""
     turns = (loop.phase(w) - math.pi) / (2 * math.pi)
     low, high = turns[:-1], turns[1:]
     level = np.where(high < low, np.ceil(low) - 1, np.floor(low) + 1)  # the next whole turn on the way
     crossed = np.where(high < low, level >= high, level <= high)
+    where = np.flatnonzero(crossed)
+    if len(where) > MOST_PHASE_CROSSOVERS:
+        sizes = loop.log_size(w[where])
+        where = np.sort(where[np.argsort(sizes)[::-1][:MOST_PHASE_CROSSOVERS]])
     found = []
-    for i in np.flatnonzero(crossed):
+    for i in where:
         target = (2 * level[i] + 1) * math.pi
 
         def miss(x: float, target: float = target) -> float:
             return loop.phase_at(x) - target
 
-        found.append(_between(miss, float(w[i]), float(w[i + 1])))
+        found.append(bracketed_root(miss, float(w[i]), float(w[i + 1])))
     return found
 
 

@@ -1,9 +1,9 @@
 """Ms of the common kind of loop in a dozen evaluations of L: what on-line work asks for many models.
 
 Where every zero has a slower pole of its own (an integrator counts as the slowest), |L| falls all the way. Then there
-is one gain crossover wc; the loop is stable just when the unwrapped phase there is within (-pi, pi); and beyond the first
-phase crossover w180 no |S| is higher than at it, because |S| <= 1/(1 - |L|). So the peak lies below w180, and within
-1 - 1/Ms < |L| < 1 + 1/Ms. The march goes from wc both ways until it leaves that band; the best point is refined by
+is one gain crossover wc; the loop is stable just when the unwrapped phase there is within (-pi, pi); and beyond the
+first phase crossover w180 no |S| is higher than at it, because |S| <= 1/(1 - |L|). So the peak lies below w180, and
+within 1 - 1/Ms < |L| < 1 + 1/Ms. The march goes from wc both ways until it leaves that band; the best point is refined by
 Newton's method on d ln|1 + L|^2 / d ln w, whose derivatives are known in closed form.
 """
 
@@ -24,8 +24,9 @@ MOST_STEPS = 200
 
 
 def falls_everywhere(loop: OpenLoop) -> bool:
-    """Whether |L| is known to fall from infinity to 0: every zero has a slower pole, and one pole is left."""
-    if loop.quadratics or loop.order < 1 or loop.k <= 0 or loop.excess < 1:
+    """Whether |L| is known to fall from infinity all the way: every zero has a slower pole."""
+    least = 0 if loop.theta else 1
+    if loop.quadratics or loop.order < 1 or loop.k <= 0 or loop.excess < least:
         return False
     zeros = [abs(x) for x in loop.leads]
     if loop.b2:
@@ -49,6 +50,8 @@ def falling_peak(loop: OpenLoop) -> float | None:
     """Ms of such a loop, infinite when it is unstable; None when the loop is of another kind."""
     if not falls_everywhere(loop):
         return None
+    if loop.end_size >= 1:
+        return math.inf
     wc = _crossover(loop)
     if wc is None:
         return None

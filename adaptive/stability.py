@@ -1,9 +1,9 @@
 """Stability of a closed loop by the argument principle, decided at the gain crossovers alone.
 
 L has no poles in the right half plane, so the loop is stable when arg(1 + L) grows by m pi/2 from w = 0+ to
-infinity (m poles at the origin; Astrom & Murray 2008, section 9.2). Where |L| < 1, 1 + L stays right of the origin and its arg is
-the principal one; where |L| > 1, arg(1 + L) = arg L + arg(1 + 1/L), the second term principal again. So the change is
-a sum over the crossovers of the whole turns n by which arg L has left its principal value:
+infinity (m poles at the origin; Astrom & Murray 2008, section 9.2). Where |L| < 1, 1 + L stays right of the origin
+and its arg is the principal one; where |L| > 1, arg(1 + L) = arg L + arg(1 + 1/L), the second term principal again. So
+the change is a sum over the crossovers of the whole turns n by which arg L has left its principal value:
 
     stable  <=>  sum of n where |L| falls through 1  =  sum of n where it rises through 1
 

@@ -10,6 +10,7 @@ from retuner.adaptive.rules import (
     imc,
     itae,
     lambda_tuning,
+    optimal,
     quarter_decay,
     simc_family,
     ziegler_nichols_reaction,
@@ -23,6 +24,7 @@ from retuner.adaptive.ultimate import ultimate
 
 MODULES = (
     simc_family,
+    optimal,
     lambda_tuning,
     imc,
     amigo,

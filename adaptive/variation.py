@@ -1,0 +1,211 @@
+"""Total variation of the error's integral (IAE) and of the controller output (TV) along a step response.
+
+The first part of the response is gone through step by step. After that, windows of doubling length are accepted whole
+when the error and du/dt keep their signs and agree with the change of z and u (Simpson's rule), and halved otherwise
+(powers of the step matrix), so that slow tails cost little however short the dead time is.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.closed_loop import CutLoop, cut_loop
+from retuner.adaptive.delay_steps import DelaySteps, delay_steps
+from retuner.adaptive.plain_steps import PlainSteps, plain_steps
+from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.sample import FloatArray
+from retuner.schedule.gains import PidGains
+
+FIRST_STEPS_LOG2 = 5
+"""2^5 steps are gone through one by one."""
+MOST_DOUBLINGS = 48
+"""Windows at the most: 2^48 steps; a loop that has not settled then never will."""
+SETTLED = 1e-8
+"""Share of the sum that a window may add and still end the search."""
+NEGLIGIBLE = 1e-9
+"""Share of the sum below which a window is not looked at more closely; rounding makes it useless below."""
+AGREES = 0.05
+"""How far Simpson's rule may miss the change over a window that is accepted whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """error : IAE. output : total variation of u (infinite with an impulse in it)."""
+
+    error: float
+    output: float
+
+
+def variation(
+    process: LinearProcess, gains: PidGains, tau_f_s: float, setpoint: float, load: float, *, kick: bool
+) -> Variation:
+    """Of a stable loop whose error dies out; kick : the derivative acts on the setpoint's step."""
+    unit_s = process.theta_s or _slowest(process, gains)
+    loop = cut_loop(process, gains, tau_f_s, unit_s)
+    stepper: Stepper
+    if process.theta_s:
+        stepper = _DelayStepper(delay_steps(loop, _fastest(loop), setpoint, load, kick=kick))
+    else:
+        stepper = _PlainStepper(plain_steps(loop, setpoint, load, kick=kick))
+    error, output = _total(stepper)
+    impulse = kick and setpoint and loop.kd
+    return Variation(error * unit_s, math.inf if impulse else output)
+
+
+def _slowest(process: LinearProcess, gains: PidGains) -> float:
+    """A time of the loop, as the unit where there is no dead time."""
+    times = [*process.lags_s, *(math.sqrt(c2) for _, c2 in process.quadratics)]
+    times += [gains.kp / gains.ki] if gains.ki else []
+    return max(times, default=0.0) or 1.0
+
+
+def _fastest(loop: CutLoop) -> float:
+    """Smallest time constant of the cut loop in its unit; infinite when it has none."""
+    rates = np.abs(np.linalg.eigvals(loop.a))
+    largest = float(np.max(rates, initial=0.0))
+    return 1 / largest if largest > 1e-12 else math.inf
+
+
+class Stepper:
+    """A response by steps: q, the matrix of one step, and what is gained over one step or between two q."""
+
+    step: FloatArray
+    length: float
+
+    def first(self) -> tuple[FloatArray, float, float]:
+        """q after the first 2^FIRST_STEPS_LOG2 steps, and the variation of z and u until then."""
+        raise NotImplementedError
+
+    def over(self, q: FloatArray) -> tuple[float, float]:
+        """Variation of z and u over the one step from q."""
+        raise NotImplementedError
+
+    def signals(self, q: FloatArray) -> tuple[float, float, float, float]:
+        """z, e, u, du/dt at q."""
+        raise NotImplementedError
+
+
+class _DelayStepper(Stepper):
+    """With dead time: one step is one dead time, looked at on fine points."""
+
+    def __init__(self, steps: DelaySteps) -> None:
+        self.steps, self.step, self.length = steps, steps.step, 1.0
+        self.spacing = steps.lengths[:, None] / (steps.area.shape[1] - 1)
+
+    def _along(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """z, e, u, du/dt at the fine points, each (steps, elements, fine), for q of shape (steps, len(q))."""
+        s = self.steps
+        z, e, u, rate = (np.einsum("efs,ns->nef", m, q) for m in (s.area, s.error, s.output, s.rate))
+        return z, e, u, rate
+
+    def first(self) -> tuple[FloatArray, float, float]:
+        rows = [self.steps.start]
+        for i in range(1 << FIRST_STEPS_LOG2):
+            rows.append(self.step @ rows[-1])
+            if i == 0:
+                rows[-1][-2] += self.steps.kick
+        z, e, u, rate = self._along(np.array(rows[:-1]))
+        ends = u.reshape(-1, u.shape[2])
+        jumps = abs(float(ends[0, 0])) + float(np.sum(np.abs(ends[1:, 0] - ends[:-1, -1])))
+        return rows[-1], _gain(z, e, self.spacing), _gain(u, rate, self.spacing) + jumps
+
+    def over(self, q: FloatArray) -> tuple[float, float]:
+        z, e, u, rate = self._along(q[None])
+        ends = u[0]
+        jumps = abs(float(ends[0, 0]) - float(q[-3])) + float(np.sum(np.abs(ends[1:, 0] - ends[:-1, -1])))
+        return _gain(z, e, self.spacing), _gain(u, rate, self.spacing) + jumps
+
+    def signals(self, q: FloatArray) -> tuple[float, float, float, float]:
+        s = self.steps
+        return float(s.area[0, 0] @ q), float(s.error[0, 0] @ q), float(s.output[0, 0] @ q), float(s.rate[0, 0] @ q)
+
+
+def _gain(value: FloatArray, rate: FloatArray, spacing: FloatArray) -> float:
+    """Total variation of a value with known rate on fine points: monotone pieces between the zeros of the rate."""
+    change = np.abs(np.diff(value, axis=-1))
+    turning = rate[..., :-1] * rate[..., 1:] < 0
+    if np.any(turning):
+        before, after = rate[..., :-1][turning], rate[..., 1:][turning]
+        to_zero = (np.broadcast_to(spacing, turning.shape)[turning]) * before / (before - after)
+        top = value[..., :-1][turning] + 0.5 * before * to_zero
+        change[turning] = np.abs(top - value[..., :-1][turning]) + np.abs(value[..., 1:][turning] - top)
+    return float(np.sum(change))
+
+
+def _gain_of_two(start: float, end: float, rate: float, last_rate: float, length: float) -> float:
+    """The same for the two ends of one short step."""
+    if rate * last_rate >= 0:
+        return abs(end - start)
+    top = start + 0.5 * rate * length * rate / (rate - last_rate)
+    return abs(top - start) + abs(end - top)
+
+
+class _PlainStepper(Stepper):
+    """Without dead time: steps so short that their ends say all."""
+
+    def __init__(self, steps: PlainSteps) -> None:
+        self.steps, self.step, self.length = steps, steps.step, steps.length
+
+    def first(self) -> tuple[FloatArray, float, float]:
+        q, area, travel = self.steps.start, 0.0, abs(float(self.steps.output @ self.steps.start))
+        for _ in range(1 << FIRST_STEPS_LOG2):
+            gained = self.over(q)
+            area, travel, q = area + gained[0], travel + gained[1], self.step @ q
+        return q, area, travel
+
+    def over(self, q: FloatArray) -> tuple[float, float]:
+        z0, e0, u0, r0 = self.signals(q)
+        z1, e1, u1, r1 = self.signals(self.step @ q)
+        return _gain_of_two(z0, z1, e0, e1, self.length), _gain_of_two(u0, u1, r0, r1, self.length)
+
+    def signals(self, q: FloatArray) -> tuple[float, float, float, float]:
+        s = self.steps
+        return float(s.area @ q), float(s.error @ q), float(s.output @ q), float(s.rate @ q)
+
+
+def _total(stepper: Stepper) -> tuple[float, float]:
+    """IAE and TV in the stepper's unit of time."""
+    powers = [stepper.step]
+    q, area, travel = stepper.first()
+    for window in range(FIRST_STEPS_LOG2, MOST_DOUBLINGS):
+        while len(powers) <= window:
+            powers.append(powers[-1] @ powers[-1])
+        scale = (area * NEGLIGIBLE, travel * NEGLIGIBLE)
+        gained, q = _over_window(stepper, powers, window, q, scale)
+        area, travel = area + gained[0], travel + gained[1]
+        if gained[0] <= SETTLED * area and gained[1] <= SETTLED * travel:
+            return area, travel
+    return math.inf, math.inf
+
+
+def _over_window(
+    stepper: Stepper, powers: list[FloatArray], j: int, q: FloatArray, scale: tuple[float, float]
+) -> tuple[tuple[float, float], FloatArray]:
+    """Variation of z and u over 2^j steps from q, and q at the end."""
+    if j == 0:
+        return stepper.over(q), stepper.step @ q
+    half = powers[j - 1] @ q
+    end = powers[j - 1] @ half
+    signals = [stepper.signals(x) for x in (q, half, end)]
+    length = stepper.length * 2.0**j
+    area = _whole([(s[0], s[1]) for s in signals], length, scale[0])
+    travel = _whole([(s[2], s[3]) for s in signals], length, scale[1])
+    if area is not None and travel is not None:
+        return (area, travel), end
+    first, _ = _over_window(stepper, powers, j - 1, q, scale)
+    second, _ = _over_window(stepper, powers, j - 1, half, scale)
+    return (first[0] + second[0], first[1] + second[1]), end
+
+
+def _whole(points: list[tuple[float, float]], length: float, negligible: float) -> float | None:
+    """Variation over a window from values and rates at three points; None when it has to be looked at more closely."""
+    start, middle, end = points
+    rates = (start[1], middle[1], end[1])
+    if max(map(abs, rates)) * length <= negligible:
+        return abs(end[0] - middle[0]) + abs(middle[0] - start[0])
+    if min(rates) < 0 < max(rates):
+        return None
+    change = end[0] - start[0]
+    miss = change - length * (rates[0] + 4 * rates[1] + rates[2]) / 6
+    return abs(change) if abs(miss) <= AGREES * abs(change) else None
