@@ -3,6 +3,7 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,9 +15,11 @@ from retuner.plots import DPI, MARK, PV, SP, time_axis
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+FAR = 2.0
+"""A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
 MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
-TITLE_WIDTH = 110
-"""Characters of a title line."""
+LINE_WIDTH, MOST_LINES = 82, 32
+"""Characters in a line of the text beside the curves, and lines that fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,7 @@ class RecordPicture:
     window : the record. title, subtitle : the finding and its sentence. lines : text beside the curves.
     fitted : pv as the model explains it, shape (n,), or None. loads_s : when load steps entered.
     limits : of co, None where not known. noise_std : of pv's noise, for the band round the remainder.
+    closed_loop : there was a controller with a setpoint.
     """
 
     window: Window
@@ -36,15 +40,16 @@ class RecordPicture:
     loads_s: Sequence[float] = ()
     limits: tuple[float | None, float | None] = (None, None)
     noise_std: float = 0.0
+    closed_loop: bool = True
 
 
 def record_png(picture: RecordPicture) -> bytes:
     """Draw it as PNG."""
     figure = Figure(figsize=(15, 8.2))
     figure.suptitle(picture.title, x=0.06, ha="left", fontsize=14, weight="bold")
-    figure.text(0.06, 0.935, picture.subtitle[: 2 * TITLE_WIDTH], ha="left", va="top", fontsize=10.5, wrap=True)
+    figure.text(0.06, 0.935, picture.subtitle, ha="left", va="top", fontsize=10.5, wrap=True)
     grid = figure.add_gridspec(3, 2, width_ratios=(2.1, 1), height_ratios=(2, 1.3, 1), hspace=0.12, wspace=0.08,
-                               left=0.06, right=0.985, top=0.88, bottom=0.07)  # fmt: skip
+                               left=0.06, right=0.955, top=0.88, bottom=0.07)  # fmt: skip
     top = figure.add_subplot(grid[0, 0])
     middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
     x, unit = time_axis(picture.window.t_s)
@@ -61,7 +66,8 @@ def record_png(picture: RecordPicture) -> bytes:
     _curve(figure.add_subplot(grid[0, 1]), picture.window)
     words = figure.add_subplot(grid[1:, 1])
     words.set_axis_off()
-    words.text(0, 0.97, "\n".join(picture.lines), va="top", fontsize=8.2, family="monospace", linespacing=1.35)
+    lines = [part for line in picture.lines for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
+    words.text(0, 0.95, "\n".join(lines[:MOST_LINES]), va="top", fontsize=7.8, family="monospace", linespacing=1.3)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()
@@ -71,7 +77,8 @@ def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
     """pv, setpoint, and what the model makes of it."""
     window = picture.window
     axes.plot(x, window.pv, color=PV, lw=0.9, label="pv")
-    if np.ptp(window.sp) > 0 or abs(window.sp[0] - np.mean(window.pv)) < 2 * np.ptp(window.pv):
+    near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR * float(np.ptp(window.pv))
+    if picture.closed_loop and (near or np.ptp(window.sp) > 0):
         axes.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
     if picture.fitted is not None:
         axes.plot(x, picture.fitted, color=MODEL, lw=1.3, label="model")

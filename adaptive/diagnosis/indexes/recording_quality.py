@@ -6,7 +6,8 @@
     compression   n / (n - number of zero second differences)          Thornhill, Choudhury & Shah 2004, section 4
 
 Historians keep only the corners of a signal and draw straight lines between them (second difference zero), or hold the
-last value. Compression above 3 spoils indexes that look at shapes and at non-linearity (the same source).
+last value. Compression above 3 spoils indexes that look at shapes and at non-linearity (the same source). A quantised
+signal stands still as well; its compression cannot be told and counts as 1.
 """
 
 from dataclasses import dataclass
@@ -46,9 +47,10 @@ def recording_quality(x: FloatArray) -> RecordingQuality | None:
     if span <= 0:
         return None
     steps = np.diff(x)
-    straight = int(np.sum(np.abs(np.diff(steps)) <= STRAIGHT * span))
+    step = quantum(x)
+    straight = 0 if step else int(np.sum(np.abs(np.diff(steps)) <= STRAIGHT * span))
     noise = min(noise_sigma(x) ** 2 / float(np.var(x)), 1.0)
-    return RecordingQuality(noise, quantum(x), float(np.mean(steps == 0)), len(x) / (len(x) - straight))
+    return RecordingQuality(noise, step, float(np.mean(steps == 0)), len(x) / (len(x) - straight))
 
 
 def quantum(x: FloatArray) -> float:

@@ -72,6 +72,9 @@ def test_compression_and_repetition(rng):
     assert (plain.compression, plain.repeated) == (1, 0)
     assert plain.noise_share == pytest.approx(1, abs=0.15)
     assert recording_quality(np.ones(10)) is None
+    rounded = recording_quality(np.round(5 * np.sin(np.arange(1000) / 50)))
+    assert rounded is not None
+    assert (rounded.quantum, rounded.compression) == (pytest.approx(1), 1)  # standing still is the converter's doing
 
 
 def test_conditions(rng):
