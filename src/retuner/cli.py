@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
+from retuner.cli_records import diagnose, identify
 from retuner.errors import UserError, one_line
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -143,22 +144,10 @@ def tune(
     return work(Process(process, k, tau1, tau2, theta), options)
 
 
-@app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
-def identify(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or Parquet with columns t, sp, pv, co.")],
-    open_loop: Annotated[bool, typer.Option("--open-loop", help="A step in manual that begins at rest.")] = False,
-    columns: Annotated[str, typer.Option(help="Other names: t=time,pv=temp,co=out,sp=target.")] = "",
-    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force.")] = None,
-    tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None,
-    tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0,
-    form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series",
-    json: Json = False,
-) -> int:
-    """Find the process behind a record: model, standard deviations, and the settings that follow."""
-    from retuner.commands.identify import IdentifyOptions
-    from retuner.commands.identify import identify as work
-
-    return work(file, IdentifyOptions(open_loop, columns, kc, tau_i, tau_d, form), as_json=json)
+app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")(identify)
+app.command(epilog="Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png")(
+    diagnose
+)
 
 
 @app.command(epilog="Example: retuner reduce --num-t 15 --den-t 20,1,0.1,0.1 --k 2 --order 2")

@@ -25,8 +25,11 @@ GROUPS: dict[str, tuple[str, ...]] = {
                              "quantum_co", "compression_pv"),
 }  # fmt: skip
 """Headings with the numbers under them; what is not here is in the JSON only, or under "hypotheses"."""
-SILENT_AT_ZERO = {"at_low_limit", "at_high_limit", "still_share", "quantum_pv", "quantum_co"}
-"""Numbers that say nothing when they are zero."""
+SILENT_UP_TO = {
+    "at_low_limit": 0.0, "at_high_limit": 0.0, "still_share": 0.0, "quantum_pv": 0.0, "quantum_co": 0.0, "offset": 1.0,
+    "compression_pv": 1.5,
+}  # fmt: skip
+"""Numbers that say nothing up to here, and are left to the JSON then."""
 LONGEST = 44
 """Width of the words in a table."""
 
@@ -50,7 +53,7 @@ def evidence_table(evidence: Mapping[str, float]) -> dict[str, list[tuple[str, s
     for heading, names in {**GROUPS, "hypotheses": tuple(other)}.items():
         rows = []
         for name in names:
-            if name not in evidence or (name in SILENT_AT_ZERO and evidence[name] == 0):
+            if name not in evidence or evidence[name] <= SILENT_UP_TO.get(name, -math.inf):
                 continue
             entry = WORDS.get(name, Entry(name.replace("_", " "), "", "", ""))
             rows.append((entry.words, value_text(name, evidence[name]), entry.reading))
@@ -59,10 +62,11 @@ def evidence_table(evidence: Mapping[str, float]) -> dict[str, list[tuple[str, s
     return found
 
 
-def evidence_lines(evidence: Mapping[str, float]) -> list[str]:
-    """The table as text."""
+def evidence_lines(evidence: Mapping[str, float], *, readings: bool = True) -> list[str]:
+    """The table as text, with or without how to read each number."""
     lines = []
     for heading, rows in evidence_table(evidence).items():
         lines.append(f"  {heading}")
-        lines += [f"    {words:<{LONGEST}} {value:>12}   {reading}".rstrip() for words, value, reading in rows]
+        for words, value, reading in rows:
+            lines.append(f"    {words:<{LONGEST}} {value:>12}   {reading if readings else ''}".rstrip())
     return lines

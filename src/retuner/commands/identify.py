@@ -2,33 +2,17 @@
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from retuner.api import Identification, identify_record
+from retuner.commands.recorded_loop import RecordOptions, controller, read_loop
 from retuner.commands.tune import described as tuning_lines
-from retuner.drivers.recording import read_recording, require_excitation, require_setpoint
-from retuner.errors import UserError, user_input
-from retuner.schedule.forms import from_form
-from retuner.schedule.gains import PidGains
+from retuner.drivers.recording import Recording, require_excitation
+from retuner.errors import user_input
+from retuner.files import write_whole
 
 
-@dataclass(frozen=True, slots=True)
-class IdentifyOptions:
-    """The command's options; times in seconds."""
-
-    open_loop: bool = False
-    columns: str = ""
-    kc: float | None = None
-    tau_i_s: float | None = None
-    tau_d_s: float = 0.0
-    form: str = "series"
-
-
-ROLES = ("t", "sp", "pv", "co")
-
-
-def identify(path: Path, options: IdentifyOptions, *, as_json: bool) -> int:
+def identify(path: Path, options: RecordOptions) -> int:
     """Identify and show; the exit status: 0, or 1 when the record does not say enough.
 
     Raises
@@ -37,53 +21,35 @@ def identify(path: Path, options: IdentifyOptions, *, as_json: bool) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    recording = read_recording(path, renamed(options.columns))
+    recording = read_loop(path, options)
     require_excitation(recording)
-    if not options.open_loop:
-        require_setpoint(recording)
-    found = identify_record(recording.window(), open_loop=options.open_loop, gains=gains)
-    if as_json:
+    with user_input(str(path)):
+        found = identify_record(
+            recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
+        )
+    if options.plot is not None:
+        write_whole(options.plot, _picture(recording, found, options))
+    if options.as_json:
         sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write("\n".join(described(found)) + "\n")
     return 0 if found.estimate.identifiable else 1
 
 
-def renamed(text: str) -> dict[str, str]:
-    """--columns as role to column name.
-
-    Raises
-    ------
-    UserError
-        A part is not role=name, a role is not known, or is given twice.
-    """
-    found: dict[str, str] = {}
-    for part in (p.strip() for p in text.split(",") if p.strip()):
-        role, equals, name = part.partition("=")
-        if not equals or role not in ROLES or not name or role in found:
-            raise UserError(f"--columns {part}: give role=name, each role once; roles are {', '.join(ROLES)}")
-        found[role] = name
-    return found
-
-
-def controller(options: IdentifyOptions) -> PidGains | None:
-    """The gains in force, when they were given."""
-    if options.kc is None:
-        if options.tau_i_s is not None or options.tau_d_s:
-            raise UserError("--tau-i and --tau-d need --kc: give the gain of the controller in force, too")
-        return None
-    with user_input("--kc, --tau-i, --tau-d"):
-        return from_form(options.form, options.kc, options.tau_i_s, options.tau_d_s)
+def process_lines(found: Identification) -> list[str]:
+    """The model with its standard deviations."""
+    model, std = found.estimate.log.model(), found.estimate.log.std()
+    units = {"k": "", "tau1": " s", "tau2": " s", "theta": " s"}
+    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "theta": model.theta_s}
+    return [f"  {'type':<6} {model.type:>10}"] + [
+        f"  {name:<6} {values[name]:10.4g} +- {std[name]:.2g}{unit}" for name, unit in units.items() if name in std
+    ]
 
 
 def described(found: Identification) -> list[str]:
     """Model, standard deviations and settings in lines."""
     estimate = found.estimate
-    model, std = estimate.log.model(), estimate.log.std()
-    lines = ["identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason,
-             f"  k      {model.k:10.4g} +- {std['k']:.2g}",
-             f"  tau1   {model.tau1_s:10.4g} +- {std['tau1']:.2g} s",
-             f"  theta  {model.theta_s:10.4g} +- {std['theta']:.2g} s"]  # fmt: skip
+    lines = ["identified" if estimate.identifiable else "NOT identifiable: " + estimate.reason, *process_lines(found)]
     if estimate.identifiable:
         lines.append(f"  {estimate.reason}; residual {estimate.residual_std:.3g}, noise {estimate.noise_std:.3g}")
     if estimate.load_times_s:
@@ -95,3 +61,17 @@ def described(found: Identification) -> list[str]:
         lines.append(f"with the gains in force: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg" if m.stable else
                      "with the gains in force this loop is UNSTABLE")  # fmt: skip
     return lines
+
+
+def _picture(recording: Recording, found: Identification, options: RecordOptions) -> bytes:
+    """The record with the model's pv."""
+    from retuner.adaptive.fitted import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.record_plots import RecordPicture, record_png  # noqa: PLC0415
+
+    window, estimate = recording.window(), found.estimate
+    title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")
+    picture = RecordPicture(
+        window, title, estimate.reason, described(found)[1:], fitted_pv(window, estimate), estimate.load_times_s,
+        (options.co_min, options.co_max), estimate.noise_std, closed_loop=not options.open_loop,
+    )  # fmt: skip
+    return record_png(picture)

@@ -1,0 +1,192 @@
+"""retuner diagnose: what is behind a loop's behaviour, with the evidence, and the settings that would cure it.
+
+Where the settings in force are not given they are read off the record (adaptive/settings_in_force.py): without them
+nothing can be said of the tuning.
+"""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from retuner import api
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.indexes.screening import Screening, screen
+from retuner.adaptive.diagnosis.sufficiency import shortcomings
+from retuner.adaptive.estimate import ModelEstimate
+from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.sample import Window
+from retuner.adaptive.settings_in_force import SettingsInForce, settings_in_force
+from retuner.commands.recorded_loop import RecordOptions, controller, read_loop
+from retuner.commands.tune import described as tuning_lines
+from retuner.drivers.recording import Recording
+from retuner.errors import user_input
+from retuner.evidence_words import evidence_lines
+from retuner.explain import settings_text
+from retuner.files import write_whole
+from retuner.schedule.gains import PidGains
+from retuner.tuning import TuneResult
+
+
+class RecordDiagnosis(Protocol):
+    """What api.diagnose_record gives."""
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """Cause, confidence, evidence, reason."""
+        ...
+
+    @property
+    def settings(self) -> TuneResult | None:
+        """Settings that would cure it, for causes of tuning."""
+        ...
+
+    @property
+    def estimate(self) -> ModelEstimate | None:
+        """The process, where one was fitted."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A diagnosed record with everything that is shown.
+
+    gains : the settings in force, given or read off. read_off : how they were, None when they were given.
+    evidence : numbers by name, of the indexes and of the diagnosis. notes : what the record lacks.
+    """
+
+    source: str
+    window: Window
+    result: RecordDiagnosis
+    gains: PidGains | None
+    read_off: SettingsInForce | None
+    seen: Screening
+    evidence: dict[str, float]
+    notes: tuple[str, ...]
+
+
+def diagnose(path: Path, options: RecordOptions) -> int:
+    """Diagnose and show; the exit status: 0, or 1 when no cause can be named.
+
+    Raises
+    ------
+    UserError, RecordingError
+        The file or an option cannot be used.
+    """
+    gains = controller(options)
+    recording = read_loop(path, options)
+    with user_input(str(path)):
+        found = _found(recording, gains, options)
+    if options.plot is not None:
+        write_whole(options.plot, _picture(found, options))
+    if options.as_json:
+        sys.stdout.write(json.dumps(document(found), indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write("\n".join(described(found)) + "\n")
+    return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
+
+
+def _found(recording: Recording, given: PidGains | None, options: RecordOptions) -> Finding:
+    """The diagnosis with all that belongs to it."""
+    window = recording.window()
+    read_off = None
+    if given is None and not options.open_loop:
+        read_off = settings_in_force(window, options.co_min, options.co_max)
+    gains = given or (read_off.gains if read_off is not None else None)
+    result = api.diagnose_record(window, gains=gains, co_min=options.co_min, co_max=options.co_max)
+    seen = screen(window, gains, options.co_min, options.co_max)
+    evidence = {**seen.evidence, **result.diagnosis.evidence}
+    notes = shortcomings(window, seen, _model(result))
+    return Finding(recording.source, window, result, gains, read_off, seen, evidence, notes)
+
+
+def _model(result: RecordDiagnosis) -> ProcessModel | None:
+    """The process, where it is known well enough to say so."""
+    estimate = result.estimate
+    return estimate.log.model() if estimate is not None and estimate.identifiable else None
+
+
+def document(found: Finding) -> dict[str, object]:
+    """Keys cause, confidence, retune, evidence, gains, form, margins, reason, gains_in_force, model, std, notes."""
+    result = found.result
+    settings = result.settings.to_dict() if result.settings is not None and result.diagnosis.retune else {}
+    estimate = result.estimate.to_dict() if result.estimate is not None else {}
+    told = result.diagnosis.to_dict()
+    return {
+        **told,
+        "evidence": {**found.seen.evidence, **_mapping(told["evidence"])},
+        "gains": settings.get("gains"), "form": settings.get("form"), "margins": settings.get("margins"),
+        "gains_in_force": _in_force(found),
+        "identifiable": estimate.get("identifiable", False), "model": estimate.get("model"), "std": estimate.get("std"),
+        "notes": list(found.notes),
+    }  # fmt: skip
+
+
+def _mapping(value: object) -> dict[str, object]:
+    """The evidence of a diagnosis as plain JSON values."""
+    assert isinstance(value, dict)
+    return value
+
+
+def _in_force(found: Finding) -> dict[str, object] | None:
+    """The settings in force and where they come from."""
+    if found.read_off is not None:
+        return {"source": "record", **found.read_off.to_dict()}
+    if found.gains is None:
+        return None
+    return {"source": "given", "parallel": {"kp": found.gains.kp, "ki": found.gains.ki, "kd": found.gains.kd}}
+
+
+def described(found: Finding) -> list[str]:
+    """The finding in lines."""
+    told = found.result.diagnosis
+    lines = [f"{str(told.cause).replace('_', ' ').upper()} (confidence {told.confidence:.0%}): {told.reason}"]
+    lines += [f"  note: {note}" for note in found.notes if note != told.reason]
+    lines += [f"  {line}" for line in _controller_lines(found)]
+    lines += [f"  {line}" for line in _process_lines(found)]
+    if told.retune and found.result.settings is not None:
+        lines += ["settings that would cure it:", *tuning_lines(found.result.settings)]
+    elif not told.retune:
+        lines.append("no change of settings")
+    return [*lines, "evidence", *evidence_lines(found.evidence)]
+
+
+def _controller_lines(found: Finding) -> list[str]:
+    """The settings in force in a line."""
+    if found.gains is None:
+        return [f"settings in force: not known; {found.read_off.reason}"] if found.read_off is not None else []
+    line = f"settings in force: {settings_text(found.gains)}"
+    if found.read_off is not None:
+        line += f", read off the record ({found.read_off.reason})"
+    return [line]
+
+
+def _process_lines(found: Finding) -> list[str]:
+    """The process in a line."""
+    model = _model(found.result)
+    if model is None or found.result.estimate is None:
+        return []
+    std = found.result.estimate.log.std()
+    values = {"k": model.k, "tau1": model.tau1_s, "tau2": model.tau2_s, "theta": model.theta_s}
+    numbers = (
+        f"{name} {values[name]:.4g} +- {std[name]:.2g}{' s' if name != 'k' else ''}" for name in values if name in std
+    )
+    return [f"process: {model.type}, " + ", ".join(numbers)]
+
+
+def _picture(found: Finding, options: RecordOptions) -> bytes:
+    """The record with what was found."""
+    from retuner.adaptive.fitted import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.record_plots import RecordPicture, record_png  # noqa: PLC0415
+
+    told, estimate = found.result.diagnosis, found.result.estimate
+    lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]
+    title = f"{Path(found.source).name}: {str(told.cause).replace('_', ' ')} ({told.confidence:.0%})"
+    picture = RecordPicture(
+        found.window, title, told.reason, lines, limits=(options.co_min, options.co_max),
+        fitted=fitted_pv(found.window, estimate) if estimate is not None else None,
+        loads_s=estimate.load_times_s if estimate is not None else (),
+        noise_std=estimate.noise_std if estimate is not None else 0.0, closed_loop=not options.open_loop,
+    )  # fmt: skip
+    return record_png(picture)
