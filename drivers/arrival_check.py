@@ -7,22 +7,22 @@ no life sign. Where E2E leaves open what follows a wrong sequence, the stream go
 """
 
 from collections import deque
-from enum import Enum
+from enum import Enum, IntEnum
 
 WINDOW = 16  # arrivals that are judged together
 MIN_OK = 2  # good ones among them that make a stream valid
 MAX_WRONG = 4  # wrong ones among them that it may have
 
 
-class Arrival(Enum):
+class Arrival(IntEnum):
     """One frame (or none) of a stream."""
 
-    OK = "ok"
-    REPEATED = "repeated"
-    SOME_LOST = "some lost"
-    WRONG_SEQUENCE = "wrong sequence"
-    WRONG_CRC = "wrong crc"
-    TIMEOUT = "timeout"
+    OK = 0
+    REPEATED = 1
+    SOME_LOST = 2
+    WRONG_SEQUENCE = 3
+    WRONG_CRC = 4
+    TIMEOUT = 5
 
 
 class Stream(Enum):

@@ -14,6 +14,7 @@ from retuner.drivers.can_settings import CanDeviceSettings
 from retuner.drivers.codec import Codec, FrameError, Refusal, Refused
 from retuner.drivers.contact import Contact
 from retuner.drivers.device import (
+    DeviceConflict,
     DeviceMismatchError,
     DeviceRestarted,
     DeviceSilentError,
@@ -179,8 +180,9 @@ class CanDevice:
 
     def _on_running(self, page: ReadBack, now_s: float) -> None:
         """What runs."""
-        verdict = self._belief.on_page(page)
-        running = self._belief.running
+        verdict, running = self._belief.on_page(page), self._belief.running
+        if verdict is Belief.CONFLICT:
+            self._events.append(DeviceConflict(self.settings.node))
         if verdict is Belief.NOTHING or running is None:
             return
         if verdict is Belief.FIRST:

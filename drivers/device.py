@@ -123,6 +123,13 @@ class ForeignHost:
 
 
 @dataclass(frozen=True, slots=True)
+class DeviceConflict:
+    """Two devices answer under one node number: what runs is unknown, nothing is written until one of them is off."""
+
+    node: int
+
+
+@dataclass(frozen=True, slots=True)
 class SamplesLost:
     """count samples before t_s never arrived: a window that spans them is not for identification."""
 
@@ -156,6 +163,7 @@ Event = (
     | Reverted
     | LeaseChanged
     | ForeignHost
+    | DeviceConflict
     | SamplesLost
     | CommandDone
     | CommandFailed

@@ -2,6 +2,8 @@
 
 Only a read-back whose CRC-32 fits a boot epoch that a heartbeat has told. A heartbeat with another epoch alone proves
 nothing (it may be an old one come late): it raises a doubt, and the next read-back, asked for after it, settles it.
+A device never goes back to an epoch that it has left. A read-back that does so comes from a second device under the
+same node number: then nothing is believed until ALONE heartbeats in a row have come from one of them.
 """
 
 from enum import Enum
@@ -20,6 +22,10 @@ class Belief(Enum):
     SAME = "the set known before"
     CHANGED = "another set in the same epoch"
     RESTARTED = "the device has booted"
+    CONFLICT = "two devices answer under this node number"
+
+
+ALONE = 20  # heartbeats in a row of one epoch after which a conflict is over
 
 
 class RunningBelief:
@@ -34,6 +40,9 @@ class RunningBelief:
         self._node = node
         self._before: RunningSet | None = None
         self._candidate: Heartbeat | None = None
+        self._left: set[int] = set()  # epochs that the device has left
+        self._last_epoch = self._in_a_row = 0
+        self._conflict = False
         self.running: RunningSet | None = None
         self.epoch: int | None = None
         self.boot_sample = 0
@@ -49,6 +58,12 @@ class RunningBelief:
 
     def on_heartbeat(self, heartbeat: Heartbeat) -> bool:
         """Take a life sign; whether it belongs to the epoch that is known."""
+        if self._conflict:
+            self._in_a_row = self._in_a_row + 1 if heartbeat.epoch == self._last_epoch else 0
+            self._last_epoch = heartbeat.epoch
+            if self._in_a_row >= ALONE:
+                self._conflict = False
+                self._left.clear()
         if heartbeat.epoch == self.epoch:
             return True
         self._candidate = heartbeat
@@ -57,11 +72,19 @@ class RunningBelief:
     def on_page(self, page: ReadBack) -> Belief:
         """Take a read-back of the running page."""
         candidate = self._candidate
+        if self._conflict:
+            return Belief.NOTHING
         if self.epoch is not None and self._fits(page, self.epoch):
             self._candidate = None
             return self._believe(page, Belief.SAME)
         if candidate is not None and self._fits(page, candidate.epoch):
-            verdict = Belief.FIRST if self.epoch is None else Belief.RESTARTED
+            if candidate.epoch in self._left:
+                self._conflict, self._in_a_row, self.running = True, 0, None
+                return Belief.CONFLICT
+            verdict = Belief.FIRST
+            if self.epoch is not None:
+                verdict = Belief.RESTARTED
+                self._left.add(self.epoch)
             self.epoch, self.boot_sample, self._candidate = candidate.epoch, candidate.sample, None
             return self._believe(page, verdict)
         return Belief.NOTHING

@@ -48,7 +48,7 @@ class SampleJoiner:
         if variable not in {"sp", "pv", "co"}:
             raise ValueError(f'variable = "{variable}"; give "sp", "pv" or "co"')
         self._sample_time_s, self._node = sample_time_s, node
-        self._field = LoopSample._fields.index(variable)
+        self._variable = variable
         self._offset = 0
         self._reference: int | None = None
         self._last: int | None = None
@@ -121,10 +121,14 @@ class SampleJoiner:
         lost = 0 if self._last is None else number - self._last - 1
         self.arrivals.ahead(lost + 1)
         self._last = self._reference = number
-        self._halves = {n: kept for n, kept in self._halves.items() if n > number}
+        if len(self._halves) > 1:
+            self._halves = {n: kept for n, kept in self._halves.items() if n > number}
+        else:
+            self._halves.clear()
         t_s = (number + self._offset) * self._sample_time_s
-        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, 0.0, self._revision(sp.running))
-        return Joined(sample._replace(x=sample[self._field]), lost)
+        x = pv.pv if self._variable == "pv" else pv.co if self._variable == "co" else sp.sp
+        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, x, self._revision(sp.running))
+        return Joined(sample, lost)
 
     def _revision(self, tag: int) -> int:
         """The sequence number with these low bits: the known one's, the ordered one's, else the next one upwards."""

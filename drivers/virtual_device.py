@@ -50,7 +50,7 @@ from retuner.drivers.frames import (
     newer,
 )
 from retuner.drivers.gain_pages import GainPages, GainSet
-from retuner.drivers.lease_desk import LeaseDesk
+from retuner.drivers.lease_desk import NOBODY, LeaseDesk
 from retuner.drivers.plant import Plant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, StateTuple, change, start, step, track
@@ -259,15 +259,17 @@ class VirtualDevice:
 
     def _life_sign(self) -> list[DeviceFrame]:
         """Heartbeat and status."""
-        flags = Flags(0)
-        flags |= Flags.AUTO if self.auto else Flags(0)
-        flags |= Flags.STAGED if self.pages.has_staged else Flags(0)
-        flags |= Flags.STORED if self.pages.is_stored else Flags(0)
-        flags |= Flags.TRIAL if self.pages.on_trial else Flags(0)
-        flags |= Flags.OWNED if self.lease.owner else Flags(0)
-        flags |= Flags.LOCKED if self.code.locked else Flags(0)
+        pages = self.pages
+        flags = (
+            Flags.AUTO * self.auto
+            + Flags.STAGED * pages.has_staged
+            + Flags.STORED * pages.is_stored
+            + Flags.TRIAL * pages.on_trial
+            + Flags.OWNED * (self.lease.owner != NOBODY)
+            + Flags.LOCKED * self.code.locked
+        )
         return [
-            Heartbeat(self.sample, self.epoch, int(flags)),
+            Heartbeat(self.sample, self.epoch, flags),
             Status(self.running.seq, self.pages.latest, self.refused % STATUS_WRAP, self.lease.owner % STORE_TAG),
         ]
 

@@ -206,8 +206,9 @@ class WriteProtocol:
 
     def unknown(self) -> WriteUnknown | None:
         """That the result is unknown, once, when the device has not answered several times."""
-        resolving = self.phase in {WritePhase.FENCING, WritePhase.READING}
-        if self._order is None or not resolving or self._told_unknown or self._tries < UNKNOWN_AFTER:
+        if self._order is None or self._told_unknown or self._tries < UNKNOWN_AFTER:
+            return None
+        if self.phase not in {WritePhase.FENCING, WritePhase.READING}:
             return None
         self._told_unknown = True
         return WriteUnknown(self._order.seq, f"{self._why}; the device does not say what it runs; asking on")

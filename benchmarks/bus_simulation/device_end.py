@@ -128,10 +128,10 @@ class DeviceEnd:
             truth.began(now)
             return
         truth.counts["swaps"] += 1
-        order = t.running_set_is_a_committed_one(truth, now)
+        order = t.running_set_is_a_committed_one(truth, now, self._holder.get(now.seq, 0))
         t.built_on_what_ran(order, before)
         t.authentic(truth, order)
-        t.one_owner(order, self._holder[now.seq])
+        t.one_owner(order, self._holder.get(now.seq, 0))
         t.finite_and_inside_the_box(truth, now, before)
         t.sequence_is_monotonic(truth, now)
         t.failed_sets_stay_dead(truth, now)

@@ -77,12 +77,15 @@ class Truth:
         return found
 
 
-def running_set_is_a_committed_one(truth: Truth, now: Ran) -> Order:
-    """A swapped-in set is, gain for gain, one that somebody committed under this number in this boot epoch."""
-    for order in truth.orders.get((now.epoch, now.seq), ()):
-        if order.gains == now.gains:
-            return order
-    raise ViolationError(f"running_set_is_a_committed_one: {now} was ordered by nobody")
+def running_set_is_a_committed_one(truth: Truth, now: Ran, holder: int) -> Order:
+    """A swapped-in set is, gain for gain, one that somebody committed under this number in this boot epoch.
+
+    When several meant the same, it is that of the lease's holder.
+    """
+    orders = [order for order in truth.orders.get((now.epoch, now.seq), ()) if order.gains == now.gains]
+    if not orders:
+        raise ViolationError(f"running_set_is_a_committed_one: {now} was ordered by nobody")
+    return next((order for order in orders if order.owner == holder), orders[0])
 
 
 def built_on_what_ran(order: Order, before: Ran) -> None:

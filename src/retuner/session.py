@@ -18,6 +18,7 @@ from retuner.drivers.device import (
     CommandDone,
     CommandFailed,
     Device,
+    DeviceConflict,
     DeviceRestarted,
     Event,
     ForeignHost,
@@ -48,7 +49,7 @@ HOLD_SAMPLES = 30
 """Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
 
 
-HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged)
+HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict)
 
 
 class Why(StrEnum):
@@ -75,14 +76,15 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
             return "link", {"state": event.state.name.lower(), "reason": event.reason}
         case DeviceRestarted():
             return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains)}
-        case RunningChanged():
-            return "foreign", {"gains": gains_dict(event.running.gains)}
-        case Reverted():
-            return "reverted", {"gains": gains_dict(event.running.gains)}
+        case RunningChanged() | Reverted():
+            kind = "reverted" if isinstance(event, Reverted) else "foreign"
+            return kind, {"gains": gains_dict(event.running.gains)}
         case LeaseChanged():
             return "lease", {"ours": event.ours, "owner": event.owner}
         case ForeignHost():
             return "foreign_host", {"commands": event.count}
+        case DeviceConflict():
+            return "conflict", {"node": event.node}
         case SamplesLost():
             return "lost", {"samples": event.count}
         case CommandFailed():

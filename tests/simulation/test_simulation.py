@@ -93,7 +93,7 @@ TRUTH = Truth(Ran(0, 1, 0, FIRST), BOX, authentic=True, forged=False)
 TRUTH.newest_swapped = 2
 TRUTH.dead.add(OTHER)
 BREACHES = [
-    partial(t.running_set_is_a_committed_one, TRUTH, Ran(1, 1, 1, OTHER)),
+    partial(t.running_set_is_a_committed_one, TRUTH, Ran(1, 1, 1, OTHER), 5),
     partial(t.built_on_what_ran, ORDER, Ran(0, 1, 7, FIRST)),
     partial(t.authentic, TRUTH, ORDER._replace(who="intruder")),
     partial(t.one_owner, ORDER, 6),
