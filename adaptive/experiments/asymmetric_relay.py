@@ -32,8 +32,8 @@ def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessMod
     """
     co, pv = cycle.co_mean - co_rest, cycle.pv_mean - pv_rest
     if abs(co) < SMALLEST_OFFSET * cycle.co_amplitude:
-        raise ValueError(f"the relay is symmetric: its mean is {co:.3g} off the rest point, so that the process gain "
-                         "does not show; give it a bias, or use the fit")  # fmt: skip
+        raise ValueError(f"the mean of co is only {co:.3g} off the rest point (a symmetric relay, or a nearly "
+                         "integrating process), so the process gain does not show; use the fit")  # fmt: skip
     k = pv / co
     sign = math.copysign(1.0, k)
     high, low = sorted((sign * (cycle.pv_high - pv_rest), sign * (cycle.pv_low - pv_rest)), reverse=True)

@@ -3,14 +3,14 @@
     step       co = co0 + amplitude until pv has come to rest again, or has gone far enough to show a ramp
     relay      co = co0 + (1 + bias) amplitude while pv is too low, co0 - (1 - bias) amplitude while it is too high,
                switched where pv leaves the reference by more than the hysteresis
-    setpoint   sp = sp0 + amplitude under proportional control until the second turn of pv has died down
+    setpoint   sp = sp0 + amplitude under proportional control until pv has come to rest, or swings on
 
 The hysteresis is three standard deviations of the noise seen at rest unless it is given: noise alone then switches the
 relay about once in a thousand samples near the reference (Astrom & Hagglund 1995, section 3.6).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -29,6 +29,8 @@ SETTLED_SHARE = 0.02
 """A response has come to rest when its last third moves by less than this share of the whole."""
 ENOUGH_OF_BAND = 0.6
 """A response that has gone this share of the way to the edge of the band has shown its slope."""
+TURNS = 5
+"""A swing that turns this often has shown its peaks, whether it dies down or not."""
 SHORTEST_WATCH = 20
 """Samples before a response may count as come to rest."""
 
@@ -46,7 +48,7 @@ class Plan:
     """Settings of an experiment on demand.
 
     kind : which. amplitude : co percent for step and relay (negative: step down), pv units for setpoint.
-    pv_low, pv_high : band that pv must not leave; within it the experiment is aborted by nothing but the other limits.
+    pv_low, pv_high : band that pv must not leave. deviation : how far from rest it may go, pv units.
     co_low, co_high : range of the output, percent. time_s : longest duration of the excitation.
     rest_samples : samples for which the loop is watched before anything is touched; 10 to 10000.
     rest_time_s : how long to wait for rest.
@@ -73,25 +75,40 @@ class Plan:
     bias: float = 0.0
     hysteresis: float | None = None
     kc0: float | None = None
+    deviation: float = math.inf
 
     def __post_init__(self) -> None:
-        numbers = {name: getattr(self, name) for name in ("amplitude", "pv_low", "pv_high", "time_s", "rest_time_s")}
-        for name, value in numbers.items():
-            if not math.isfinite(value):
-                raise ValueError(f"{name} = {value} is not a finite number")
-        if self.amplitude == 0 or (self.kind == Kind.RELAY and self.amplitude < 0):
-            raise ValueError(f"amplitude = {self.amplitude}: give a number other than 0, positive for a relay")
+        for name in ("amplitude", "pv_low", "pv_high", "time_s", "rest_time_s"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} = {getattr(self, name)} is not a finite number")
         for name, low, high in (("cycles", 2, 50), ("rest_samples", 10, 10000), ("bias", 0.0, 0.8)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: give {low} to {high}")
-        if self.time_s <= 0 or self.rest_time_s < 0:
-            raise ValueError(f"time = {self.time_s} s, rest time = {self.rest_time_s} s: give positive times")
+        if self.amplitude == 0 or (self.kind == Kind.RELAY and self.amplitude < 0):
+            raise ValueError(f"amplitude = {self.amplitude}: give a number other than 0, positive for a relay")
         if not self.pv_low < self.pv_high:
             raise ValueError(f"pv band {self.pv_low:g} to {self.pv_high:g}: the lower end must be below the upper")
-        if self.hysteresis is not None and not 0 <= self.hysteresis < math.inf:
-            raise ValueError(f"hysteresis = {self.hysteresis}: give 0 or a positive number of pv units")
-        if self.kc0 is not None and not (math.isfinite(self.kc0) and self.kc0):
-            raise ValueError(f"kc0 = {self.kc0}: give a finite gain other than 0")
+        for name, wrong in self._wrong():
+            if wrong:
+                raise ValueError(f"{name} = {getattr(self, name)} is out of its range")
+
+    def _wrong(self) -> tuple[tuple[str, bool], ...]:
+        """Settings with one limit, and whether they break it."""
+        hysteresis, kc0 = self.hysteresis, self.kc0
+        return (
+            ("time_s", self.time_s <= 0),
+            ("rest_time_s", self.rest_time_s < 0),
+            ("deviation", not self.deviation > 0),
+            ("hysteresis", hysteresis is not None and not 0 <= hysteresis < math.inf),
+            ("kc0", kc0 is not None and not 0 < abs(kc0) < math.inf),
+        )
+
+    def about(self, pv_rest: float) -> "Plan":
+        """The plan with its band no wider than the deviation from this pv."""
+        if not self.pv_low < pv_rest < self.pv_high:
+            return self
+        low, high = max(self.pv_low, pv_rest - self.deviation), min(self.pv_high, pv_rest + self.deviation)
+        return replace(self, pv_low=low, pv_high=high)
 
     def co_levels(self, co0: float) -> tuple[float, float]:
         """Lowest and highest output of the experiment about co0."""
@@ -122,7 +139,8 @@ def at_rest(plan: Plan, samples: list[LoopSample]) -> Rest | None:
     n = len(pv)
     sigma = noise_sigma(pv)
     moved = abs(float(np.polyfit(np.linspace(-0.5, 0.5, n), pv, 1)[0]))
-    if moved > max(REST_DRIFT * (plan.pv_high - plan.pv_low), TREND_STD * sigma * math.sqrt(12 / n)):
+    band = min(plan.pv_high - plan.pv_low, 2 * plan.deviation)
+    if moved > max(REST_DRIFT * band, TREND_STD * sigma * math.sqrt(12 / n)):
         return None
     hysteresis = HYSTERESIS_STD * sigma if plan.hysteresis is None else plan.hysteresis
     return Rest(float(np.mean(pv)), float(np.mean([s.co for s in watched])), sigma, hysteresis)
@@ -161,7 +179,7 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     if len(pv) < SHORTEST_WATCH:
         return False
     if plan.kind == Kind.SETPOINT:
-        return _turned(pv - rest.pv, rest.sigma) >= 3 and _come_to_rest(pv, rest)
+        return _turned(pv - rest.pv, rest.sigma) >= TURNS or _come_to_rest(pv, rest)
     room = plan.pv_high - rest.pv if pv[-1] > rest.pv else rest.pv - plan.pv_low
     far = abs(float(pv[-1]) - rest.pv) > ENOUGH_OF_BAND * room
     return far or _come_to_rest(pv, rest)

@@ -76,7 +76,12 @@ class RelayCycle:
     gain: float
     phase_deg: float
 
-    def to_dict(self) -> dict[str, float | int]:
+    @property
+    def direction(self) -> int:
+        """Sign of the process gain: a relay of the right sign swings where the phase is nearer to -180 than to 0."""
+        return 1 if -270 < self.phase_deg < -90 else -1
+
+    def to_dict(self) -> dict[str, float | int | bool]:
         """Keys as in the JSON output of `retuner experiment relay`."""
         return {
             "ku": self.ku, "pu": self.pu_s, "ku_std": self.ku_std, "pu_std": self.pu_std_s, "waves": self.waves,

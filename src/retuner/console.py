@@ -42,6 +42,10 @@ class RunScreen:
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
+    def pause(self) -> None:
+        """No more progress: a question is going to be asked."""
+        self._progress.stop()
+
     def begin(self, text: str) -> None:
         """Start a bar."""
         if self._task is not None:
@@ -71,7 +75,7 @@ class RunScreen:
     def say(self, text: str) -> None:
         """A line of plain text."""
         if not self._quiet:
-            self._progress.console.print(escape(text), highlight=False)
+            self._progress.console.print(escape(text), highlight=False, soft_wrap=True)
 
 
 def scores_table(scores: list[RegionScore], unit: str) -> Table:

@@ -73,6 +73,7 @@ class Conductor:
         self.rest: Rest | None = None
         self.samples: list[LoopSample] = []
         self.excited_from = self.excited_to = 0
+        self.touched = False
         self.lost_ledger: LedgerError | None = None
         self._dt_s = sample_time_s
         self._record = record
@@ -130,6 +131,7 @@ class Conductor:
             return
         self._phase_s = self._now_s
         self._shown = 0
+        self.touched = self.touched or self.phase.touched
         if old is Phase.EXCITING:
             self.excited_to = len(self.samples)
         if self.phase is Phase.EXCITING:
@@ -220,7 +222,7 @@ class Conductor:
             if watched > self.plan.rest_time_s + self.plan.rest_samples * self._dt_s:
                 self.abort(Cause.NOT_AT_REST, f"pv still moves after {watched:.4g} s; wait, or widen the pv band")
             return
-        self.rest = rest
+        self.rest, self.plan = rest, self.plan.about(rest.pv)
         co = sample.co if sample.mode == LoopMode.MANUAL else rest.co
         self.before = Before(running.gains, sample.sp, sample.mode, co)
         trouble = cannot_begin(self.plan, rest, sample)

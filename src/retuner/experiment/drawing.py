@@ -1,0 +1,77 @@
+"""The picture of an experiment: pv with its limits and what the fitted model makes of the same co, and co below."""
+
+import io
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.sample import FloatArray, Window
+from retuner.drivers.linear_plant import LinearPlant
+from retuner.experiment.findings import Findings
+from retuner.plots import DPI, FIXED, MARK, PV, SP, time_axis
+
+EVEN = 0.05
+"""Sampling intervals that differ by more than this share of their median are not even enough to simulate over."""
+
+
+def experiment_png(window: Window, found: Findings, title: str, unit: str, band: tuple[float, float] | None) -> bytes:
+    """PNG bytes.
+
+    Parameters
+    ----------
+    window : the record. found : its evaluation. unit : of pv. band : limits of pv, drawn where they are near.
+    """
+    figure = Figure(figsize=(11, 6))
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1))
+    x, x_unit = time_axis(window.t_s)
+    top.plot(x, window.pv, color=PV, lw=1.1, label="pv")
+    top.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
+    fitted = _fitted(window, found.model) if found.model is not None else None
+    if fitted is not None:
+        top.plot(x, fitted, color=FIXED, lw=1.6, alpha=0.9, label="fitted model under the same co")
+    _readings(top, x, window, found)
+    _band(top, window, band)
+    bottom.step(x, window.co, where="post", color=PV, lw=0.9)
+    top.set_title(title, fontsize=10)
+    top.set_ylabel(f"pv, sp [{unit}]")
+    bottom.set_ylabel("co [%]")
+    bottom.set_xlabel(f"time [{x_unit}]")
+    top.legend(loc="best", fontsize=9, framealpha=0.9)
+    for axes in (top, bottom):
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _readings(axes: Axes, x: FloatArray, window: Window, found: Findings) -> None:
+    """What was read off: the amplitude of a relay's limit cycle and where it was taken."""
+    if found.cycle is None:
+        return
+    cycle = found.cycle
+    inside = (window.t_s >= cycle.from_s) & (window.t_s <= cycle.to_s)
+    for i, level in enumerate((cycle.pv_high, cycle.pv_low)):
+        label = f"Ku {cycle.ku:.3g} +- {cycle.ku_std:.1g}, Pu {cycle.pu_s:.4g} +- {cycle.pu_std_s:.1g} s"
+        axes.plot(x[inside][[0, -1]], [level, level], color=MARK, lw=1.0, label=None if i else label)
+
+
+def _band(axes: Axes, window: Window, band: tuple[float, float] | None) -> None:
+    """Limits that lie within twice the record's range."""
+    reach = float(np.ptp(window.pv))
+    for limit in band or ():
+        if float(np.min(window.pv)) - reach < limit < float(np.max(window.pv)) + reach:
+            axes.axhline(limit, color=MARK, lw=0.8, ls=":")
+
+
+def _fitted(window: Window, model: ProcessModel) -> FloatArray | None:
+    """The model's pv under the recorded co, laid on the record by its mean; None where sampling is uneven."""
+    steps = np.diff(window.t_s)
+    dt = float(np.median(steps))
+    if float(np.max(np.abs(steps - dt))) > EVEN * dt:
+        return None
+    plant = LinearPlant(model.linear(), start_co=float(window.co[0]), co_min=-1e12, co_max=1e12)
+    pv = np.array([0.0, *(plant.step(co, 0.0, dt) for co in window.co[:-1].tolist())])
+    return np.asarray(pv + float(np.mean(window.pv - pv)), dtype=np.float64)

@@ -1,0 +1,243 @@
+"""What an experiment's record says: the fit first, the methods with names beside it, and the settings that follow.
+
+One evaluation for recorded and live experiments. The settings are SIMC's from the fit, robust on all models that the
+record allows; another method's model or another rule is taken only when it is asked for by name.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+from retuner.adaptive.experiments import asymmetric_relay, setpoint, step
+from retuner.adaptive.experiments.plan import Kind
+from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
+from retuner.adaptive.experiments.sustained import swing
+from retuner.adaptive.margins import margins
+from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.rules.registry import rule_named
+from retuner.adaptive.rules.rule import Takes
+from retuner.adaptive.sample import Window
+from retuner.api import Identification, identify_record
+from retuner.errors import UserError
+from retuner.schedule.gains import PidGains
+from retuner.tuning import TuneResult, tune
+
+ULTIMATE = "ultimate"
+"""The experiment that exists as a record only: a swing under proportional control."""
+FIT = "fit"
+METHODS = {
+    str(Kind.STEP): (FIT, *(str(method) for method in step.StepMethod)),
+    str(Kind.SETPOINT): (FIT, "two-step"),
+    str(Kind.RELAY): (FIT, "asymmetric"),
+    ULTIMATE: (FIT,),
+}
+"""Methods of each experiment by name."""
+OVERSHOOT_RULE = "setpoint-overshoot"
+"""The direct settings of the setpoint experiment, as a rule."""
+ULTIMATE_RULES = (("zn-ultimate", "pi"), ("zn-ultimate", "pid"))
+"""Rules from Ku and Pu that are shown beside the chosen settings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked of a record.
+
+    kind : step, setpoint, relay or ultimate. method : whose model is tuned for. rule, controller : by which rule.
+    kc : proportional gain in force (setpoint, ultimate), None when not known.
+    hysteresis : of the relay. rest : pv and co at rest before the relay began; None: the first sample.
+    from_rest : the record begins at rest and has no load in it.
+    """
+
+    kind: str
+    method: str = FIT
+    rule: str = "simc"
+    controller: str | None = None
+    kc: float | None = None
+    hysteresis: float = 0.0
+    rest: tuple[float, float] | None = None
+    from_rest: bool = True
+
+
+@dataclass(slots=True)
+class Findings:
+    """What was found. models and refused by method; measured by kind of reading; offers by their name."""
+
+    kind: str
+    fit: Identification | None = None
+    models: dict[str, ProcessModel] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    measured: dict[str, dict[str, float | int | bool]] = field(default_factory=dict)
+    offers: dict[str, TuneResult] = field(default_factory=dict)
+    chosen: TuneResult | None = None
+    reason: str = ""
+    cycle: RelayCycle | None = None
+    ultimate: tuple[float, float] | None = None
+
+    @property
+    def usable(self) -> bool:
+        """Whether there are settings, and the loop would be stable as far as is known."""
+        return self.chosen is not None and (self.chosen.margins is None or self.chosen.margins.stable)
+
+    @property
+    def model(self) -> ProcessModel | None:
+        """The best model: the fit where the record identifies it."""
+        return self.models.get(FIT)
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys identifiable, model, std, methods, refused, measured, settings, rule, form, gains, margins, reason."""
+        chosen = self.chosen.to_dict() if self.chosen else {}
+        return {
+            "experiment": self.kind,
+            "identifiable": FIT in self.models,
+            "model": self.model.to_dict() if self.model else None,
+            "std": self.fit.estimate.log.std() if self.fit and FIT in self.models else None,
+            "methods": {name: model.to_dict() for name, model in self.models.items()},
+            "refused": self.refused,
+            "measured": self.measured,
+            "settings": {name: offer.to_dict() for name, offer in self.offers.items()},
+            **{name: chosen.get(name) for name in ("rule", "kind", "form", "gains", "parallel", "margins")},
+            "reason": self.reason,
+        }
+
+
+def evaluate(window: Window, question: Question) -> Findings:
+    """Everything that the record says.
+
+    Raises
+    ------
+    UserError
+        The rule that was asked for refuses.
+    """
+    found = Findings(question.kind)
+    readers = {Kind.STEP: _read_step, Kind.SETPOINT: _read_setpoint, Kind.RELAY: _read_relay, ULTIMATE: _read_swing}
+    if question.kind != ULTIMATE:
+        _fit(found, window, question)
+    readers[question.kind](found, window, question)
+    _choose(found, question)
+    return found
+
+
+def _try(found: Findings, name: str, work: Callable[[], ProcessModel]) -> None:
+    """Note the model of a method, or why there is none."""
+    try:
+        found.models[name] = work()
+    except ValueError as refusal:
+        found.refused[name] = str(refusal)
+
+
+def _fit(found: Findings, window: Window, question: Question) -> None:
+    """The maximum-likelihood fit."""
+    gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Kind.SETPOINT else None
+    try:
+        found.fit = identify_record(window, open_loop=question.from_rest, gains=gains)
+    except ValueError as refusal:
+        found.refused[FIT] = str(refusal)
+        return
+    estimate = found.fit.estimate
+    if estimate.identifiable:
+        found.models[FIT] = estimate.log.model()
+    else:
+        found.refused[FIT] = estimate.reason
+
+
+def _read_step(found: Findings, window: Window, question: Question) -> None:  # noqa: ARG001  all readers alike
+    """The graphical methods."""
+    for method in step.StepMethod:
+        _try(found, method, partial(_step_model, method, window))
+
+
+def _step_model(method: step.StepMethod, window: Window) -> ProcessModel:
+    """A graphical method's model."""
+    return step.model_by(method, step.step_response(window))
+
+
+def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
+    """Peak and undershoot, the two-step model and the direct settings."""
+    try:
+        seen = setpoint.measure(window)
+    except ValueError as refusal:
+        found.refused["two-step"] = str(refusal)
+        return
+    found.measured["overshoot"] = {
+        "dy_s": seen.dy_s, "dy_p": seen.dy_p, "dy_u": seen.dy_u, "t_p": seen.t_p_s, "dy_inf": seen.dy_inf,
+        "overshoot": seen.d, "b": seen.b, "a": seen.a,
+    }  # fmt: skip
+    if question.kc is None:
+        found.refused["two-step"] = "the proportional gain of the experiment is not known; give --kc0"
+        return
+    kc0 = question.kc
+    _try(found, "two-step", lambda: setpoint.two_step_model(seen, kc0))
+    if "two-step" in found.models:
+        direct = setpoint.direct_settings(seen, kc0)
+        best = found.model or found.models["two-step"]
+        found.offers[OVERSHOOT_RULE] = TuneResult(direct, direct.form, margins(best.linear(), direct.gains))
+
+
+def _read_relay(found: Findings, window: Window, question: Question) -> None:
+    """Ultimate gain and period, and the asymmetric relay's first order."""
+    try:
+        cycle = relay_cycle(window, question.hysteresis)
+    except ValueError as refusal:
+        found.refused["ku-pu"] = found.refused["asymmetric"] = str(refusal)
+        return
+    found.cycle = cycle
+    found.measured["ultimate"] = cycle.to_dict()
+    pv_rest, co_rest = question.rest or (float(window.pv[0]), float(window.co[0]))
+    _try(found, "asymmetric", lambda: asymmetric_relay.first_order(cycle, pv_rest, co_rest))
+    _offer_ultimate(found, cycle.ku * cycle.direction, cycle.pu_s)
+
+
+def _read_swing(found: Findings, window: Window, question: Question) -> None:
+    """Period and decay, and what the gain was with that."""
+    try:
+        seen = swing(window)
+    except ValueError as refusal:
+        found.refused["swing"] = found.reason = str(refusal)
+        return
+    found.measured["swing"] = seen.to_dict()
+    found.reason = seen.verdict()
+    if question.kc is None:
+        found.reason += "; give the gain of the experiment with --kc for settings"
+    elif seen.sustained:
+        _offer_ultimate(found, question.kc, seen.period_s)
+    elif seen.quarter_decay:
+        found.offers["quarter-decay pid"] = tune(rule="quarter-decay", kq=question.kc, pq=seen.period_s)
+
+
+def _offer_ultimate(found: Findings, ku: float, pu_s: float) -> None:
+    """The rules of the ultimate gain; ku has the sign of the process."""
+    found.ultimate = ku, pu_s
+    for rule, kind in ULTIMATE_RULES:
+        found.offers[f"{rule} {kind}"] = tune(found.model, rule, kind=kind, ku=ku, pu=pu_s)
+
+
+def _choose(found: Findings, question: Question) -> None:
+    """The settings that would be written."""
+    try:
+        name, found.chosen = _asked_for(found, question)
+    except ValueError as refusal:
+        raise UserError(f"--rule {question.rule}: {refusal}") from refusal
+    if found.chosen is not None:
+        found.offers = {name: found.chosen, **{n: offer for n, offer in found.offers.items() if n != name}}
+
+
+def _asked_for(found: Findings, question: Question) -> tuple[str, TuneResult | None]:
+    """Name and settings by the method and rule asked for; None where the record does not carry them."""
+    rule, kind = question.rule, question.controller
+    if rule == OVERSHOOT_RULE or (question.kind == ULTIMATE and found.ultimate is None):
+        name = OVERSHOOT_RULE if rule == OVERSHOOT_RULE else "quarter-decay pid"
+        found.reason = found.reason or found.refused.get("two-step", "")
+        return name, found.offers.get(name)
+    if question.kind == ULTIMATE and rule == "simc":
+        rule = "zn-ultimate"
+    if rule_named(rule).takes == Takes.ULTIMATE and found.ultimate is not None:
+        chosen = tune(found.model, rule, kind=kind, ku=found.ultimate[0], pu=found.ultimate[1])
+        return f"{rule} {chosen.kind}", chosen
+    model = found.models.get(question.method)
+    if model is None:
+        found.reason = found.refused.get(question.method, "")
+        return rule, None
+    name = f"{rule} from {question.method}"
+    if question.method == FIT and rule == "simc" and kind in {None, "pi"} and found.fit is not None:
+        return name, found.fit.settings
+    return name, tune(model, rule, kind=kind)

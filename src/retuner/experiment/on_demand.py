@@ -1,0 +1,177 @@
+"""An experiment on demand from its first look at the loop to the question whether its settings may be written."""
+
+import json
+import sys
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+import typer
+
+from retuner.adaptive.decision import gains_dict
+from retuner.adaptive.experiments.phases import Cause, Phase
+from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.sample import LoopSample, Window
+from retuner.commands.check import summary
+from retuner.config import Config
+from retuner.console import RunScreen
+from retuner.errors import UserError
+from retuner.experiment.bench import Bench
+from retuner.experiment.conductor import Conductor
+from retuner.experiment.describing import described
+from retuner.experiment.findings import Findings, Question, evaluate
+from retuner.experiment.outcome import RECORD, Outcome
+from retuner.experiment.target import p_only
+from retuner.experiment.writing import GainWriter
+from retuner.ledger import Ledger
+from retuner.stopping import unstoppable
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+FEWEST_SAMPLES = 20
+"""Shorter records are not evaluated."""
+AFTER = {Phase.PARKING, Phase.RESTORING, Phase.RESTORED}
+"""Phases behind the excitation."""
+OPTION_AT_FAULT = {
+    Cause.NO_ROOM: "--amplitude",
+    Cause.WRONG_MODE: "setpoint",
+    Cause.PV_BAND: "--pv-low, --pv-high",
+}
+"""Causes that are a matter of the options as long as nothing was touched."""
+
+
+class OnDemandExperiment:
+    """One experiment with everything round it.
+
+    Parameters
+    ----------
+    config : the loop. plan : what to do. question : what is asked of the record (what is seen at rest is filled in).
+    folder, ledger : where it is left and recorded. screen : shows it. bench : where it takes place.
+    yes : the settings are confirmed beforehand. as_json : print one JSON document.
+    """
+
+    def __init__(
+        self, config: Config, plan: Plan, question: Question, folder: Path, ledger: Ledger, screen: RunScreen,
+        bench: Bench, *, yes: bool, as_json: bool,
+    ) -> None:  # fmt: skip
+        self._config, self._question, self._ledger = config, question, ledger
+        self._screen, self._bench = screen, bench
+        self._yes, self._as_json = yes, as_json
+        conductor = Conductor(bench.device, plan, config.loop.sample_time_s, self._record, self._on_sample)
+        self._conductor = conductor
+        self._outcome = Outcome(config.loop.name, config.loop.pv_unit, folder, conductor)
+
+    def run(self) -> int:
+        """Conduct, evaluate, offer, leave; the exit status.
+
+        Raises
+        ------
+        UserError
+            The loop at rest shows that an option is wrong, or the ledger failed on the way.
+        DeviceError
+            Nobody answers, or the wrong controller does.
+        """
+        conductor, outcome = self._conductor, self._outcome
+        self._ledger.append("session", {"config": summary(self._config), "retuner": version("retuner")}, 0.0)
+        self._screen.begin(f"{self._config.loop.name}: {conductor.plan.kind}")
+        self._conduct()
+        if conductor.cause in OPTION_AT_FAULT and not conductor.touched:
+            raise UserError(f"{OPTION_AT_FAULT[conductor.cause]}: {conductor.text}; nothing was changed")
+        outcome.found = self._evaluate()
+        with unstoppable():
+            outcome.leave()
+        self._tell()
+        usable = outcome.found is not None and outcome.found.usable
+        if conductor.cause is None and usable and self._confirmed():
+            self._write()
+        if self._as_json:
+            sys.stdout.write(json.dumps(outcome.to_dict(), indent=2, allow_nan=False) + "\n")
+        if conductor.lost_ledger is not None:
+            raise conductor.lost_ledger
+        if conductor.cause is Cause.INTERRUPTED:
+            return INTERRUPTED
+        return 0 if conductor.cause is None and usable and not outcome.written else 1
+
+    def _conduct(self) -> None:
+        """Turn by turn until the old state is back; Ctrl-C is an abort like any other."""
+        conductor = self._conductor
+        while not conductor.phase.over:
+            try:
+                now_s = self._bench.turn()
+                with unstoppable():
+                    conductor.poll(now_s)
+            except KeyboardInterrupt:
+                if conductor.phase.touched:
+                    self._screen.say("stopping: the old state is being restored")
+                conductor.abort(Cause.INTERRUPTED)
+
+    def _record(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        """A row of the ledger; phases are told on the screen."""
+        self._ledger.append(kind, body, t_s)
+        if body.get("phase") not in {None, "before"}:
+            phase = Phase[str(body["phase"]).upper()]
+            self._screen.say(f"{t_s:8,.0f} s {phase.value}" + (f" ({body['cause']})" if body.get("cause") else ""))
+
+    def _on_sample(self, sample: LoopSample, phase: Phase) -> None:
+        """Progress by what the excitation has used of its time."""
+        conductor = self._conductor
+        since = (len(conductor.samples) - conductor.excited_from) * self._config.loop.sample_time_s
+        progress = min(since / conductor.plan.time_s, 1.0) if phase is Phase.EXCITING else float(phase in AFTER)
+        self._screen.sample(sample, progress, phase.value)
+
+    def _evaluate(self) -> Findings | None:
+        """What the record of the excitation says, if there is one."""
+        conductor, asked = self._conductor, self._question
+        rest, before = conductor.rest, conductor.before
+        if rest is None or before is None or len(conductor.excited) < FEWEST_SAMPLES:
+            return None
+        kc = p_only(conductor.plan, before).kp if conductor.plan.kind == Kind.SETPOINT else None
+        question = Question(
+            asked.kind, asked.method, asked.rule, asked.controller, kc, rest.hysteresis, (rest.pv, rest.co)
+        )
+        return evaluate(Window.of(conductor.excited), question)
+
+    def _tell(self) -> None:
+        """The result for a person; what needs one's hand goes to stderr in any case."""
+        conductor, found = self._conductor, self._outcome.found
+        ended = f"aborted: {conductor.text}" if conductor.cause else "done"
+        record = self._outcome.folder / RECORD
+        self._screen.say(f"{ended}; {conductor.phase.value}; {len(conductor.excited)} samples in {record}")
+        for line in described(found) if found is not None else ["too little was recorded to say anything"]:
+            self._screen.say(line)
+        if conductor.phase is Phase.STRANDED:
+            sys.stderr.write(f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
+                             f"bring back by hand: {self._before_text()}\n")  # fmt: skip
+
+    def _confirmed(self) -> bool:
+        """--yes, or a person's yes at a terminal; never by default."""
+        if self._yes:
+            return True
+        if not self._as_json and sys.stdin.isatty():
+            self._screen.pause()
+            if typer.confirm("write these settings to the controller?", default=False):
+                return True
+        self._screen.say("nothing was written: the settings are not confirmed (--yes, or y at the question)")
+        return False
+
+    def _write(self) -> None:
+        """Write the chosen settings, on the set that ran when they were shown."""
+        outcome, before = self._outcome, self._conductor.before
+        assert outcome.found is not None
+        assert outcome.found.chosen is not None
+        assert before is not None
+        writer = GainWriter(self._bench, self._config.loop.sample_time_s, self._record)
+        outcome.written = writer.write(outcome.found.chosen.tuning.gains, before.gains)
+        if outcome.written:
+            self._screen.say(f"NOT written: {outcome.written}")
+        else:
+            self._screen.say("written, read back and running; put them into the configuration to keep them")
+        with unstoppable():
+            outcome.leave()
+
+    def _before_text(self) -> str:
+        """The old state in words."""
+        before = self._conductor.before
+        if before is None:
+            return "the state of before"
+        return f"gains {gains_dict(before.gains)}, sp {before.sp:g}, mode {'auto' if before.mode else 'manual'}"
