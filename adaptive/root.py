@@ -11,8 +11,8 @@ RELATIVE = 4e-16
 MOST_STEPS = 120
 
 
-def bracketed_root(f: Callable[[float], float], low: float, high: float) -> float:
-    """x with f(x) = 0 to rounding, between low and high.
+def bracketed_root(f: Callable[[float], float], low: float, high: float, relative: float = RELATIVE) -> float:
+    """x with f(x) = 0 between low and high, to this relative accuracy of the larger end.
 
     Raises
     ------
@@ -34,7 +34,7 @@ def bracketed_root(f: Callable[[float], float], low: float, high: float) -> floa
             c, b, fc, fb = b, a, fb, fa
         a, fa = x, fx
         best = a if abs(fa) < abs(fb) else b
-        tolerance = RELATIVE * max(abs(low), abs(high)) / abs(b - a) if b != a else 1.0
+        tolerance = relative * max(abs(low), abs(high)) / abs(b - a) if b != a else 1.0
         if fx == 0 or tolerance > 0.5:
             return best
         xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)

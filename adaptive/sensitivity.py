@@ -3,8 +3,8 @@
 Where every zero has a slower pole of its own (an integrator counts as the slowest), |L| falls all the way. Then there
 is one gain crossover wc; the loop is stable just when the unwrapped phase there is within (-pi, pi); and beyond the
 first phase crossover w180 no |S| is higher than at it, because |S| <= 1/(1 - |L|). So the peak lies below w180, and
-within 1 - 1/Ms < |L| < 1 + 1/Ms. The march goes from wc both ways until it leaves that band; the best point is refined by
-Newton's method on d ln|1 + L|^2 / d ln w, whose derivatives are known in closed form.
+within 1 - 1/Ms < |L| < 1 + 1/Ms. The march goes from wc both ways until it leaves that band; the best point is refined
+by Newton's method on d ln|1 + L|^2 / d ln w, whose derivatives are known in closed form.
 """
 
 import math

@@ -115,18 +115,18 @@ def _worked_out(
 ) -> Tuning:
     """The rule's answer, with a note when a model had to be simplified for it."""
     if rule.from_oscillation is not None:
-        return rule.from_oscillation(_reading_for(rule, model, reading), kind)
+        return rule.from_oscillation(reading_for(rule, model, reading), kind)
     assert rule.from_model is not None
     if reading is not None:
         raise ValueError(f"rule {rule.name} works from a model, not from a gain and a period; leave these out")
     if model is None:
         raise ValueError(f"rule {rule.name} works from a model; give its type, k, tau1, tau2, theta")
-    fitted, notes = _fitted_to(rule, model)
+    fitted, notes = fitted_to(rule, model)
     found = rule.from_model(fitted, kind, wishes)
     return replace(found, notes=(*found.notes, *notes))
 
 
-def _reading_for(rule: Rule, model: ProcessModel | None, reading: Oscillation | None) -> Oscillation:
+def reading_for(rule: Rule, model: ProcessModel | None, reading: Oscillation | None) -> Oscillation:
     """The gain and period that a rule works from."""
     if reading is not None:
         return reading
@@ -138,7 +138,7 @@ def _reading_for(rule: Rule, model: ProcessModel | None, reading: Oscillation | 
     return Oscillation(gain, period_s)
 
 
-def _fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str, ...]]:
+def fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str, ...]]:
     """The model as the rule takes it: its second lag taken up by the half rule where the rule has no place for it."""
     if model.type in rule.types:
         return model, ()

@@ -102,13 +102,12 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
 EVERY = tuple(ProcessType)
 TABLE_PI = (
     "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))",
-    "tau_I = min(tau1, c (tau_c + theta)), c = 4",
+    "tau_I = min(tau1, c (tau_c + theta))",
     "pure delay: Ki = 1/(k (tau_c + theta))",
-    "a second lag is taken up by the half rule",
 )
 TABLE_PID = (
     "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))",
-    "tau_I = min(tau1, c (tau_c + theta)), c = 4",
+    "tau_I = min(tau1, c (tau_c + theta))",
     "tau_D = tau2",
     "double integrating: Kc = 1/(4 k'' (tau_c + theta)^2), tau_I = tau_D = 4 (tau_c + theta)",
 )
@@ -119,7 +118,7 @@ RULES = (
     Rule("simc", "series", {PI: TABLE_PI, PID: TABLE_PID}, SKOGESTAD, TIGHT,
          types=EVERY, wishes=WISHES, from_model=_plain("simc", TAU_I_FACTOR)),
     Rule("simc-improved", "series",
-         {PI: ("Kc = (tau1 + theta/3)/(k (tau_c + theta))", "tau_I = min(tau1 + theta/3, c (tau_c + theta)), c = 4")},
+         {PI: ("Kc = (tau1 + theta/3)/(k (tau_c + theta))", "tau_I = min(tau1 + theta/3, c (tau_c + theta))")},
          "Grimholt & Skogestad 2012, IFAC PID'12, equations 10 and 11",
          "any but two integrators; better than SIMC for tau1 < theta",
          types=tuple(t for t in EVERY if t != ProcessType.DOUBLE_INTEGRATING), wishes=WISHES, from_model=_improved),

@@ -15,6 +15,7 @@ import typer
 from typer.main import get_command
 
 from retuner.cli_records import diagnose, identify
+from retuner.cli_tune import tune
 from retuner.errors import UserError, one_line
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -106,42 +107,7 @@ def device(
     return work(config, interface=interface, channel=channel, speed=speed, duration_s=duration)
 
 
-@app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
-def tune(
-    process: Annotated[
-        str | None,
-        typer.Option("--type", help="fopdt, sopdt, integrating, integrating-lag, double-integrating or delay."),
-    ] = None,
-    k: Annotated[float | None, typer.Option(help="Steady-state gain; slope gain of integrating types.")] = None,
-    tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0,
-    tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0,
-    theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0,
-    rule: Annotated[str, typer.Option(help="Tuning rule; a wrong name shows the list.")] = "simc",
-    kind: Annotated[str | None, typer.Option(help="p, pi or pid; default pi where the rule has it.")] = None,
-    form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None,
-    tau_c: Annotated[float | None, typer.Option(help="Closed-loop time constant (or lambda), s.")] = None,
-    ms: Annotated[float | None, typer.Option(help="Demanded Ms (simc rules, optimal).")] = None,
-    gm: Annotated[float | None, typer.Option(help="Demanded gain margin (simc rules).")] = None,
-    c: Annotated[float | None, typer.Option(help="c in tau_I = min(tau1, c (tau_c + theta)); default 4.")] = None,
-    u0: Annotated[float | None, typer.Option(help="Largest disturbance, co units (simc-smooth).")] = None,
-    ymax: Annotated[float | None, typer.Option(help="Deviation allowed, pv units (simc-smooth).")] = None,
-    ku: Annotated[float | None, typer.Option(help="Ultimate gain; from the model if left out.")] = None,
-    pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None,
-    kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None,
-    pq: Annotated[float | None, typer.Option(help="Period at quarter decay, s.")] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every rule that applies, in one table.")] = False,
-    explain: Annotated[bool, typer.Option("--explain", help="Also formula, numbers put in and source.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the closed-loop responses to this PNG file.")] = None,
-    json: Json = False,
-) -> int:
-    """Settings for a known process by a tuning rule, with their margins."""
-    from retuner.commands.tune import Process, TuneOptions
-    from retuner.commands.tune import tune as work
-
-    wishes = {"tau_c": tau_c, "ms": ms, "gm": gm, "c": c, "u0": u0, "y_max": ymax,
-              "ku": ku, "pu": pu, "kq": kq, "pq": pq}  # fmt: skip
-    options = TuneOptions(rule, kind, form, wishes, everything, explain, plot, json)
-    return work(Process(process, k, tau1, tau2, theta), options)
+app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")(tune)
 
 
 app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")(identify)

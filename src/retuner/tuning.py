@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from retuner.adaptive.margins import Margins, margins
 from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.rules.explanation import Explanation, explanation
 from retuner.adaptive.rules.kinds import ControllerKind
 from retuner.adaptive.rules.registry import RULES as REGISTRY
 from retuner.adaptive.rules.registry import kind_for, rule_named, settings
@@ -22,12 +23,13 @@ class TuneResult:
     form: str
     margins: Margins | None
     kind: ControllerKind = ControllerKind.PI
+    explanation: Explanation | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Keys rule, kind, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c, margins {...}, notes."""
-        found = {**self.tuning.to_dict(self.form), "kind": str(self.kind)}
         return {
-            **found,
+            **self.tuning.to_dict(self.form),
+            "kind": str(self.kind),
             "margins": self.margins.to_dict() if self.margins else None,
             "notes": list(self.tuning.notes),
         }
@@ -72,9 +74,11 @@ def tune(
     chosen = rule_named(rule)
     wanted = kind_for(chosen, kind, model)
     wishes = Wishes(tau_c, ms, gm, c, u0, y_max)
-    found = settings(chosen, wanted, model, _reading(chosen, ku, pu, kq, pq), wishes)
+    reading = _reading(chosen, ku, pu, kq, pq)
+    found = settings(chosen, wanted, model, reading, wishes)
     robustness = margins(model.linear(), found.gains) if model else None
-    result = TuneResult(found, form or found.form, robustness, wanted)
+    why = explanation(chosen, wanted, model, reading, wishes, found)
+    result = TuneResult(found, form or found.form, robustness, wanted, why)
     result.to_dict()  # raises here, not later, when the form does not exist for these gains
     return result
 

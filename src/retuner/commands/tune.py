@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.explanation import Explanation
 from retuner.errors import UserError, user_input
 from retuner.tuning import TuneResult
 from retuner.tuning import tune as tune_model
@@ -49,7 +50,6 @@ class TuneOptions:
     kind: str | None
     form: str | None
     wishes: dict[str, float | None]
-    everything: bool = False
     explain: bool = False
     plot: Path | None = None
     as_json: bool = False
@@ -66,12 +66,27 @@ def tune(process: Process, options: TuneOptions) -> int:
     model = process.model()
     with user_input("retuner tune"):
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
+    if options.plot is not None:
+        from retuner.commands.tune_pictures import draw_one  # noqa: PLC0415  matplotlib only when a picture is wanted
+
+        draw_one(model, result, options.plot)
+    why = result.explanation if options.explain else None
     if options.as_json:
         shown = {"model": model.to_dict() if model else None, **result.to_dict()}
+        shown |= {"explanation": why.to_dict()} if why else {}
         sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join(described(result)) + "\n")
+        sys.stdout.write("\n".join([*described(result), *(explained(why) if why else [])]) + "\n")
     return 0 if result.margins is None or result.margins.stable else 1
+
+
+def explained(why: Explanation) -> list[str]:
+    """Formula, numbers put in, source and range in lines."""
+    numbers = "  ".join(f"{name} = {value:.6g}" for name, value in why.numbers.items())
+    lines = [f"  formula   {line}" for line in why.formula]
+    lines += [f"  put in    {numbers}"] if numbers else []
+    lines += [f"            {line}" for line in why.with_numbers if line not in why.formula]
+    return [*lines, f"  source    {why.source}", f"  range     {why.valid}"]
 
 
 def number(value: object, unit: str = "") -> str:
