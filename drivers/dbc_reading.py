@@ -5,11 +5,16 @@ So what is read is held to the frames that this release knows, and what still di
 both ends compare before anything is written.
 """
 
+import logging
+
 import cantools.database
 from cantools.database.can.database import Database
 from cantools.errors import Error as CantoolsError
 
 from retuner.drivers.device import DeviceError
+
+# cantools warns about doubled frames on stderr; what matters is in the DbcError.
+logging.getLogger("cantools").addHandler(logging.NullHandler())
 
 PARSING_ERRORS = (CantoolsError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError, RecursionError)
 """What cantools raises on damaged texts."""
