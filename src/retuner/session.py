@@ -5,6 +5,7 @@ write: a decision of the retuner, and the schedule (another region, other gains)
 write, one at a time; a decision changes the table only when the controller has reported the gains as running.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -49,6 +50,8 @@ HOLD_SAMPLES = 30
 """Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
 
 
+DECISIONS_KEPT = 5000
+"""Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""
 HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict)
 
 
@@ -125,7 +128,7 @@ class Session:
         self.retuner = retuner
         self.scenario = scenario
         self.trend = Trend()
-        self.decisions: list[Decision] = []
+        self.decisions: deque[Decision] = deque(maxlen=DECISIONS_KEPT)
         self.commits: list[tuple[float, int]] = []
         self._record = record
         self._on_sample = on_sample

@@ -196,7 +196,7 @@ def _leave(
         "trend": trend.name, "bus log": BUS_LOG, "gains": GAINS,
     }  # fmt: skip
     data = ReportData(
-        config.loop.name, config.loop.pv_unit, before, session.table, scores, session.decisions,
+        config.loop.name, config.loop.pv_unit, before, session.table, scores, list(session.decisions),
         columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
         stopped=config.scenario is not None and not session.finished,
     )  # fmt: skip
