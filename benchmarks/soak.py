@@ -104,7 +104,8 @@ def now(hour: float) -> dict[str, float]:
     """What is looked at."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return {"hour": hour, "kB": pages * os.sysconf("SC_PAGE_SIZE") / 1024, "handles": len(list(Path("/proc/self/fd").iterdir())),
+    handles = len(list(Path("/proc/self/fd").iterdir()))
+    return {"hour": hour, "kB": pages * os.sysconf("SC_PAGE_SIZE") / 1024, "handles": handles,
             "threads": threading.active_count(), "objects": len(gc.get_objects())}  # fmt: skip
 
 
