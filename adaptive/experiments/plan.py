@@ -21,12 +21,14 @@ from retuner.adaptive.sample import FloatArray, LoopSample
 
 HYSTERESIS_STD = 3.0
 """Hysteresis in standard deviations of the noise."""
-REST_DRIFT = 0.02
+REST_DRIFT = 0.005
 """pv is at rest when its trend over the watch moves it by less than this share of the band, or than noise explains."""
 TREND_STD = 4.0
 """A trend within this many of its standard deviations is noise."""
 SETTLED_SHARE = 0.02
-"""A response has come to rest when its last third moves by less than this share of the whole."""
+"""A response has come to rest when the last part of it moves by less than this share of the whole."""
+STEP_PARTS, SWING_PARTS = 3, 2
+"""That part is the last third of a step's response, and half of one that may swing: a peak looks flat from near."""
 ENOUGH_OF_BAND = 0.6
 """A response that has gone this share of the way to the edge of the band has shown its slope."""
 TURNS = 5
@@ -179,15 +181,15 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     if len(pv) < SHORTEST_WATCH:
         return False
     if plan.kind == Kind.SETPOINT:
-        return _turned(pv - rest.pv, rest.sigma) >= TURNS or _come_to_rest(pv, rest)
+        return _turned(pv - rest.pv, rest.sigma) >= TURNS or _come_to_rest(pv, rest, SWING_PARTS)
     room = plan.pv_high - rest.pv if pv[-1] > rest.pv else rest.pv - plan.pv_low
     far = abs(float(pv[-1]) - rest.pv) > ENOUGH_OF_BAND * room
-    return far or _come_to_rest(pv, rest)
+    return far or _come_to_rest(pv, rest, STEP_PARTS)
 
 
-def _come_to_rest(pv: FloatArray, rest: Rest) -> bool:
-    """Whether the last third is flat, after a clear move."""
-    last = pv[-len(pv) // 3 :]
+def _come_to_rest(pv: FloatArray, rest: Rest, parts: int) -> bool:
+    """Whether the last of so many parts is flat, after a clear move."""
+    last = pv[-(len(pv) // parts) :]
     moved = abs(float(np.mean(last)) - rest.pv)
     if moved <= 2 * TREND_STD * rest.sigma:
         return False

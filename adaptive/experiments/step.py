@@ -27,8 +27,8 @@ SAME_LEVEL = 0.02
 """co within this share of the step belongs to a level; more is another move."""
 REST_SHARE = 0.1
 """The final level is the mean over this last share of the record."""
-REST_DRIFT = 0.03
-"""pv is at rest when it moves less than this share of its change over the last tenth of the record."""
+DRIFT_SHARE, REST_DRIFT = 0.2, 0.05
+"""pv is at rest when over the last fifth of the record it moves by less than this share of its change."""
 SLOPE_ERROR = 0.05
 """The steepest slope is taken over enough samples that noise moves it by about this share."""
 STARTED = 0.02
@@ -83,9 +83,10 @@ def step_response(window: Window) -> StepResponse:
     if abs(b) <= CLEAR * sigma:
         raise ValueError(f"pv answers the step by {b:.3g}, and its noise has a standard deviation of {sigma:.2g}; make "
                          "a larger step")  # fmt: skip
-    slope = float(np.polyfit(np.linspace(-0.5, 0.5, len(tail)), tail, 1)[0])
-    if abs(slope) > REST_DRIFT * abs(b) + CLEAR * sigma / math.sqrt(len(tail)) * math.sqrt(12):
-        raise ValueError(f"pv has not come to rest: it still moves by {slope:.3g} over the last tenth of the record; "
+    last = window.pv[-max(int(DRIFT_SHARE * (len(window.pv) - i)), 3) :]
+    moved = float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0])
+    if abs(moved) > max(REST_DRIFT * abs(b), CLEAR * sigma * math.sqrt(12 / len(last))):
+        raise ValueError(f"pv has not come to rest: it still moves by {moved:.3g} over the last fifth of the record; "
                          "record longer, or use the fit")  # fmt: skip
     t = window.t_s[i:] - window.t_s[i]
     pv, left = smoothed(window.pv[i:], b)

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
+from retuner.cli_experiment import app as experiment
 from retuner.cli_records import diagnose, identify
 from retuner.cli_tune import tune
 from retuner.errors import UserError, one_line
@@ -143,6 +144,7 @@ ledger = typer.Typer(
     epilog="Example: retuner ledger verify runs/demo/ledger.sqlite",
 )  # fmt: skip
 app.add_typer(ledger, name="ledger")
+app.add_typer(experiment, name="experiment")
 
 
 @ledger.command(epilog="Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")

@@ -42,7 +42,10 @@ def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | No
 
 
 class Following:
-    """Whether the controller does what it is told: output, mode and setpoint, with some samples of patience.
+    """Whether the controller does what it is told: output, mode and setpoint.
+
+    A new target may take some samples to show. Once mode and setpoint have shown, another one is somebody else's at
+    once: the next output of a relay must not override a person who has taken over.
 
     Parameters
     ----------
@@ -52,12 +55,14 @@ class Following:
     def __init__(self, kind: Kind, helm: Helm) -> None:
         self._kind, self._helm = kind, helm
         self._limited = self._foreign = 0
+        self._shown = False
 
     def trouble(self, wanted: Target, sample: LoopSample, sp: float) -> Trouble | None:
         """One sample under a target; sp is the setpoint that should be in force unless the target has one."""
         differs = self._helm.differs(wanted, sample, sp)
+        self._shown = self._shown or not differs
         self._foreign = self._foreign + 1 if differs else 0
-        if self._foreign > FOLLOW_SAMPLES:
+        if self._foreign > (0 if self._shown else FOLLOW_SAMPLES):
             return Cause.FOREIGN, differs
         if self._kind == Kind.SETPOINT:
             self._limited = self._limited + 1 if sample.limited else 0

@@ -110,7 +110,8 @@ class OnDemandExperiment:
         self._ledger.append(kind, body, t_s)
         if body.get("phase") not in {None, "before"}:
             phase = Phase[str(body["phase"]).upper()]
-            self._screen.say(f"{t_s:8,.0f} s {phase.value}" + (f" ({body['cause']})" if body.get("cause") else ""))
+            if phase is not Phase.RESTORED or self._conductor.touched:
+                self._screen.say(f"{t_s:8,.0f} s {phase.value}" + (f" ({body['cause']})" if body.get("cause") else ""))
 
     def _on_sample(self, sample: LoopSample, phase: Phase) -> None:
         """Progress by what the excitation has used of its time."""
@@ -136,7 +137,8 @@ class OnDemandExperiment:
         conductor, found = self._conductor, self._outcome.found
         ended = f"aborted: {conductor.text}" if conductor.cause else "done"
         record = self._outcome.folder / RECORD
-        self._screen.say(f"{ended}; {conductor.phase.value}; {len(conductor.excited)} samples in {record}")
+        state = conductor.phase.value if conductor.touched else "nothing was touched"
+        self._screen.say(f"{ended}; {state}; {len(conductor.excited)} samples in {record}")
         for line in described(found) if found is not None else ["too little was recorded to say anything"]:
             self._screen.say(line)
         if conductor.phase is Phase.STRANDED:

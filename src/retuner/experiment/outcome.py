@@ -13,7 +13,8 @@ from retuner.experiment.findings import Findings
 from retuner.files import write_whole
 from retuner.outputs import SUMMARY, write_json
 
-RECORD, PICTURE = "record.csv", "experiment.png"
+RECORD, TREND, PICTURE = "record.csv", "trend.csv", "experiment.png"
+"""The experiment alone, which `retuner experiment --from` takes; everything from the first look on; the picture."""
 COLUMNS = ("t", "sp", "pv", "co", "mode", "limited")
 
 
@@ -38,13 +39,14 @@ class Outcome:
         return self.conductor.cause.name.lower() if self.conductor.cause else None
 
     def to_dict(self) -> dict[str, object]:
-        """Keys of Findings.to_dict, and ended, restored, before, rest, samples, applied, write, folder."""
+        """Keys of Findings.to_dict, and ended, restored, touched, before, rest, samples, applied, write, folder."""
         conductor = self.conductor
         before, rest = conductor.before, conductor.rest
         return {
             **(self.found.to_dict() if self.found else {"experiment": conductor.plan.kind}),
             "ended": {"phase": conductor.phase.name.lower(), "cause": self.cause, "text": conductor.text},
             "restored": conductor.phase is Phase.RESTORED,
+            "touched": conductor.touched,
             "before": before and {**before._asdict(), "gains": gains_dict(before.gains)},
             "rest": rest and rest._asdict(),
             "samples": len(conductor.excited),
@@ -56,10 +58,9 @@ class Outcome:
     def leave(self) -> None:
         """Write the files, each whole."""
         conductor, found = self.conductor, self.found
-        rows = [
-            f"{s.t_s!r},{s.sp!r},{s.pv!r},{s.co!r},{int(s.mode)},{int(s.limited)}" for s in conductor.samples
-        ]  # fmt: skip
-        write_whole(self.folder / RECORD, "\n".join((",".join(COLUMNS), *rows)) + "\n")
+        for name, samples in ((RECORD, conductor.excited), (TREND, conductor.samples)):
+            rows = (f"{s.t_s!r},{s.sp!r},{s.pv!r},{s.co!r},{int(s.mode)},{int(s.limited)}" for s in samples)
+            write_whole(self.folder / name, "\n".join((",".join(COLUMNS), *rows)) + "\n")
         if found is not None:
             title = f"{self.loop}, {conductor.plan.kind}: {headline(found)}"
             band = (conductor.plan.pv_low, conductor.plan.pv_high)
