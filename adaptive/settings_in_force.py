@@ -18,6 +18,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.indexes.condition import Condition, record_condition
 from retuner.adaptive.diagnosis.indexes.limits import at_limits
+from retuner.adaptive.diagnosis.indexes.recording_quality import recording_quality
 from retuner.adaptive.law_regression import Regression, Structure
 from retuner.adaptive.law_search import SIGNIFICANT, best_structure, fit_on, signs_agree, usable_increments
 from retuner.adaptive.sample import Window
@@ -34,6 +35,7 @@ class LawSettings:
     std_limit : largest standard deviation of kp (of ki without P) as a share of it; 0.01 to 0.5, default 0.15.
     disagreement : largest ratio of a gain in the two halves of the record; 1.05 to 2, default 1.25.
     limited_share : largest share of samples with co at a limit; 0 to 0.8, default 0.3.
+    compression_limit : largest compression of pv or co by a recorder; 1.5 to 10, default 3 (Thornhill et al. 2004).
     largest_lag : samples from pv to co that are tried; 0 to 3, default 1.
     """
 
@@ -42,7 +44,14 @@ class LawSettings:
     std_limit: float = 0.15
     disagreement: float = 1.25
     limited_share: float = 0.3
+    compression_limit: float = 3.0
     largest_lag: int = 1
+
+
+DIRECTION_EXPLAINED = 0.3
+"""Share of co's movement from which the direction of the controller is told, if nothing else."""
+BEST_STD = 1e-3
+"""No record shows a gain better than to this share of it: clocks and converters are not better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +62,8 @@ class SettingsInForce:
     std : standard deviations of kp, ki, kd. b : setpoint weight of P, None when no setpoint change shows it.
     structure : what else was found (derivative on pv or error, filters, lag).
     explained : share of the movement of co that the law explains. samples : increments used.
-    reason : one sentence.
+    reason : one sentence. direction : sign of the controller's gain, told also where its size is not; None where not
+        even that shows.
     """
 
     gains: PidGains | None
@@ -63,6 +73,7 @@ class SettingsInForce:
     explained: float
     samples: int
     reason: str
+    direction: int | None = None
 
     @property
     def confident(self) -> bool:
@@ -79,13 +90,13 @@ class SettingsInForce:
         return found
 
     def to_dict(self) -> dict[str, object]:
-        """Keys parallel {kp, ki, kd}, std, forms, b, derivative_on, tau_f, pv_filter, lag, explained, samples, reason;
-        times in seconds, lag in samples.
+        """Keys parallel {kp, ki, kd}, std, forms, direction, b, derivative_on, tau_f, pv_filter, lag, explained,
+        samples, reason; times in seconds, lag in samples.
         """
         g, s = self.gains, self.structure
         return {
             "parallel": {"kp": g.kp, "ki": g.ki, "kd": g.kd} if g else None,
-            "std": self.std, "forms": self.forms(), "b": self.b,
+            "std": self.std, "forms": self.forms(), "direction": self.direction, "b": self.b,
             "derivative_on": s.derivative or None if s else None, "tau_f": s.tau_f_s if s else None,
             "pv_filter": s.pv_filter_s if s else None, "lag": s.lag if s else None,
             "explained": self.explained, "samples": self.samples, "reason": self.reason,
@@ -110,6 +121,12 @@ def settings_in_force(
     if limits.low + limits.high > settings.limited_share:
         share = f"{limits.low + limits.high:.0%}"
         return _refused(f"co stands at a limit in {share} of the record; at most {settings.limited_share:.0%} may")
+    for name, values in (("pv", window.pv), ("co", window.co)):
+        quality = recording_quality(values)
+        if quality is not None and quality.compression > settings.compression_limit:
+            return _refused(
+                f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
+            )
     usable = usable_increments(window, co_min, co_max)
     count = int(np.sum(usable))
     if count < settings.fewest_samples:
@@ -123,7 +140,9 @@ def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:
     if found is None:
         return SettingsInForce(None, {}, None, None, 0.0, 0, reason)
     kept = int(np.sum(found.kept))
-    return SettingsInForce(None, {}, None, found.structure, max(found.explained, 0.0), kept, reason)
+    sure = found.spread(found.main) < 1 / SIGNIFICANT and found.explained > DIRECTION_EXPLAINED
+    direction = int(math.copysign(1, found.values[found.main])) if sure and signs_agree(found.values) else None
+    return SettingsInForce(None, {}, None, found.structure, max(found.explained, 0.0), kept, reason, direction)
 
 
 def _judged(found: Regression, window: Window, settings: LawSettings) -> SettingsInForce:
@@ -147,13 +166,19 @@ def _judged(found: Regression, window: Window, settings: LawSettings) -> Setting
     weight = found.values["b_kp"] / found.values["kp"] if seen else None
     count = int(np.sum(found.kept))
     told = f"the law explains {percent} of the movement of co in {count} samples"
-    return SettingsInForce(PidGains(**values), std, weight, found.structure, found.explained, count, told)
+    gains = PidGains(**values)
+    return SettingsInForce(gains, std, weight, found.structure, found.explained, count, told, gains.direction)
 
 
 def _gains(found: Regression, window: Window) -> tuple[dict[str, float], dict[str, float]]:
-    """Gains with their standard deviations: of the fit, of what it leaves, and of what the record cannot show."""
+    """Gains with their standard deviations: of the fit, of what it leaves, and of what the record cannot show.
+
+    What it leaves counts as sqrt(1 - explained) of each gain: records of filtered, compressed or otherwise sampled
+    signals have errors of about that size, which scatter alone does not show.
+    """
     values = {name: found.values.get(name, 0.0) for name in ("kp", "ki", "kd")}
-    std = {name: math.hypot(found.std.get(name, 0.0), found.unexplained * abs(v)) for name, v in values.items()}
+    doubt = math.hypot(math.sqrt(max(1 - found.explained, 0.0)), BEST_STD)
+    std = {name: math.hypot(found.std.get(name, 0.0), doubt * abs(v)) for name, v in values.items()}
     within = values["ki"] * window.sample_time_s
     if values["kp"] * (values["kp"] - within / 2) > 0:
         values["kp"] -= within / 2

@@ -165,6 +165,7 @@ def test_the_real_servo_shows_its_settings():
         (lambda w: Window(w.t_s, w.sp, w.pv, 50 + np.sin(w.t_s / 7) + np.sin(w.t_s / 19)), "explain"),
         (lambda w: Window(w.t_s[:40], w.sp[:40], w.pv[:40], w.co[:40]), "only 39 samples"),
         (lambda w: Window(w.t_s, w.sp, w.pv, np.clip(w.co, 50, 50.3)), "at a limit"),
+        (lambda w: Window(w.t_s, w.sp, np.interp(w.t_s, w.t_s[::9], w.pv[::9]), w.co), "compressed 9 times"),
         (lambda w: Window(w.t_s, w.sp, w.pv, np.where(w.t_s < 400, w.co, 50 + 3 * (w.co - 50))), "first half"),
     ],
 )
@@ -176,9 +177,22 @@ def test_records_that_do_not_show_the_settings_are_refused_in_a_sentence(spoil, 
     assert found.to_dict()["parallel"] is None
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_direction_is_told_where_the_size_is_not(sign):
+    window = record(PidGains(sign * 0.8, sign * 0.03), k=sign * 1.0)
+    rng = np.random.default_rng(1)
+    found = settings_in_force(
+        Window(window.t_s, window.sp, window.pv, window.co + 0.14 * np.cumsum(rng.normal(size=800)))
+    )
+    assert not found.confident
+    assert found.direction == sign
+    assert settings_in_force(window).direction == sign
+
+
 def test_noise_for_co_is_refused():
     rng = np.random.default_rng(5)
     window = Window(np.arange(500.0), np.full(500, 50.0), 50 + rng.normal(size=500), 50 + rng.normal(size=500))
     found = settings_in_force(window)
     assert not found.confident
+    assert found.direction is None
     assert math.isfinite(found.explained)
