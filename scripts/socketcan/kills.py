@@ -24,6 +24,7 @@ from retuner.drivers.device import WriteDone, WriteRefusedError
 from retuner.drivers.device_process import DeviceOnBus, fresh_epoch, run_device
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.virtual_device import VirtualDevice
+from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains
 
@@ -96,14 +97,24 @@ class Observer:
         return None
 
 
+def read(path: Path) -> tuple[list[tuple[str, tuple[float, ...]]], list[str]]:
+    """Kind and gains of the ledger's rows, and what is wrong with it; a host killed at once may have left none."""
+    if not path.exists():
+        return [], []
+    try:
+        with LedgerReader(path) as ledger:
+            report = ledger.verify()
+            rows = [(row.kind, tuple(row.body.get("gains", ()))) for row in ledger.rows() if row.kind != "refused"]
+    except LedgerError as error:
+        return [], [] if "holds nothing" in str(error) else [str(error)]
+    return rows, [] if report.ok else [report.reason]
+
+
 def judge(path: Path, running: tuple[float, float, float] | None, *, rebooted: bool) -> tuple[list[str], int]:
     """What is wrong with what runs after a kill; and how many sets the ledger holds as committed."""
     if running is None:
         return ["the device does not answer"], 0
-    with LedgerReader(path) as ledger:
-        report = ledger.verify()
-        rows = [(row.kind, tuple(row.body.get("gains", ()))) for row in ledger.rows() if row.kind != "refused"]
-    wrong = [] if report.ok else [report.reason]
+    rows, wrong = read(path)
     intended = {gains for kind, gains in rows if kind == "intent"} | {_numbers(FIRST)}
     if running not in intended:
         wrong.append(f"{running} runs, which no row intends")

@@ -330,6 +330,14 @@ def test_foreign_and_other_versions_are_refused_in_one_line(tmp_path: Path) -> N
         assert (tmp_path / f"{name}.sqlite").read_bytes() == before
 
 
+def test_a_ledger_whose_run_was_killed_before_its_first_row_is_no_other_programs(tmp_path: Path) -> None:
+    sqlite_file(tmp_path / "l.sqlite", "PRAGMA journal_mode = WAL")
+    assert (tmp_path / "l.sqlite").stat().st_size > 0
+    with pytest.raises(LedgerError, match="holds nothing: the run that made it was ended before its first row"):
+        LedgerReader(tmp_path / "l.sqlite")
+    assert written(tmp_path / "l.sqlite")
+
+
 def test_missing_places_are_named(tmp_path: Path) -> None:
     with pytest.raises(LedgerError, match="does not exist"):
         Ledger(tmp_path / "none" / "l.sqlite")

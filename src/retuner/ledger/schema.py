@@ -101,6 +101,8 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
         Saying which.
     """
     application, version = _pragma(connection, "application_id"), _pragma(connection, "user_version")
+    if not application and _pragma(connection, "schema_version") == 0:
+        raise LedgerError(f"{path}: holds nothing: the run that made it was ended before its first row")
     if application != APPLICATION_ID:
         raise LedgerError(f"{path}: is an SQLite file of another program, not a ledger; give another path")
     if version != VERSION:
