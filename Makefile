@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
 PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench nightly clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo
@@ -25,6 +25,9 @@ lint: $(DEV)  ## ruff and mypy --strict
 bench: $(DEV)  ## speed ratios, measured in one run
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/per_sample.py
+
+nightly: $(DEV)  ## the long runs behind docs/safety.md and docs/simulation.md; hours
+	scripts/nightly
 
 # The stamp is taken away while something is being installed, so an environment without one is half-installed (or not
 # ours to trust) and is made anew. pip 25.1 is the first that knows the dependency groups of pyproject.toml.
