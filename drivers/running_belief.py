@@ -2,8 +2,9 @@
 
 Only a read-back whose CRC-32 fits a boot epoch that a heartbeat has told. A heartbeat with another epoch alone proves
 nothing (it may be an old one come late): it raises a doubt, and the next read-back, asked for after it, settles it.
-A device never goes back to an epoch that it has left. A read-back that does so comes from a second device under the
-same node number: then nothing is believed until ALONE heartbeats in a row have come from one of them.
+A device never goes back to an epoch that it has left, and never says two at a time. A read-back that goes back, or
+several heartbeats in a short time that a read-back has disproved, come from a second device under the same node number:
+then nothing is believed until ALONE heartbeats in a row have been of one epoch.
 """
 
 from enum import Enum
@@ -25,7 +26,8 @@ class Belief(Enum):
     CONFLICT = "two devices answer under this node number"
 
 
-ALONE = 20  # heartbeats in a row of one epoch after which a conflict is over
+ALONE = 5  # heartbeats in a row of one epoch after which a conflict is over
+DISPROVED_MAX = 4  # heartbeats of another epoch that a read-back has disproved, before that, that make a conflict
 
 
 class RunningBelief:
@@ -41,7 +43,7 @@ class RunningBelief:
         self._before: RunningSet | None = None
         self._candidate: Heartbeat | None = None
         self._left: set[int] = set()  # epochs that the device has left
-        self._last_epoch = self._in_a_row = 0
+        self._last_epoch = self._in_a_row = self._disproved = 0
         self._conflict = False
         self.running: RunningSet | None = None
         self.epoch: int | None = None
@@ -58,10 +60,11 @@ class RunningBelief:
 
     def on_heartbeat(self, heartbeat: Heartbeat) -> bool:
         """Take a life sign; whether it belongs to the epoch that is known."""
-        if self._conflict:
-            self._in_a_row = self._in_a_row + 1 if heartbeat.epoch == self._last_epoch else 0
-            self._last_epoch = heartbeat.epoch
-            if self._in_a_row >= ALONE:
+        self._in_a_row = self._in_a_row + 1 if heartbeat.epoch == self._last_epoch else 1
+        self._last_epoch = heartbeat.epoch
+        if self._in_a_row >= ALONE:
+            self._disproved = 0
+            if self._conflict:
                 self._conflict = False
                 self._left.clear()
         if heartbeat.epoch == self.epoch:
@@ -75,12 +78,14 @@ class RunningBelief:
         if self._conflict:
             return Belief.NOTHING
         if self.epoch is not None and self._fits(page, self.epoch):
+            self._disproved += candidate is not None
             self._candidate = None
+            if self._disproved >= DISPROVED_MAX:
+                return self._suspect()
             return self._believe(page, Belief.SAME)
         if candidate is not None and self._fits(page, candidate.epoch):
             if candidate.epoch in self._left:
-                self._conflict, self._in_a_row, self.running = True, 0, None
-                return Belief.CONFLICT
+                return self._suspect()
             verdict = Belief.FIRST
             if self.epoch is not None:
                 verdict = Belief.RESTARTED
@@ -88,6 +93,11 @@ class RunningBelief:
             self.epoch, self.boot_sample, self._candidate = candidate.epoch, candidate.sample, None
             return self._believe(page, verdict)
         return Belief.NOTHING
+
+    def _suspect(self) -> Belief:
+        """Two devices answer: believe nothing for a while."""
+        self._conflict, self._in_a_row, self._disproved, self.running = True, 0, 0, None
+        return Belief.CONFLICT
 
     def _fits(self, page: ReadBack, epoch: int) -> bool:
         """Whether the device's CRC is that of these gains in this epoch."""

@@ -16,13 +16,14 @@ from bus_simulation.intruder import Intruder
 from bus_simulation.truth import Ran, Truth
 from bus_simulation.weather import CALM, CHANGE_EVERY, draw
 from retuner.drivers.gain_box import GainBox
+from retuner.drivers.running_belief import ALONE
 from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.schedule.gains import PidGains
 
 FIRST = PidGains(1.0, 0.0625, 0.25)
 BOX = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0, direction=1)
 LEASE_LONGEST = 120  # samples
-CALM_STEPS = 60  # within which everything must be known; see docs/protocol.md for where the bound comes from
+CALM_STEPS = 60  # within which, and ALONE heartbeats, everything must be known: docs/protocol.md
 LEASE_STEPS = 200  # a lease of somebody who is gone has run out by then
 WRITE_STEPS = 10  # the promise of the gain transaction on an idle bus
 
@@ -38,14 +39,14 @@ class World:
     def __init__(self, seed: int) -> None:
         rng = self.rng = Random(seed)
         key = rng.randbytes(16) if rng.random() < 0.3 else None
-        second = rng.random() < 0.4
+        second = rng.random() < 0.25
         forges = rng.random() < 0.15
         hosts = ("host", "second") if second else ("host",)
         self.bus = Bus(rng, (DEVICE, *hosts))
         self.truth = Truth(Ran(0, 1, 0, FIRST), BOX, authentic=key is not None, forged=forges)
         settings = VirtualDeviceSettings(
             FIRST, box=BOX, lease_longest_samples=LEASE_LONGEST, trial_samples=rng.choice((0, 20, 40)), key=key,
-            lock_samples=20, heartbeat_samples=rng.choice((1, 5, 5, 20)),
+            lock_samples=20, heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
         )  # fmt: skip
         self.device = VirtualDevice(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
         self.far = DeviceEnd(self.bus, self.device, self.truth, rng)
@@ -98,7 +99,7 @@ class World:
                 self.change_weather()
             self.step()
         self.clear_up()
-        for _ in range(CALM_STEPS):
+        for _ in range(CALM_STEPS + ALONE * self.device.settings.heartbeat_samples):
             self.step()
         for host in self.hosts:
             self._known(host)

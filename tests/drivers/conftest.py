@@ -1,6 +1,7 @@
 """A device and its host on a bus of their own in simulated time: what the tests of this folder drive."""
 
 import itertools
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from retuner.drivers.gain_box import GainBox
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.schedule.gains import PidGains
+
+sys.path.append(str(Path(__file__).parent))  # speaking.py
 
 CHANNELS = itertools.count()
 

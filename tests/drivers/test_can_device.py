@@ -13,6 +13,7 @@ from retuner.drivers.codec import Codec
 from retuner.drivers.device import (
     CommandDone,
     CommandFailed,
+    DeviceConflict,
     DeviceMismatchError,
     DeviceRestarted,
     DeviceSilentError,
@@ -354,3 +355,79 @@ def test_another_protocol_or_layout_is_refused(make_bench, monkeypatch: pytest.M
 def test_settings_are_checked(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         CanDeviceSettings(**{name: 0.0})
+
+
+def test_a_write_resolved_before_the_connection_does_not_keep_the_host_from_connecting(bench) -> None:
+    """Found by simulation: what runs was known from the write's own read-back, so nobody asked, for ever READING."""
+    bench.host.begin_write(bench.SECOND, bench.now_s)
+    bench.run(1)
+    bench.silence(60)
+    heal = drop(bench, frames.Identity, to_host=True)
+    events = bench.run(15)
+    assert any(isinstance(e, (WriteDone, WriteFailed)) for e in events)
+    heal()
+    bench.run(12)
+    assert bench.host.connected
+
+
+def test_a_refused_set_whose_number_ends_in_the_same_bits_is_not_taken_for_the_running_one(bench) -> None:
+    """Found by simulation: telemetry carries five bits of the number, and set 0 was taken for the ordered set 32."""
+    bench.host._requests.sequence.note(31)
+    seq = bench.host.begin_write(PidGains(50.0, 0.0625, 0.5), bench.now_s)
+    assert seq == 32
+    (failed,) = bench.others(bench.run(12))
+    assert isinstance(failed, WriteFailed)
+    for _ in range(20):
+        bench.run(1)
+        assert bench.host.connected
+        assert bench.samples(bench.events)[-1].revision == 0
+
+
+def test_an_acknowledge_of_before_a_restart_fences_nothing(bench) -> None:
+    """Numbers begin anew after a restart: an old ABORT's acknowledge must not pass for the one that is waited for."""
+    drop(bench, (frames.Abort, frames.Commit), to_host=False)
+    seq = bench.host.begin_write(bench.SECOND, bench.now_s)
+    bench.run(8)
+    assert bench.host.writing
+    bench.far.send(CODEC.encode(frames.Ack(frames.Kind.ABORT, seq, frames.Reason.OK, seq, 0, bench.device.epoch - 1)))
+    bench.run(8)
+    assert bench.host.writing
+
+
+def test_a_replayed_read_back_is_not_believed(bench) -> None:
+    """The answers to an old question, sent again when a newer one with the same low bits is open."""
+    old = bench.device.receive(CODEC.encode(frames.Read(0, 7)))
+    reader = bench.host._reader
+    while reader._token < 16 or reader._token % frames.PAGE_TAG != 7:
+        reader.ask(0)
+    for message in old:
+        page = reader.take(CODEC.decode(message))
+    assert page is not None
+    assert bench.host._belief.on_page(page).name == "NOTHING"
+
+
+def test_two_devices_under_one_number_are_noticed_and_nothing_is_written(make_bench) -> None:
+    bench = make_bench(heartbeat_samples=1)
+    twin = make_bench(link=bench.far.settings, heartbeat_samples=1)
+    twin.device.epoch = 900
+    twin.device._boot()
+    bench.run(5)
+    for _ in range(60):
+        bench.run(1)
+        twin.on_bus.sample()
+    assert any(isinstance(e, DeviceConflict) for e in bench.events)
+    assert not bench.host.connected
+    with pytest.raises(WriteRefusedError, match="not connected"):
+        bench.host.begin_write(bench.SECOND, bench.now_s)
+    bench.run(60)  # the twin is off
+    assert bench.host.connected
+    assert bench.host.running.gains == bench.FIRST
+
+
+def test_events_between_polls_are_told_at_the_next(bench) -> None:
+    drop(bench, frames.Ack, to_host=True)
+    bench.host.begin_write(bench.SECOND, bench.now_s)
+    for _ in range(20):
+        bench.run(1)
+        bench.host.send_load(0.0, bench.now_s)  # also sends what is due, and may find the result unknown
+    assert sum(isinstance(e, WriteUnknown) for e in bench.events) == 1

@@ -7,22 +7,19 @@ import can
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from speaking import CODEC, FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.checksum import commit_crc, frame_crc, page_crc, set_crc
+from retuner.drivers.checksum import frame_crc, page_crc, set_crc
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.codec import Codec
 from retuner.drivers.device_process import RunReport, run_device
 from retuner.drivers.frames import (
     STORE_KEY,
     Abort,
-    Ack,
     Commit,
     Confirm,
     Frame,
     Heartbeat,
     Item,
-    Lease,
     Mode,
     Page,
     PageEnd,
@@ -37,47 +34,8 @@ from retuner.drivers.frames import (
 )
 from retuner.drivers.gain_box import GainBox
 from retuner.drivers.gain_pages import Slot
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.virtual_device import VirtualDeviceSettings
 from retuner.schedule.gains import PidGains
-
-CODEC = Codec(1)
-OWNER = 9
-FIRST, SECOND, THIRD = PidGains(1.0, 0.0625, 0.5), PidGains(1.5, 0.125, 0.75), PidGains(2.0, 0.25, 1.0)
-
-
-def device(**firmware: object) -> VirtualDevice:
-    plant = LinearPlant(LinearProcess(1.2, (30.0,), (), 4.0), start_pv=50.0, start_co=40.0)
-    box = GainBox(kp_max=20.0, ki_max=2.0, kd_max=5.0, ratio_max=10.0, direction=1)
-    dev = VirtualDevice(VirtualDeviceSettings(**{"gains": FIRST, "box": box, **firmware}), plant)
-    take_lease(dev)
-    return dev
-
-
-def take_lease(dev: VirtualDevice, owner: int = OWNER, samples: int = 6000, counter: int = 1) -> Ack:
-    (answer,) = say(dev, Lease(owner, dev.epoch, samples, counter))
-    assert isinstance(answer, Ack)
-    return answer
-
-
-def say(dev: VirtualDevice, *frames: Frame) -> list[Frame]:
-    return [CODEC.decode(reply) for frame in frames for reply in dev.receive(CODEC.encode(frame))]
-
-
-def stage(seq: int, gains: PidGains) -> list[Frame]:
-    return [Stage(item, OWNER, value, seq) for item, value in zip(Item, (gains.kp, gains.ki, gains.kd), strict=True)]
-
-
-def commit(seq: int, gains: PidGains, base: int = 0, epoch: int = 1, node: int = 1) -> Commit:
-    return Commit(seq, base, commit_crc(set_crc(node, epoch, seq, gains), base, OWNER))
-
-
-def step(dev: VirtualDevice) -> list[Frame]:
-    return [CODEC.decode(message) for message in dev.step()]
-
-
-def acks(frames: list[Frame]) -> list[Reason]:
-    return [Reason(frame.reason) for frame in frames if isinstance(frame, Ack)]
 
 
 def test_a_commit_runs_from_the_next_sample_on_and_its_ack_is_repeated() -> None:

@@ -1,0 +1,128 @@
+"""Commits with a code: nothing runs without the right one, wrong ones lock out, replay and downgrade fail."""
+
+import hashlib
+import random
+import struct
+from dataclasses import replace
+
+import pytest
+from speaking import FIRST, OWNER, SECOND, acks, commit, device, say, stage, step, take_lease
+
+from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.commit_code import CodeDesk, code_frames, commit_code
+from retuner.drivers.device import WriteDone, WriteFailed
+from retuner.drivers.frames import Auth, Challenge, Flags, Frame, Heartbeat, Page, Read, Reason
+from retuner.drivers.virtual_device import VirtualDevice
+
+KEY = bytes(range(16))
+
+
+def code_of(dev: VirtualDevice, seq: int, key: bytes = KEY) -> list[Auth]:
+    (challenge,) = say(dev, Read(Page.CHALLENGE, 5))
+    assert isinstance(challenge, Challenge)
+    return code_frames(commit_code(key, 1, dev.epoch, challenge.nonce, OWNER, seq, dev.running.seq, SECOND), seq)
+
+
+def attempt(dev: VirtualDevice, seq: int, codes: list[Frame]) -> list[Reason]:
+    said = say(dev, *stage(seq, SECOND), *codes, commit(seq, SECOND, dev.running.seq, dev.epoch))
+    return acks([*said, *step(dev)])
+
+
+def test_the_code_is_hmac_sha_256_over_everything_that_counts() -> None:
+    right = commit_code(KEY, 1, 2, 3, 4, 5, 6, SECOND)
+    said = b"retuner commit 2" + struct.pack("<BHQHHHfff", 1, 2, 3, 4, 5, 6, SECOND.kp, SECOND.ki, SECOND.kd)
+    padded = KEY + bytes(48)  # RFC 2104: H((K xor opad) H((K xor ipad) m)), blocks of 64 bytes
+    inner = hashlib.sha256(bytes(b ^ 0x36 for b in padded) + said).digest()
+    outer = hashlib.sha256(bytes(b ^ 0x5C for b in padded) + inner).digest()
+    assert right == int.from_bytes(outer[:12], "little")
+    others = [commit_code(KEY, *numbers, SECOND) for numbers in (
+        (2, 2, 3, 4, 5, 6), (1, 3, 3, 4, 5, 6), (1, 2, 4, 4, 5, 6), (1, 2, 3, 5, 5, 6), (1, 2, 3, 4, 6, 6),
+        (1, 2, 3, 4, 5, 7),
+    )]  # fmt: skip
+    others += [commit_code(KEY, 1, 2, 3, 4, 5, 6, FIRST), commit_code(KEY[::-1], 1, 2, 3, 4, 5, 6, SECOND)]
+    assert len({right, *others}) == 9
+
+
+def test_only_the_right_code_lets_a_set_run() -> None:
+    dev = device(key=KEY)
+    assert attempt(dev, 1, []) == [Reason.NO_CODE]
+    assert attempt(dev, 2, code_of(dev, 2)[:1]) == [Reason.NO_CODE]
+    assert attempt(dev, 3, code_of(dev, 2)) == [Reason.NO_CODE]
+    assert attempt(dev, 4, code_of(dev, 4, KEY[::-1])) == [Reason.WRONG_CODE]
+    assert dev.running.gains == FIRST
+    assert attempt(dev, 5, code_of(dev, 5)) == [Reason.OK]
+    assert dev.running.gains == SECOND
+
+
+def test_a_code_is_good_for_one_try_and_one_boot() -> None:
+    dev = device(key=KEY)
+    codes = code_of(dev, 1)
+    assert attempt(dev, 1, codes) == [Reason.OK]
+    dev.restart()
+    take_lease(dev)
+    assert attempt(dev, 1, codes) == [Reason.WRONG_CODE]
+    assert dev.running.gains == FIRST
+
+
+def test_every_flipped_bit_of_a_code_is_wrong() -> None:
+    for bit in range(96):
+        dev = device(key=KEY)
+        codes = code_of(dev, 1)
+        part = bit // 48
+        codes[part] = replace(codes[part], mac=codes[part].mac ^ 1 << bit % 48)
+        assert attempt(dev, 1, codes) == [Reason.WRONG_CODE]
+
+
+def test_wrong_codes_lock_commits_out_longer_every_time_and_over_a_restart() -> None:
+    dev = device(key=KEY, lock_samples=10)
+    for seq in (1, 2, 3):
+        assert attempt(dev, seq, code_of(dev, seq, b"?" * 16)) == [Reason.WRONG_CODE]
+    assert attempt(dev, 4, code_of(dev, 4)) == [Reason.LOCKED]
+    dev.restart()
+    take_lease(dev)
+    assert next(f for f in step(dev) if isinstance(f, Heartbeat)).flags & Flags.LOCKED
+    for _ in range(8):
+        step(dev)
+    assert attempt(dev, 5, code_of(dev, 5)) == [Reason.LOCKED]
+    assert attempt(dev, 6, code_of(dev, 6, b"?" * 16)) == [Reason.WRONG_CODE]
+    for _ in range(18):
+        step(dev)
+    assert attempt(dev, 7, code_of(dev, 7)) == [Reason.LOCKED]
+    assert attempt(dev, 8, code_of(dev, 8)) == [Reason.OK]
+
+
+def test_no_random_code_is_ever_right() -> None:
+    rng = random.Random(1)
+    desk = CodeDesk(KEY, 1, lambda: rng.getrandbits(48))
+    for seq in range(20_000):
+        desk.take(Auth(0, seq % 16, rng.getrandbits(48)))
+        desk.take(Auth(1, seq % 16, rng.getrandbits(48)))
+        assert desk.judge(1, 1, OWNER, seq, 0, SECOND) != Reason.OK
+        while desk.locked:
+            desk.tick()
+
+
+def test_asking_for_the_challenge_does_not_change_it() -> None:
+    dev = device(key=KEY)
+    codes = code_of(dev, 1)
+    code_of(dev, 1)
+    assert attempt(dev, 1, codes) == [Reason.OK]
+
+
+@pytest.mark.parametrize(
+    ("host", "firmware", "reason"),
+    [(KEY, KEY, ""), (KEY[::-1], KEY, "wrong code"), (None, KEY, "no code"), (KEY, None, "the device demands no code")],
+)
+def test_host_and_device_need_the_same_key(make_bench, host, firmware, reason: str) -> None:
+    bench = make_bench(host=CanDeviceSettings(key=host), key=firmware)
+    bench.run(6)
+    bench.host.begin_write(bench.SECOND, bench.now_s)
+    (outcome,) = [e for e in bench.run(20) if isinstance(e, (WriteDone, WriteFailed))]
+    assert isinstance(outcome, WriteDone) == (reason == "")
+    assert isinstance(outcome, WriteDone) or reason in outcome.reason
+    assert outcome.running.gains == bench.device.running.gains
+
+
+def test_keys_do_not_show() -> None:
+    assert "key" not in repr(CanDeviceSettings(key=KEY))
+    assert "key" not in repr(device(key=KEY).settings)

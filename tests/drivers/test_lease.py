@@ -1,0 +1,208 @@
+"""One host commands: the lease is granted, prolonged, refused, given back and runs out; two hosts on one bus."""
+
+import pytest
+from speaking import OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
+
+from retuner.drivers.can_device import CanDevice
+from retuner.drivers.can_settings import CanDeviceSettings, fresh_owner
+from retuner.drivers.device import (
+    CommandDone,
+    ForeignHost,
+    LeaseChanged,
+    RunningChanged,
+    WriteDone,
+    WriteFailed,
+    WriteRefusedError,
+)
+from retuner.drivers.frames import (
+    Confirm,
+    Flags,
+    Heartbeat,
+    Lease,
+    Load,
+    Mode,
+    Page,
+    PageEnd,
+    Read,
+    Reason,
+    Setpoint,
+    Stage,
+    Store,
+)
+from retuner.drivers.link_settings import LinkSettings
+from retuner.drivers.link_share import LinkShare
+
+OTHER = 77
+
+
+def test_a_second_owner_is_refused_and_told_who_the_first_is() -> None:
+    dev = device()
+    answer = take_lease(dev, owner=OTHER)
+    assert (answer.reason, answer.seq, answer.latest) == (Reason.NOT_OWNER, OTHER, OWNER)
+
+
+def test_nothing_is_changed_for_anybody_but_the_owner() -> None:
+    dev = device()
+    gains = dev.running.gains
+    frames = [
+        Stage(0, OTHER % 64, 1.1, 1), Store(0, OTHER), Confirm(0, OTHER), Setpoint(1, 60.0, OTHER),
+        Mode(1, 0, 30.0, OTHER), Load(1, 5.0, OTHER),
+    ]  # fmt: skip
+    assert acks(say(dev, *frames)) == [Reason.NOT_OWNER] * len(frames)
+    assert acks(say(dev, *stage(1, SECOND), commit(1, SECOND, owner=OTHER))) == [Reason.WRONG_CRC]
+    step(dev)
+    assert (dev.running.gains, dev.sp, dev.auto, dev.load) == (gains, 50.0, True, 0.0)
+
+
+def test_without_any_lease_nobody_commands() -> None:
+    dev = device()
+    say(dev, Lease(OWNER, dev.epoch, 0, 2))
+    assert acks(say(dev, *stage(1, SECOND), Setpoint(1, 60.0, OWNER))) == [Reason.NOT_OWNER] * 4
+    assert acks(say(dev, commit(1, SECOND))) == [Reason.NOT_STAGED]
+
+
+def test_a_lease_runs_out_and_drops_what_was_staged() -> None:
+    dev = device()
+    say(dev, Lease(OWNER, dev.epoch, 3, 2), *stage(1, SECOND))
+    for _ in range(2):
+        step(dev)
+    assert dev.pages.has_staged
+    step(dev)
+    assert not dev.pages.has_staged
+    assert take_lease(dev, owner=OTHER).reason == Reason.OK
+    assert acks(say(dev, commit(1, SECOND, owner=OTHER))) == [Reason.STALE]
+
+
+def test_a_repeated_request_does_not_prolong_the_lease() -> None:
+    dev = device()
+    request = Lease(OWNER, dev.epoch, 4, 2)
+    for _ in range(4):
+        assert acks(say(dev, request)) == [Reason.OK]
+        step(dev)
+    assert dev.lease.owner == 0
+    assert acks(say(dev, Lease(OWNER, dev.epoch, 4, 1))) == [Reason.STALE]
+    assert acks(say(dev, Lease(OWNER, dev.epoch, 4, 3))) == [Reason.OK]
+
+
+def test_a_request_of_another_epoch_is_stale_and_a_restart_frees_the_lease() -> None:
+    dev = device()
+    old = Lease(OWNER, dev.epoch, 100, 9)
+    dev.restart()
+    assert dev.lease.owner == 0
+    assert acks(say(dev, old)) == [Reason.STALE]
+    assert dev.lease.owner == 0
+
+
+def test_no_lease_is_longer_than_the_firmware_grants() -> None:
+    dev = device(lease_longest_samples=5)
+    for _ in range(5):
+        step(dev)
+    assert dev.lease.owner == 0
+
+
+def test_an_accepted_commit_stays_accepted_when_the_lease_ends() -> None:
+    dev = device()
+    say(dev, *stage(1, SECOND), commit(1, SECOND), Lease(OWNER, dev.epoch, 0, 2))
+    assert acks(step(dev)) == [Reason.OK]
+    assert dev.running.gains == SECOND
+
+
+def test_the_heartbeat_tells_that_the_lease_is_taken() -> None:
+    dev = device()
+    assert next(f for f in step(dev) if isinstance(f, Heartbeat)).flags & Flags.OWNED
+    assert isinstance(say(dev, Read(Page.STAGED, 1))[0], PageEnd)  # reading is for all
+
+
+@pytest.fixture
+def two(make_bench):
+    """A bench, and a second host on a link of its own."""
+    made = make_bench(host=CanDeviceSettings(owner=OWNER))
+    made.run(6)
+    link = type(made.near)(LinkSettings(channel=made.near.settings.channel), made.clock)
+    second = CanDevice(link, CanDeviceSettings(owner=OTHER))
+    events = []
+
+    def run(samples: int) -> None:
+        for _ in range(samples):
+            made.run(1)
+            events.extend(made.others(second.poll(made.now_s)))
+            made.on_bus.answer()
+
+    yield made, second, events, run
+    link.close()
+
+
+def test_of_two_hosts_one_watches_and_gets_the_lease_when_the_other_gives_it_back(two) -> None:
+    bench, second, events, run = two
+    run(8)
+    assert second.connected
+    assert LeaseChanged(ours=False, owner=OWNER) in events
+    with pytest.raises(WriteRefusedError, match=f"host {OWNER} holds the lease"):
+        second.begin_write(SECOND, bench.now_s)
+    bench.host.begin_write(SECOND, bench.now_s)
+    run(8)
+    assert any(isinstance(e, WriteDone) for e in bench.events)
+    assert any(isinstance(e, RunningChanged) and e.running.gains == SECOND for e in events)
+    assert any(isinstance(e, ForeignHost) for e in events)
+
+    bench.host.release(bench.now_s)
+    run(30)
+    assert LeaseChanged(ours=True, owner=OTHER) in events
+    second.begin_write(THIRD, bench.now_s)
+    run(8)
+    assert any(isinstance(e, WriteDone) for e in events)
+    assert bench.device.running.gains == THIRD
+
+
+def test_a_host_that_died_leaves_the_lease_behind_only_for_its_length(two) -> None:
+    bench, second, _, run = two
+    run(4)
+    bench.host = second  # the first one is never polled again
+    bench.run(45)
+    assert bench.device.lease.owner == OTHER
+
+
+def test_a_write_that_loses_the_lease_half_way_ends_on_the_old_set(bench) -> None:
+    seq = bench.host.begin_write(SECOND, bench.now_s)
+    bench.device.lease.boot()
+    bench.device.pages.drop_staged()
+    take_lease(bench.device, owner=OTHER)
+    (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
+    assert failed.seq == seq
+    assert "not owner" in failed.reason
+    assert bench.device.running.gains == bench.FIRST
+
+
+def test_a_command_waits_for_the_lease(bench) -> None:
+    bench.device.lease.boot()
+    bench.host.send_setpoint(60.0, bench.now_s)
+    assert CommandDone("setpoint") in bench.run(20)
+    assert bench.device.sp == 60.0
+
+
+def test_two_loops_on_one_bus_have_leases_of_their_own(make_bench) -> None:
+    bench = make_bench()
+    share = LinkShare(bench.near)
+    hosts = [CanDevice(share.port(node), CanDeviceSettings(node=node, owner=5)) for node in (1, 2)]
+    other = device(node=2)
+    for _ in range(8):
+        bench.clock.advance(2.0)
+        for message in [*bench.device.step(), *other.step()]:
+            bench.far.send(message)
+        for host in hosts:
+            host.poll(bench.now_s)
+        for message in bench.far.receive_all():
+            for reply in [*bench.device.receive(message), *other.receive(message)]:
+                bench.far.send(reply)
+    assert all(host.connected for host in hosts)
+    assert bench.device.lease.owner == other.lease.owner == 5
+
+
+def test_owners_are_numbers_of_16_bits() -> None:
+    assert all(1 <= fresh_owner() <= 65535 for _ in range(100))
+    with pytest.raises(ValueError, match="owner = 0; give 1 to 65535"):
+        CanDeviceSettings(owner=0)
+    with pytest.raises(ValueError, match="at least 16"):
+        CanDeviceSettings(key=b"short")
+    with pytest.raises(ValueError, match="probation_samples = -1"):
+        CanDeviceSettings(probation_samples=-1)
