@@ -26,6 +26,7 @@ from retuner.drivers.link_faults import (
     fault_of_frame,
     is_full,
     is_garbage,
+    is_well_formed,
 )
 from retuner.drivers.link_settings import LinkCounters, LinkSettings
 from retuner.drivers.socket_probe import SocketProbe
@@ -63,6 +64,7 @@ class CanLink:
         self._full = False
         self._last_frame_s: float | None = None
         self._heard = self._silence_is_normal = False
+        self._datagrams = settings.interface == UDP_MULTICAST
         self._pause_s = settings.reopen_first_s
         self._next_open_s = clock.now_s()
         self._log = BusLog(log, clock) if log is not None else None
@@ -98,7 +100,7 @@ class CanLink:
             return False
         self._full = False
         self.counters.sent += 1
-        if self.settings.interface == UDP_MULTICAST:
+        if self._datagrams:
             self._own.append((message.arbitration_id, bytes(message.data)))
         self._write_log(message, received=False)
         return True
@@ -134,7 +136,10 @@ class CanLink:
                 continue
             if message is None:
                 break
-            if message.is_error_frame:
+            if self._datagrams and not is_well_formed(message):
+                garbage += 1
+                bus = self._after_garbage(garbage)
+            elif message.is_error_frame:
                 self._take_error_frame(message)
                 bus = self._bus
             elif not self._own or not self._take_echo(message):
@@ -234,11 +239,17 @@ class CanLink:
 
     def _after(self, error: BaseException, garbage: int) -> can.BusABC | None:
         """The bus to go on with after a receive failed: the same one after so little garbage, else none for now."""
-        if is_garbage(error) and garbage <= self.settings.garbage_limit:
-            self.counters.garbage += 1
-            self.faults.note(LinkFault.GARBAGE)
-        else:
-            self._fail(fault_of_error(error, LinkFault.RECEIVE))
+        if is_garbage(error):
+            return self._after_garbage(garbage)
+        self._fail(fault_of_error(error, LinkFault.RECEIVE))
+        return self._bus
+
+    def _after_garbage(self, garbage: int) -> can.BusABC | None:
+        """The same when what came is no frame."""
+        self.counters.garbage += 1
+        self.faults.note(LinkFault.GARBAGE)
+        if garbage > self.settings.garbage_limit:
+            self._fail(LinkFault.RECEIVE)
         return self._bus
 
     def _take_error_frame(self, message: can.Message) -> None:

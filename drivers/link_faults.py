@@ -115,6 +115,11 @@ def is_garbage(error: BaseException) -> bool:
     return isinstance(error.__cause__, Exception) and not isinstance(error.__cause__, OSError)
 
 
+def is_well_formed(message: can.Message) -> bool:
+    """Whether a message that came as a datagram is one at all: python-can takes an identifier of 0.5, or true."""
+    return type(message.arbitration_id) is int and message.arbitration_id >= 0
+
+
 def is_full(error: BaseException) -> bool:
     """Whether a send failed because there was no room, which passes by itself.
 

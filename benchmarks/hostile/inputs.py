@@ -1,9 +1,10 @@
 """Hostile inputs: what stands in a file or comes over the bus ends in a value or one clear line, never in a traceback.
 
-    python benchmarks/hostile/inputs.py [frames|dbc|config|gains|csv|ledger|commands ...] [--count N] [--seed S]
+    python benchmarks/hostile/inputs.py [KIND ...] [--count N] [--seed S]
 
-Without names all of them. Per kind: N mutants of good examples (mutants.py) and every cut of one; frames: N random and
-mutated ones at the decoder's, the device's and the host's door; commands: N/200 of each kind through the command line,
+Kinds, all without names: frames, datagrams, dbc, config, gains, csv, ledger, commands. Per kind of file: N mutants of
+good examples (mutants.py) and every cut of one. frames: N random and mutated ones at the decoder's, the device's and
+the host's door; datagrams: the same for udp_multicast. commands: N/200 of each kind of file through the command line,
 which must end in 0, in 1 (the answer is no; a broken ledger), or in 2 with one line on stderr. Prints a line of JSON
 per kind; status 1 when anything went wrong. Nightly: --count 100000 for files, 1000000 for frames.
 """
@@ -245,6 +246,21 @@ def frames(count: int, rng: random.Random) -> dict[str, object]:
     return {"kind": "frames", "frames": dict(answers), "wrong": wrong[:10]}
 
 
+def datagrams(count: int, rng: random.Random) -> dict[str, object]:
+    """Datagrams at the door of a udp_multicast link."""
+    from datagrams import Door, hostile  # needs msgpack
+
+    door, wrong = Door(), []
+    answers: Counter[str] = Counter()
+    for i in range(count):
+        datagram = hostile(rng)
+        try:
+            answers[door.knock(datagram)] += 1
+        except Exception as error:  # noqa: BLE001  any exception is what is looked for
+            wrong.append(f"datagram {i}: {datagram[:80]!r}: {type(error).__name__}: {error}")
+    return {"kind": "datagrams", "datagrams": dict(answers), "wrong": wrong[:10]}
+
+
 def commands(count: int, rng: random.Random, folder: Path) -> dict[str, object]:
     """Mutants through the command line."""
     kinds = examples(folder)
@@ -277,7 +293,7 @@ def run(arguments: list[str]) -> tuple[int, str]:
 
 def main() -> int:
     """Judge the kinds that were asked for."""
-    names = ("frames", "dbc", "config", "gains", "csv", "ledger", "commands")
+    names = ("frames", "datagrams", "dbc", "config", "gains", "csv", "ledger", "commands")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", help=", ".join(names))
     parser.add_argument("--count", type=int, default=100_000)
@@ -292,6 +308,8 @@ def main() -> int:
             rng, started = random.Random(f"{name} {chosen.seed}"), time.monotonic()
             if name == "frames":
                 result = frames(chosen.count, rng)
+            elif name == "datagrams":
+                result = datagrams(chosen.count, rng)
             elif name == "commands":
                 result = commands(max(chosen.count // COMMANDS_SHARE, 1), rng, folder)
             else:

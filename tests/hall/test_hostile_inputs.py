@@ -42,3 +42,9 @@ def test_hostile_frames_stop_neither_end_and_change_no_gains() -> None:
     result = judged("frames", "--count", 60_000)
     assert result["wrong"] == []
     assert min(result["frames"].values()) > 10_000
+
+
+def test_hostile_datagrams_are_dropped_and_counted() -> None:
+    result = judged("datagrams", "--count", 4000)
+    assert result["wrong"] == []
+    assert result["datagrams"]["dropped"] > 1500
