@@ -1,4 +1,4 @@
-"""Being stopped from outside: SIGTERM ends a run the way Ctrl-C does, with everything whole.
+"""Being stopped from outside: SIGTERM, or a terminal that goes away, ends a run as Ctrl-C does, with everything whole.
 
 Between two polls of a session, that is: a row of the ledger and what it tells of belong together. What a run leaves
 behind is written without interruption as well: a second, impatient Ctrl-C waits for it.
@@ -11,24 +11,29 @@ from contextlib import contextmanager
 from types import FrameType
 
 
+STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that stop a run beside SIGINT; Windows has no SIGHUP."""
+
+
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Inside, SIGTERM raises KeyboardInterrupt; the old handler comes back afterwards."""
+    """Inside, the signals of STOPS raise KeyboardInterrupt; the old handlers come back afterwards."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         del number, frame
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {number: signal.signal(number, stop) for number in STOPS}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
 def unstoppable() -> Iterator[None]:
-    """Inside, SIGINT and SIGTERM wait; if one came, KeyboardInterrupt is raised at the end. Only the main thread hears
+    """Inside, SIGINT and STOPS wait; if one came, KeyboardInterrupt is raised at the end. Only the main thread hears
     signals; in another one this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -40,7 +45,7 @@ def unstoppable() -> Iterator[None]:
         del frame
         came.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, *STOPS)}
     try:
         yield
     finally:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from retuner.files import write_whole
-from retuner.stopping import stoppable, unstoppable
+from retuner.stopping import STOPS, stoppable, unstoppable
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, *STOPS])
 def test_what_is_left_behind_is_written_before_a_signal_takes_effect(number: signal.Signals) -> None:
     handlers = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     done = []

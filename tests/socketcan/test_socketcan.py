@@ -60,6 +60,7 @@ def test_both_processes_end_well(retuned: Path) -> None:
     assert outcome["run"] == 0, errors
     assert outcome["device"] == 130, errors  # Ctrl-C
     assert "Traceback" not in errors
+    assert " samples" in (retuned / "device.err").read_text()
 
 
 @pytest.mark.slow
