@@ -19,7 +19,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.indexes.condition import Condition, record_condition
 from retuner.adaptive.diagnosis.indexes.limits import at_limits
 from retuner.adaptive.diagnosis.indexes.recording_quality import recording_quality
-from retuner.adaptive.law_regression import Regression, Structure
+from retuner.adaptive.law_regression import Regression, Structure, by_levels
 from retuner.adaptive.law_search import SIGNIFICANT, best_structure, fit_on, signs_agree, usable_increments
 from retuner.adaptive.sample import Window
 from retuner.schedule.forms import Form, in_form
@@ -48,6 +48,8 @@ class LawSettings:
     largest_lag: int = 1
 
 
+SLOW, FEWEST_SLOW = 5, 60
+"""Samples averaged to see slow movements, and how many such means are needed."""
 DIRECTION_EXPLAINED = 0.3
 """Share of co's movement from which the direction of the controller is told, if nothing else."""
 BEST_STD = 1e-3
@@ -187,15 +189,50 @@ def _gains(found: Regression, window: Window) -> tuple[dict[str, float], dict[st
 
 
 def _disagreement(found: Regression, window: Window, settings: LawSettings) -> str:
-    """Whether the two halves of the record show different settings: the sentence, or nothing."""
+    """Whether parts of the record show different settings: the sentence, or nothing."""
     middle = int(np.flatnonzero(found.kept)[int(np.sum(found.kept)) // 2])
     place = np.arange(len(found.kept))
     halves = [fit_on(window, found.structure, found.kept & part, levels=found.levels)
               for part in (place < middle, place >= middle)]  # fmt: skip
     for name in ("kp", "ki"):
-        a, b = (h.values.get(name, 0.0) for h in halves)
-        spread = SIGNIFICANT * math.hypot(*(h.std.get(name, 0.0) for h in halves))
-        if abs(a - b) > max(spread, (settings.disagreement - 1) * abs(found.values.get(name, 0.0))):
+        if _differ(name, *halves, settings):
+            a, b = (h.values[name] for h in halves)
             return (f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second: the settings were "
                     "changed, or they hang on something else")  # fmt: skip
+    slow = _slow(found, window)
+    if slow is None:
+        return ""
+    pair = [_central_kp(f, dt) for f, dt in ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))]
+    if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings):
+        return (f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones: the record is too coarse for "
+                "this controller's derivative, or it saw another pv")  # fmt: skip
     return ""
+
+
+def _central_kp(found: Regression, dt_s: float) -> float:
+    """kp of a controller that integrates the mean of two samples."""
+    return found.values["kp"] - found.values.get("ki", 0.0) * dt_s / 2
+
+
+def _differ(name: str, a: Regression, b: Regression, settings: LawSettings) -> bool:
+    """Whether two fits disagree about a gain."""
+    spread = math.hypot(*(f.std.get(name, 0.0) for f in (a, b)))
+    return _apart([f.values.get(name, 0.0) for f in (a, b)], spread, settings)
+
+
+def _apart(values: list[float], std: float, settings: LawSettings) -> bool:
+    """Whether two values differ by more than chance and by more than matters."""
+    least = (settings.disagreement - 1) * max(map(abs, values))
+    return abs(values[0] - values[1]) > max(SIGNIFICANT * std, least)
+
+
+def _slow(found: Regression, window: Window) -> Regression | None:
+    """The same structure on means of a few samples; None where the record is too short for that."""
+    n = len(window.t_s) // SLOW
+    if n < FEWEST_SLOW or not found.structure.proportional:
+        return None
+    means = Window(
+        *(x[: n * SLOW].reshape(n, SLOW).mean(axis=1) for x in (window.t_s, window.sp, window.pv, window.co))
+    )
+    whole = np.concatenate([found.kept, [True]])[: n * SLOW].reshape(n, SLOW)[:, :-1].all(axis=1)
+    return by_levels(means, found.structure, whole[1:] & whole[:-1])
