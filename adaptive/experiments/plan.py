@@ -25,8 +25,13 @@ REST_DRIFT = 0.005
 """pv is at rest when its trend over the watch moves it by less than this share of the band, or than noise explains."""
 TREND_STD = 4.0
 """A trend within this many of its standard deviations is noise."""
-SETTLED_SHARE = 0.02
-"""A response has come to rest when the last part of it moves by less than this share of the whole."""
+SETTLED_SHARE, SWING_SHARE = 0.06, 0.15
+"""A response has come to rest when the last part of it surely moves by less than the first share of the whole and
+does not swing by more than the second."""
+SURE_STD = 2.0
+"""Surely: the trend and this many of its standard deviations together."""
+TURN_SHARE = 0.02
+"""A turn is a move back by this share of the range, or by what noise cannot be."""
 STEP_PARTS, SWING_PARTS = 3, 2
 """That part is the last third of a step's response, and half of one that may swing: a peak looks flat from near."""
 ENOUGH_OF_BAND = 0.6
@@ -194,14 +199,14 @@ def _come_to_rest(pv: FloatArray, rest: Rest, parts: int) -> bool:
     if moved <= 2 * TREND_STD * rest.sigma:
         return False
     trend = abs(float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0]))
-    flat = max(SETTLED_SHARE * moved, TREND_STD * rest.sigma * math.sqrt(12 / len(last)))
-    return trend < flat and float(np.ptp(last)) < 3 * SETTLED_SHARE * moved + 2 * TREND_STD * rest.sigma
+    surely = trend + SURE_STD * rest.sigma * math.sqrt(12 / len(last))
+    return surely < SETTLED_SHARE * moved and float(np.ptp(last)) < SWING_SHARE * moved + 2 * TREND_STD * rest.sigma
 
 
 def _turned(y: FloatArray, sigma: float) -> int:
     """How often a signal has turned back by more than the noise."""
     turns, extreme, rising = 0, float(y[0]), True
-    clear = max(2 * TREND_STD * sigma, SETTLED_SHARE * float(np.ptp(y)))
+    clear = max(2 * TREND_STD * sigma, TURN_SHARE * float(np.ptp(y)))
     for value in y if float(y[-1]) > 0 else -y:
         if (value > extreme) == rising:
             extreme = float(value)

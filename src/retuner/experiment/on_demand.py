@@ -82,7 +82,11 @@ class OnDemandExperiment:
             outcome.leave()
         self._tell()
         usable = outcome.found is not None and outcome.found.usable
-        if conductor.cause is None and usable and self._confirmed():
+        forbidden = self._forbidden() if usable else ""
+        if forbidden:
+            self._screen.say(f"not to be written: {forbidden}")
+            outcome.written = forbidden
+        elif conductor.cause is None and usable and self._confirmed():
             self._write()
         if self._as_json:
             sys.stdout.write(json.dumps(outcome.to_dict(), indent=2, allow_nan=False) + "\n")
@@ -144,6 +148,21 @@ class OnDemandExperiment:
         if conductor.phase is Phase.STRANDED:
             sys.stderr.write(f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
                              f"bring back by hand: {self._before_text()}\n")  # fmt: skip
+
+    def _forbidden(self) -> str:
+        """Why nobody may write these settings, empty when a person may."""
+        found, before = self._outcome.found, self._conductor.before
+        assert found is not None
+        assert found.chosen is not None
+        assert before is not None
+        gains, limits = found.chosen.tuning.gains, self._config.adaptation
+        if gains.direction != before.gains.direction:
+            return "they act the other way than the gains in force; look at the sign of the process first"
+        if limits.kc_max is not None and abs(gains.kp) > limits.kc_max:
+            return f"|kp| = {abs(gains.kp):.4g} is above adaptation.kc_max = {limits.kc_max:g}"
+        if limits.kc_min is not None and abs(gains.kp) < limits.kc_min:
+            return f"|kp| = {abs(gains.kp):.4g} is below adaptation.kc_min = {limits.kc_min:g}"
+        return ""
 
     def _confirmed(self) -> bool:
         """--yes, or a person's yes at a terminal; never by default."""
