@@ -6,6 +6,7 @@ resonance and, where the dead time turns the phase fast, steps of a fixed angle.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -45,10 +46,18 @@ def grid(loop: OpenLoop) -> FloatArray:
     return w[w > 0]
 
 
+def _between(f: Callable[[float], float], low: float, high: float) -> float:
+    """The zero of f between two grid points; where only rounding put it there, the nearer of them."""
+    at_low, at_high = f(low), f(high)
+    if at_low * at_high > 0:
+        return low if abs(at_low) < abs(at_high) else high
+    return bracketed_root(f, low, high)
+
+
 def gain_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
     """Frequencies where |L| = 1, increasing. w : grid of the loop."""
     values, size = loop.log_size(w), loop.log_size_at
-    found = [bracketed_root(size, float(w[i]), float(w[i + 1])) for i in np.flatnonzero(values[:-1] * values[1:] < 0)]
+    found = [_between(size, float(w[i]), float(w[i + 1])) for i in np.flatnonzero(values[:-1] * values[1:] < 0)]
     found += [float(x) for x in w[values == 0]]
     middle = values[1:-1]
     touching = (np.abs(middle) < TANGENT) & (values[:-2] * middle > 0) & (values[2:] * middle > 0)
@@ -57,7 +66,7 @@ def gain_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
         fine = np.geomspace(w[i - 1], w[i + 1], 201)
         sizes = loop.log_size(fine)
         found += [
-            bracketed_root(size, float(fine[j]), float(fine[j + 1])) for j in np.flatnonzero(sizes[:-1] * sizes[1:] < 0)
+            _between(size, float(fine[j]), float(fine[j + 1])) for j in np.flatnonzero(sizes[:-1] * sizes[1:] < 0)
         ]
     return sorted(found)
 
@@ -79,7 +88,7 @@ def phase_crossovers(loop: OpenLoop, w: FloatArray) -> list[float]:
         def miss(x: float, target: float = target) -> float:
             return loop.phase_at(x) - target
 
-        found.append(bracketed_root(miss, float(w[i]), float(w[i + 1])))
+        found.append(_between(miss, float(w[i]), float(w[i + 1])))
     return found
 
 

@@ -109,6 +109,13 @@ def sensitivity_peak(process: LinearProcess, gains: PidGains, tau_f_s: float = 0
     return _peak(lambda x: 1 / np.abs(1 + loop.along(x)), points, at_zero[0], at_end[0])
 
 
+def gain_margin(process: LinearProcess, gains: PidGains) -> float:
+    """GM alone, 0 when the closed loop is unstable."""
+    loop = open_loop(process, gains)
+    w = grid(loop)
+    return _gain_margin(loop, phase_crossovers(loop, w))[1] if is_stable(loop, gain_crossovers(loop, w)) else 0.0
+
+
 def _ends(loop: OpenLoop) -> tuple[tuple[float, float], tuple[float, float]]:
     """|S| and |T| at zero frequency, and their largest values in the limit of high frequency."""
     if loop.order > 0:

@@ -124,7 +124,7 @@ def optimal_pi(process: LinearProcess, ms: float, aim: Aim = Aim.BOTH) -> Optimu
     ValueError
         ms is not above 1, or no controller reaches it on this process.
     """
-    _check(ms)
+    _check(process, ms)
     best, sign = references(process) if aim == Aim.BOTH else None, math.copysign(1.0, process.k)
 
     def judged(log_tau_i: float) -> Optimum | None:
@@ -187,8 +187,12 @@ def _range(process: LinearProcess) -> tuple[float, float]:
     return math.log(0.1 * shortest), math.log((40.0 if process.integrators else 4.0) * longest)
 
 
-def _check(ms: float) -> None:
-    """Refuse an Ms that no loop has."""
+def _check(process: LinearProcess, ms: float) -> None:
+    """Refuse an Ms that no loop has, and a process without a limit of stability, whose best gain is infinite."""
+    turn = len(process.lags_s) + 2 * len(process.quadratics) + process.integrators - len(process.leads_s)
+    turn += 2 * sum(1 for lead in process.leads_s if lead < 0)
+    if not process.theta_s and turn <= 2:
+        raise ValueError("theta = 0: nothing limits the gain of this process, so no controller is best; give theta")
     if not 1 < ms < math.inf:
         raise ValueError(f"ms = {ms} must be more than 1 and finite; 1.59 is the usual demand")
 

@@ -11,13 +11,13 @@ and tau_c say the same thing. In general both are found on the exact loop by bis
 import math
 from collections.abc import Callable
 
-from retuner.adaptive.margins import margins, sensitivity_peak
+from retuner.adaptive.margins import gain_margin, sensitivity_peak
 from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.gains import PidGains
 
-BISECTIONS = 60
-"""Halvings of the range of tau_c: to rounding."""
+BISECTIONS = 45
+"""Halvings of the range of ln tau_c: to 1e-12."""
 SLOWEST = 1e4
 """Largest tau_c tried, in units of the process' own slowest time; beyond it the loop does nothing."""
 
@@ -48,12 +48,7 @@ def tau_c_for_gm(rule: TauCRule, process: LinearProcess, gm: float) -> Tuning:
     """
     if not 1 < gm < math.inf:
         raise ValueError(f"gm = {gm} must be more than 1 and finite; 3 is a usual demand")
-
-    def keeps(gains: PidGains) -> bool:
-        found = margins(process, gains)
-        return found.stable and found.gm >= gm
-
-    return _smallest(rule, process, keeps, f"GM = {gm:g}")
+    return _smallest(rule, process, lambda gains: gain_margin(process, gains) >= gm, f"GM = {gm:g}")
 
 
 def _smallest(rule: TauCRule, process: LinearProcess, keeps: Callable[[PidGains], bool], what: str) -> Tuning:

@@ -1,0 +1,124 @@
+"""Every number that the sources print, to the printed digits: data/tuning/published.toml."""
+
+import math
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from retuner.adaptive.margins import margins
+from retuner.adaptive.optimum import Aim, optimal_pi
+from retuner.adaptive.performance import performance, weighted_cost
+from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.ultimate import ultimate
+from retuner.schedule.forms import SeriesGains
+from retuner.schedule.gains import PidGains
+from retuner.tuning import tune
+
+PUBLISHED = tomllib.loads((Path(__file__).parents[2] / "data" / "tuning" / "published.toml").read_text())
+
+
+def cases(table: str) -> list:
+    return [pytest.param(case, id=case["source"]) for case in PUBLISHED[table]]
+
+
+def assert_printed(value: float, printed: str, units: float = 0.5) -> None:
+    """The value is what was printed, to half a unit of the last digit."""
+    if printed == "inf":
+        assert math.isinf(value)
+        return
+    digits = len(printed.partition(".")[2])
+    assert value == pytest.approx(float(printed), abs=units * 10**-digits * 1.001)
+
+
+def process_of(case: dict) -> LinearProcess:
+    p = case["process"]
+    return LinearProcess(
+        p["k"], tuple(p.get("lags", ())), tuple(p.get("leads", ())), p.get("theta", 0.0), p.get("integrators", 0)
+    )
+
+
+def gains_of(case: dict) -> PidGains:
+    g = case["gains"]
+    return PidGains(0.0, g["ki"]) if "ki" in g else SeriesGains(g["kc"], g["tau_i"], g.get("tau_d", 0.0)).to_parallel()
+
+
+@pytest.mark.parametrize("case", cases("settings"))
+def test_settings(case: dict) -> None:
+    model = None
+    if "model" in case:
+        m = case["model"]
+        model = ProcessModel(ProcessType(m["type"]), m["k"], m.get("tau1", 0.0), m.get("tau2", 0.0), m["theta"])
+    readings = {name: case[name] for name in ("ku", "pu", "kq", "pq", "tau_c") if name in case}
+    found = tune(model, case["rule"], kind=case["kind"], **readings)
+    gains = found.to_dict()["gains"]
+    assert isinstance(gains, dict)
+    assert_printed(gains["kc"], case["kc"])
+    if "tau_i" in case:
+        assert_printed(gains["tau_i"], case["tau_i"])
+    else:
+        assert gains["tau_i"] is None
+    assert_printed(gains["tau_d"], case.get("tau_d", "0.000"))
+
+
+@pytest.mark.parametrize("case", cases("margins"))
+def test_margins(case: dict) -> None:
+    found = margins(process_of(case), gains_of(case))
+    assert found.stable
+    values = {"ms": found.ms, "mt": found.mt, "gm": found.gm, "pm": found.pm_deg, "delay": found.delay_margin_s,
+              "w180": found.w180, "wc": found.wc}  # fmt: skip
+    for name, value in values.items():
+        if name in case:
+            assert_printed(value, case[name])
+
+
+@pytest.mark.parametrize("case", cases("performance"))
+def test_performance(case: dict) -> None:
+    found = performance(process_of(case), gains_of(case))
+    units = case.get("units", 0.5)
+    assert_printed(found.iae_setpoint, case["iae_setpoint"], units)
+    assert_printed(found.iae_load, case["iae_load"], units)
+    j = weighted_cost(found, *case["references"])
+    if "j_right" in case:  # the printed J contradicts the paper's own table 1
+        assert j == pytest.approx(case["j_right"], abs=6e-4)
+        assert abs(j - float(case["j"])) > 0.1
+    else:
+        assert_printed(j, case["j"], units)
+    assert_printed(margins(process_of(case), gains_of(case)).ms, case["ms"], units)
+
+
+@pytest.mark.parametrize("case", cases("optimum"))
+def test_optimum(case: dict) -> None:
+    """IAE within 0.3 % of the printed (their Ms is 1.59 within rounding), settings within 6 % (the optima are flat)."""
+    process = process_of(case)
+    for aim in (Aim.SETPOINT, Aim.LOAD):
+        found, printed = optimal_pi(process, 1.59, aim), case[str(aim)]
+        iae = found.iae_setpoint if aim == Aim.SETPOINT else found.iae_load
+        assert iae == pytest.approx(printed["iae"], rel=3e-3)
+        assert found.gains.kp == pytest.approx(printed["kc"], rel=0.06)
+        assert margins(process, found.gains).ms == pytest.approx(1.59, abs=1e-6)
+        if "tau_i" in printed:
+            assert found.gains.kp / found.gains.ki == pytest.approx(printed["tau_i"], rel=0.06)
+        else:
+            assert found.gains.ki == 0
+    both, printed = optimal_pi(process, 1.59), case["both"]
+    assert both.gains.kp == pytest.approx(printed["kc"], rel=0.02)
+    assert both.gains.kp / both.gains.ki == pytest.approx(printed["tau_i"], rel=0.02)
+    assert both.iae_setpoint == pytest.approx(printed["iae_setpoint"], rel=5e-3)
+    assert both.iae_load == pytest.approx(printed["iae_load"], rel=2e-3)
+    assert both.cost == pytest.approx(printed["j"], abs=0.0085)
+
+
+def test_ultimate_of_the_slides_example() -> None:
+    # Putra slides: 4 e^-3.5s/(7s+1) has Ku 0.95 and Pu 12 as printed (read off a response, so two digits)
+    ku, pu = ultimate(LinearProcess(4.0, (7.0,), (), 3.5))
+    assert ku == pytest.approx(0.95, rel=0.01)
+    assert pu == pytest.approx(12, rel=0.03)
+
+
+def test_the_slides_reaction_curve_slip_would_be_unstable() -> None:
+    # 0.33 L instead of L/0.3 = 3.33 L for Ti of the PI rule (their example process again)
+    process, good = LinearProcess(4.0, (7.0,), (), 3.5), tune(ProcessModel(ProcessType.FOPDT, 4.0, 7.0, 0.0, 3.5),
+                                                              "zn-reaction").tuning.gains  # fmt: skip
+    assert margins(process, good).stable
+    assert not margins(process, PidGains(good.kp, good.kp / (0.33 * 3.5))).stable
