@@ -283,7 +283,7 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path) -> None:
     try:
         plan = plan_for(config, Kind.RELAY, OnDemand(amplitude=10.0, cycles=2, bias=0.3))
         with live(config, speed) as bench:
-            conductor = Conductor(bench.device, plan, config.loop.sample_time_s, nothing)
+            conductor = Conductor(bench.device, plan, 0.1, bench.device.settings.silent_s, nothing)
             while not conductor.phase.over:
                 conductor.poll(bench.turn())
     finally:

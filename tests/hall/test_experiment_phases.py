@@ -48,7 +48,7 @@ class Lab:
         self.on_bus = DeviceOnBus(self.device, self.far)
         self.rows: list[Mapping[str, object]] = []
         self.host = CanDevice(self.near, CanDeviceSettings(sample_time_s=DT))
-        self.conductor = Conductor(self.host, plan, DT, record or self._record)
+        self.conductor = Conductor(self.host, plan, DT, self.host.settings.silent_s, record or self._record)
         self.alive = True
         if not auto:
             self.device.auto = False

@@ -38,18 +38,23 @@ from retuner.experiment.limits import Following, cannot_begin, out_of_band, out_
 from retuner.experiment.target import Before, Helm, Target, target
 from retuner.session import Recorder
 
-SILENT_SAMPLES = 6
-"""Samples without telemetry after which an experiment is given up (as CanDeviceSettings.silent_samples)."""
+FEWEST_PATIENT = 6
+"""Samples that a new output, setpoint or mode may take to show at least."""
 LOST_MOST = 3
 """Samples in a row that may be missing from the record of an experiment."""
 VERIFY_SAMPLES = 3
 """Samples in a row that must show the old state before it counts as restored."""
-RESTORE_SAMPLES = 200
-"""Samples within which the old state must have been verified."""
+RESTORE_SAMPLES, RESTORE_SILENCES = 200, 10
+"""Samples, and lengths of silence, within which the old state must have been verified; the longer of the two counts."""
 LIMITED = {Phase.RESTING, Phase.PREPARING, Phase.EXCITING}
 """Phases that a limit or silence ends."""
 TAKING_OVER = {Phase.PREPARING, Phase.EXCITING}
 """Phases in which a refused command ends the experiment; on the way back it is sent again."""
+
+
+def restore_patience_s(sample_time_s: float, silent_s: float) -> float:
+    """How long to wait for the controller to show what it was told."""
+    return max(RESTORE_SAMPLES * sample_time_s, RESTORE_SILENCES * silent_s)
 
 
 class Conductor:
@@ -57,12 +62,13 @@ class Conductor:
 
     Parameters
     ----------
-    device : the controller. plan : what to do. sample_time_s : of the controller.
+    device : the controller. plan : what to do. sample_time_s : of the controller. silent_s : without telemetry for so
+        long, an experiment is given up; as long may a new target take to show.
     record : keeps rows for good. on_sample : told of every sample and the phase.
     """
 
     def __init__(
-        self, device: Device, plan: Plan, sample_time_s: float, record: Recorder,
+        self, device: Device, plan: Plan, sample_time_s: float, silent_s: float, record: Recorder,
         on_sample: Callable[[LoopSample, Phase], None] | None = None,
     ) -> None:  # fmt: skip
         self.device, self.plan = device, plan
@@ -75,11 +81,12 @@ class Conductor:
         self.excited_from = self.excited_to = 0
         self.touched = False
         self.lost_ledger: LedgerError | None = None
-        self._dt_s = sample_time_s
+        self._dt_s, self._silent_s = sample_time_s, silent_s
+        self._patience_s = restore_patience_s(sample_time_s, silent_s)
         self._record = record
         self._on_sample = on_sample
         self._helm = Helm(device, sample_time_s)
-        self._following = Following(plan.kind, self._helm)
+        self._following = Following(plan.kind, self._helm, max(round(silent_s / sample_time_s), FEWEST_PATIENT))
         self._relay = RelayState(high=True, switches=0)
         self._parking = False
         self._now_s = self._heard_s = self._phase_s = 0.0
@@ -179,9 +186,9 @@ class Conductor:
         since = self._now_s - self._phase_s
         if self.phase in LIMITED:
             age = self._now_s - self._heard_s
-            if age > SILENT_SAMPLES * self._dt_s:
+            if age > self._silent_s:
                 self.abort(Cause.SILENT, f"no sample for {age:.3g} s")
-        if self.phase in {Phase.PARKING, Phase.RESTORING} and since > RESTORE_SAMPLES * self._dt_s:
+        if self.phase in {Phase.PARKING, Phase.RESTORING} and since > self._patience_s:
             self._move(Happening.GIVEN_UP)
 
     def _sample(self, sample: LoopSample) -> None:
@@ -238,7 +245,7 @@ class Conductor:
         """Until the controller is as the experiment needs it."""
         if self._helm.shows(self._target(), sample):
             self._move(Happening.PREPARED)
-        elif self._now_s - self._phase_s > RESTORE_SAMPLES * self._dt_s:
+        elif self._now_s - self._phase_s > self._patience_s:
             self.abort(Cause.REFUSED, "it does not show what it was told")
 
     def _excite(self, sample: LoopSample) -> None:

@@ -5,8 +5,6 @@ from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest
 from retuner.adaptive.sample import LoopMode, LoopSample
 from retuner.experiment.target import CO_SHOWN, Helm, Target
 
-FOLLOW_SAMPLES = 6
-"""Samples that the controller may take to show a new output, setpoint or mode."""
 LIMITED_MOST = 2
 """Samples for which the output may stand at a limit during a setpoint experiment."""
 
@@ -49,11 +47,11 @@ class Following:
 
     Parameters
     ----------
-    kind : of the experiment. helm : knows what is shown.
+    kind : of the experiment. helm : knows what is shown. patience : samples that a new target may take to show.
     """
 
-    def __init__(self, kind: Kind, helm: Helm) -> None:
-        self._kind, self._helm = kind, helm
+    def __init__(self, kind: Kind, helm: Helm, patience: int) -> None:
+        self._kind, self._helm, self._patience = kind, helm, patience
         self._limited = self._foreign = 0
         self._shown = False
 
@@ -62,7 +60,7 @@ class Following:
         differs = self._helm.differs(wanted, sample, sp)
         self._shown = self._shown or not differs
         self._foreign = self._foreign + 1 if differs else 0
-        if self._foreign > (0 if self._shown else FOLLOW_SAMPLES):
+        if self._foreign > (0 if self._shown else self._patience):
             return Cause.FOREIGN, differs
         if self._kind == Kind.SETPOINT:
             self._limited = self._limited + 1 if sample.limited else 0
@@ -71,6 +69,6 @@ class Following:
             return None
         off = wanted.co is not None and sample.mode == LoopMode.MANUAL and abs(sample.co - wanted.co) > CO_SHOWN
         self._limited = self._limited + 1 if off else 0
-        if self._limited > FOLLOW_SAMPLES:
+        if self._limited > self._patience:
             return Cause.SATURATED, f"co stands at {sample.co:.4g} %, it was told {wanted.co:.4g} %"
         return None

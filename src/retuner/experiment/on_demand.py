@@ -57,7 +57,9 @@ class OnDemandExperiment:
         self._config, self._question, self._ledger = config, question, ledger
         self._screen, self._bench = screen, bench
         self._yes, self._as_json = yes, as_json
-        conductor = Conductor(bench.device, plan, config.loop.sample_time_s, self._record, self._on_sample)
+        conductor = Conductor(
+            bench.device, plan, config.loop.sample_time_s, bench.device.settings.silent_s, self._record, self._on_sample
+        )
         self._conductor = conductor
         self._outcome = Outcome(config.loop.name, config.loop.pv_unit, folder, conductor)
 

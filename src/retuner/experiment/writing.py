@@ -6,7 +6,7 @@ Once begun a write goes to its end: a person's Ctrl-C is heard when the controll
 from retuner.adaptive.decision import gains_dict
 from retuner.drivers.device import Event, Reverted, WriteDone, WriteFailed, WriteRefusedError
 from retuner.experiment.bench import Bench
-from retuner.experiment.conductor import RESTORE_SAMPLES
+from retuner.experiment.conductor import restore_patience_s
 from retuner.schedule.gains import PidGains
 from retuner.session import Recorder
 from retuner.stopping import unstoppable
@@ -25,6 +25,7 @@ class GainWriter:
 
     def __init__(self, bench: Bench, sample_time_s: float, record: Recorder) -> None:
         self._bench, self._dt_s, self._record = bench, sample_time_s, record
+        self._patience_s = restore_patience_s(sample_time_s, bench.device.settings.silent_s)
         self._stopped = self._running = False
         self._now_s, self._seq = 0.0, -1
 
@@ -58,7 +59,7 @@ class GainWriter:
         """Stage and commit, once the controller is heard and runs what it ran."""
         device = self._bench.device
         self._poll()
-        patience_s = self._now_s + RESTORE_SAMPLES * self._dt_s
+        patience_s = self._now_s + self._patience_s
         while self._now_s < patience_s:
             running = device.running
             if device.connected and running is not None and not device.writing:
@@ -76,7 +77,7 @@ class GainWriter:
 
     def _finish(self) -> str:
         """Until the set has been read back as running, and has been watched for a while."""
-        patience_s = self._now_s + RESTORE_SAMPLES * self._dt_s
+        patience_s = self._now_s + self._patience_s
         while self._now_s < patience_s:
             for event in self._poll():
                 match event:
