@@ -19,7 +19,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.indexes.condition import Condition, record_condition
 from retuner.adaptive.diagnosis.indexes.limits import at_limits
 from retuner.adaptive.diagnosis.indexes.recording_quality import recording_quality
-from retuner.adaptive.law_regression import Regression, Structure, by_levels
+from retuner.adaptive.law_regression import BoolArray, Regression, Structure, by_levels
 from retuner.adaptive.law_search import SIGNIFICANT, best_structure, fit_on, signs_agree, usable_increments
 from retuner.adaptive.sample import Window
 from retuner.schedule.forms import Form, in_form
@@ -192,11 +192,11 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     """Whether parts of the record show different settings: the sentence, or nothing."""
     middle = int(np.flatnonzero(found.kept)[int(np.sum(found.kept)) // 2])
     place = np.arange(len(found.kept))
-    halves = [fit_on(window, found.structure, found.kept & part, levels=found.levels)
-              for part in (place < middle, place >= middle)]  # fmt: skip
+    first, second = (fit_on(window, found.structure, found.kept & part, levels=found.levels)
+                     for part in (place < middle, place >= middle))  # fmt: skip
     for name in ("kp", "ki"):
-        if _differ(name, *halves, settings):
-            a, b = (h.values[name] for h in halves)
+        if _differ(name, first, second, settings):
+            a, b = first.values[name], second.values[name]
             return (f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second: the settings were "
                     "changed, or they hang on something else")  # fmt: skip
     slow = _slow(found, window)
@@ -234,5 +234,7 @@ def _slow(found: Regression, window: Window) -> Regression | None:
     means = Window(
         *(x[: n * SLOW].reshape(n, SLOW).mean(axis=1) for x in (window.t_s, window.sp, window.pv, window.co))
     )
-    whole = np.concatenate([found.kept, [True]])[: n * SLOW].reshape(n, SLOW)[:, :-1].all(axis=1)
-    return by_levels(means, found.structure, whole[1:] & whole[:-1])
+    whole: BoolArray = np.asarray(
+        np.all(np.concatenate([found.kept, [True]])[: n * SLOW].reshape(n, SLOW)[:, :-1], axis=1)
+    )
+    return by_levels(means, found.structure, np.asarray(whole[1:] & whole[:-1], dtype=np.bool_))
