@@ -1,6 +1,7 @@
 """retuner diagnose and identify on records: the JSON contract, the words, the pictures, what a record lacks."""
 
 import json
+import runpy
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -215,3 +216,9 @@ def test_words_for_numbers_known_and_unknown():
     assert value_text("gm", float("inf")) == "none"
     assert value_text("tone_share", 0.5) == "50.0%"
     assert {name for names in GROUPS.values() for name in names} <= set(WORDS)
+
+
+def test_the_page_of_the_indexes_is_what_the_glossary_says():
+    root = Path(__file__).parents[2]
+    page = runpy.run_path(str(root / "scripts" / "document_indexes.py"))["page"]()
+    assert (root / "docs" / "indexes.md").read_text() == page, "run: python scripts/document_indexes.py"
