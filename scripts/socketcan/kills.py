@@ -31,6 +31,7 @@ from retuner.schedule.gains import PidGains
 CHANNEL = "vcan0"
 LONGEST_LIFE_S = 2.0  # of a host between two kills
 CONNECT_S = 15.0
+STOP_EVERY = 3  # kills between two hosts that are stopped for a while and go on: a suspended machine
 
 
 def child(work: Callable[[], None]) -> int:
@@ -123,6 +124,15 @@ def judge(path: Path, running: tuple[float, float, float] | None, *, rebooted: b
     return wrong, sum(kind == "committed" for kind, _ in rows)
 
 
+def pause(process: int, rng: random.Random) -> bool:
+    """Stop a host for longer than its lease, and let it go on for a moment: it must not act on what it knew."""
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(rng.uniform(1.0, 3.0))
+    os.kill(process, signal.SIGCONT)
+    time.sleep(rng.uniform(0.0, 0.5))
+    return True
+
+
 def kill(share: float, seed: int) -> dict[str, object]:
     """Kill the host 100 times and the device 100 times."""
     rng, wrong = random.Random(seed), []
@@ -130,11 +140,13 @@ def kill(share: float, seed: int) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "ledger.sqlite"
         machine = child(device)
-        committed, number, rebooted, observer = 0, 0, False, Observer()
+        committed, number, stopped, rebooted, observer = 0, 0, 0, False, Observer()
         while min(kills.values()) < max(round(100 * share), 2):
             number += 1
             master = child(lambda number=number: host(path, seed * 10_000 + number))
             time.sleep(rng.uniform(0.3, LONGEST_LIFE_S))
+            if number % STOP_EVERY == 0:
+                stopped += pause(master, rng)
             if number % 2 == 0:
                 os.kill(machine, signal.SIGKILL)
                 os.waitpid(machine, 0)
@@ -150,4 +162,10 @@ def kill(share: float, seed: int) -> dict[str, object]:
         os.kill(machine, signal.SIGKILL)
         os.waitpid(machine, 0)
         observer.bus.close()
-    return {"kills": kills, "sets committed": committed, "node": NODE, "wrong": wrong[:10]}
+    return {
+        "kills": kills,
+        "hosts stopped for seconds": stopped,
+        "sets committed": committed,
+        "node": NODE,
+        "wrong": wrong[:10],
+    }

@@ -90,7 +90,13 @@ class Run:
     def _bench(self) -> Iterator[tuple[Session, SimulatedClock, Callable[[], None]]]:
         """The host's session on a virtual bench."""
         with virtual_bench(self.config, self._log) as (near, clock, turn):
-            yield self._session(near), clock, turn
+            session = self._session(near)
+
+            def turn_and_tell() -> None:
+                turn()
+                session.link_faults(near.news())
+
+            yield session, clock, turn_and_tell
 
     def live(self, speed: float = 1.0) -> Session:
         """Run against whatever answers on the configured bus, until the scenario is over or the user stops it.

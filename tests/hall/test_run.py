@@ -247,6 +247,17 @@ def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
     assert commits == kinds.count("intent") == summary["revision"]
 
 
+def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: can.BLFWriter, message: can.Message) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(can.BLFWriter, "on_message_received", full)
+    assert main(["run", str(quick), "--no-compare"]) == 0
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
+        rows = [json.loads(row.text) for row in reader.rows() if row.kind == "bus"]
+    assert rows == [{"fault": "the bus log cannot be written", "times": 1}]
+
+
 def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
     longer = QUICK.replace("duration_s = 160.0", "duration_s = 1e7")
     quick.write_text(longer, encoding="utf-8")

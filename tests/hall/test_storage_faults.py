@@ -32,10 +32,10 @@ def part(*command: object) -> dict:
 
 @pytest.mark.slow
 def test_killed_or_refused_at_durable_system_calls_nothing_acknowledged_is_lost() -> None:
-    result = part(FAULTS, "sweep", "--every", 11)
+    result = part(FAULTS, "sweep", "--every", 23)
     assert result["wrong"] == []
     assert sum(result["durable calls"].values()) > 50
-    assert min(result["points"].values()) >= 8, result["points"]
+    assert min(result["points"].values()) >= 4, result["points"]
 
 
 def test_killed_at_random_moments_nothing_acknowledged_is_lost() -> None:
