@@ -248,7 +248,7 @@ def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
 
 
 def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(self: can.BLFWriter, message: can.Message) -> None:
+    def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(can.BLFWriter, "on_message_received", full)
