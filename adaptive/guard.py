@@ -8,15 +8,16 @@ limit may always be made safer.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
-from retuner.adaptive.estimate import LogModel, model_at
+from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.gains import PidGains
 
@@ -95,11 +96,11 @@ class Verdict:
 
 
 def corners(log: LogModel, out: float) -> list[LinearProcess]:
-    """The mean and the six ends of the principal axes of the covariance, `out` standard deviations out."""
+    """The mean and both ends of every principal axis of the covariance, `out` standard deviations out."""
     values, vectors = np.linalg.eigh(log.p)
     axes = vectors * np.sqrt(np.maximum(values, 0.0))
-    points = [log.x, *(log.x + s * out * axes[:, j] for j in range(3) for s in (1.0, -1.0))]
-    return [model_at(x, log.sign).linear() for x in points]
+    points = [log.x, *(log.x + s * out * axes[:, j] for j in range(len(log.x)) for s in (1.0, -1.0))]
+    return [model_at(log.type, x, log.sign).linear() for x in points]
 
 
 def worst_ms(processes: list[LinearProcess], gains: PidGains) -> float:
@@ -155,9 +156,7 @@ def _safer(processes: list[LinearProcess], gains: PidGains, in_force: PidGains) 
 
 def _sampled(process: LinearProcess, half_sample_s: float) -> LinearProcess:
     """The process as a sampled controller sees it: half a sampling interval more dead time (Skogestad 2003, sec. 2)."""
-    return LinearProcess(
-        process.k, process.lags_s, process.leads_s, process.theta_s + half_sample_s, process.integrators
-    )
+    return replace(process, theta_s=process.theta_s + half_sample_s)
 
 
 def _candidates(
@@ -165,10 +164,12 @@ def _candidates(
 ) -> list[tuple[tuple[PidGains, float] | None, float]]:
     """Gains to try in order with their share of the step, and tau_c; None where the limits leave no room."""
     tau_c = proposal.tau_c_s or 0.0
-    model = model_at(log.x + np.array([0.0, math.log1p(half_sample_s / math.exp(float(log.x[1]))), 0.0]), log.sign)
+    found = log.model()
+    model = replace(found, theta_s=found.theta_s + half_sample_s)
+    theta = without_second_lag(model).theta_s
     tried = []
     for slower in (1.0, math.sqrt(settings.tau_c_max_ratio), settings.tau_c_max_ratio):
-        if tau_c * slower > model.theta_s * settings.tau_c_max_ratio * (1 + 1e-9) and slower > 1:
+        if tau_c * slower > theta * settings.tau_c_max_ratio * (1 + 1e-9) and slower > 1:
             break
         goal = simc(model, tau_c * slower).gains
         tried.append((within_limits(in_force, goal, 1.0, settings), tau_c * slower))

@@ -12,15 +12,16 @@ import numpy as np
 
 from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.noise import NoiseState
+from retuner.adaptive.process import ProcessType
 from retuner.adaptive.recogniser import RecogniserState
 from retuner.adaptive.retuner import Retuner, RetunerState
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
-from retuner.adaptive.tracker import Belief
+from retuner.adaptive.tracker import Belief, Known
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
 
-VERSION = 1
+VERSION = 2
 """Of this layout; newer ones are refused."""
 
 
@@ -83,26 +84,48 @@ def _region_in(values: Sequence[Any] | None) -> RegionState | None:
     return None if values is None else RegionState(*_numbers_in(values))
 
 
-def _log_out(log: LogModel | None) -> dict[str, object] | None:
-    """A model with its covariance."""
-    return None if log is None else {"x": log.x.tolist(), "p": log.p.tolist(), "sign": log.sign}
-
-
-def _log_in(body: Mapping[str, Any] | None) -> LogModel | None:
-    """And back; checked on the way in."""
-    if body is None:
+def _known_out(known: tuple[Known, ...] | None) -> list[dict[str, object]] | None:
+    """What is known by structure: parameters with their covariance, and the evidence."""
+    if known is None:
         return None
-    return LogModel(np.array(body["x"], dtype=np.float64), np.array(body["p"], dtype=np.float64), int(body["sign"]))
+    return [
+        {"type": str(k.log.type), "x": k.log.x.tolist(), "p": k.log.p.tolist(), "sign": k.log.sign,
+         "evidence": k.evidence}
+        for k in known
+    ]  # fmt: skip
+
+
+def _known_in(bodies: Sequence[Mapping[str, Any]] | None) -> tuple[Known, ...] | None:
+    """And back; checked on the way in."""
+    if bodies is None:
+        return None
+    return tuple(
+        Known(
+            LogModel(
+                np.array(body["x"], dtype=np.float64),
+                np.array(body["p"], dtype=np.float64),
+                int(body["sign"]),
+                ProcessType(body["type"]),
+            ),
+            float(body["evidence"]),
+        )
+        for body in bodies
+    )
 
 
 def _belief_out(belief: Belief) -> dict[str, object]:
     """What is known of a region."""
-    return {"log": _log_out(belief.log), "records": belief.records, "t_s": belief.t_s, "rival": _log_out(belief.rival)}
+    return {
+        "known": _known_out(belief.known),
+        "records": belief.records,
+        "t_s": belief.t_s,
+        "rival": _known_out(belief.rival),
+    }
 
 
 def _belief_in(body: Mapping[str, Any]) -> Belief:
     """And back."""
-    log = _log_in(body["log"])
-    if log is None:
+    known = _known_in(body["known"])
+    if not known:
         raise TypeError("a belief without a model")
-    return Belief(log, int(body["records"]), float(body["t_s"]), _log_in(body["rival"]))
+    return Belief(known, int(body["records"]), float(body["t_s"]), _known_in(body["rival"]))

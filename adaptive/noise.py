@@ -19,6 +19,12 @@ from retuner.adaptive.sample import FloatArray
 
 MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
 QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
+FEW_LEVELS = 0.5
+"""A signal with more different values than this share of its samples is not quantised in any way that matters."""
+QUANTUM_TOLERANCE = 0.02
+"""All levels of a quantised signal lie whole quanta apart, to this share of a quantum."""
+QUANTUM_ROUNDING = 1e-9
+"""Steps below this share of the largest are rounding, no quantum."""
 ADAPT_FACTOR = 1.02
 """Growth per sample of the streaming median: settles from a factor 50 in about 400 samples, scatters by 5 %."""
 
@@ -26,10 +32,19 @@ ADAPT_FACTOR = 1.02
 def noise_sigma(pv: FloatArray) -> float:
     """Standard deviation of the noise on pv, in pv units; pv has shape (n,), n >= 3. Zero for a constant signal."""
     d = np.abs(pv[:-2] - 2 * pv[1:-1] + pv[2:])
-    steps = np.abs(np.diff(pv))
-    quantum = float(np.min(steps[steps > 0], initial=math.inf))
-    floor = quantum * QUANTUM_TO_SIGMA if np.mean(steps == 0) > 0.25 and math.isfinite(quantum) else 0.0
-    return max(MEDIAN_TO_SIGMA * float(np.median(d)), floor)
+    return max(MEDIAN_TO_SIGMA * float(np.median(d)), quantum_sigma(pv))
+
+
+def quantum_sigma(pv: FloatArray) -> float:
+    """Standard deviation that quantisation alone gives, q / sqrt(12); zero where the signal is not quantised."""
+    levels = np.unique(pv)
+    apart = np.diff(levels)
+    apart = apart[apart > QUANTUM_ROUNDING * (levels[-1] - levels[0])]
+    if not apart.size or len(levels) > FEW_LEVELS * len(pv):
+        return 0.0
+    quantum = float(np.min(apart))
+    whole = np.abs(apart / quantum - np.round(apart / quantum)) < QUANTUM_TOLERANCE
+    return quantum * QUANTUM_TO_SIGMA if np.all(whole) else 0.0
 
 
 class NoiseState(NamedTuple):

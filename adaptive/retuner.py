@@ -8,6 +8,7 @@ decision, and learns by `committed` what the controller then reported.
 """
 
 from collections import deque
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
@@ -254,13 +255,14 @@ class Retuner:
         model = self._tuning_model(log)
         guard = self.settings.guard
         tuning, _ = simc_at_most_ms(model, guard.ms_nominal, guard.tau_c_max_ratio)
-        diagnosis = tuning_cause(model, in_force, tuning.gains, log.gain_uncertainty(), self.settings.cause)
+        unsure = log.gain_uncertainty(self.settings.sample_time_s / 2)
+        diagnosis = tuning_cause(model, in_force, tuning.gains, unsure, self.settings.cause)
         return tuning, diagnosis
 
     def _tuning_model(self, log: LogModel) -> ProcessModel:
         """The model with half a sampling interval of dead time added: what a sampled controller sees."""
         m = log.model()
-        return ProcessModel(m.type, m.k, m.tau1_s, m.tau2_s, m.theta_s + self.settings.sample_time_s / 2)
+        return replace(m, theta_s=m.theta_s + self.settings.sample_time_s / 2)
 
     def _decision(
         self,

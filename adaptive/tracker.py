@@ -14,12 +14,17 @@ an iterated extended Kalman filter (Bell & Cathey 1993) and its posterior is the
 separately fitted points instead was tried and failed: a record of a load alone has a bent ridge of likely parameters,
 and its Gaussian dragged the gain to a tenth. The filter is filterpy's; it runs once per response.
 
+All of this is kept per structure (fit/structure.py), each with the sum of what its records said for it, n ln sigma^2
+plus the cost of loads and colour: information criteria add up, so the structure may change at any time and none is
+discarded for good; what is known is that of the structure which leads.
+
 A record that contradicts what is known is not believed at once: it is kept as a rival. When the next record agrees
 with the rival better than with the belief, the process has changed (or the first record was wrong), and the rival
 takes over; when it agrees with the belief, the odd record is forgotten.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -27,7 +32,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from retuner.adaptive.estimate import LogModel, ModelEstimate, proper_covariance
-from retuner.adaptive.identify import FitSettings, identify_window
+from retuner.adaptive.fit.candidate import Candidate
+from retuner.adaptive.fit.refine import Prior
+from retuner.adaptive.fit.update import with_priors
+from retuner.adaptive.identify import FitSettings, estimate_of, fitted, identify_window
+from retuner.adaptive.process import ProcessType
 from retuner.adaptive.sample import FloatArray, Window
 
 
@@ -47,26 +56,46 @@ class TrackerSettings:
     walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
     scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
         operating point is never quite the same and no structure is quite right; default 0.12 (12 %).
-    gate : innovation statistic (3 degrees of freedom) above which a record is odd; default 16.3 (99.9 % of chi-square).
+    gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 5,
+        default 3.09 (99.9 % of chi-square, whatever the number of parameters).
+    most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
     """
 
     walk_per_day: float = 0.1
     scatter: float = 0.12
-    gate: float = 16.3
+    gate: float = 3.09
+    most_lead: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better)."""
+
+    log: LogModel
+    evidence: float
 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
     """What is known of a region.
 
-    log : parameters and covariance. records : how many records are in it. t_s : when it was last updated.
-    rival : the odd record's own estimate, if the last one was odd.
+    known : by structure, the leading one first. records : how many records are in it. t_s : when it was last updated.
+    rival : what the odd record alone said, if the last one was odd.
     """
 
-    log: LogModel
+    known: tuple[Known, ...]
     records: int
     t_s: float
-    rival: LogModel | None = None
+    rival: tuple[Known, ...] | None = None
+
+    @property
+    def log(self) -> LogModel:
+        """The leading structure's."""
+        return self.known[0].log
+
+    def logs(self) -> dict[ProcessType, LogModel]:
+        """By structure."""
+        return {k.log.type: k.log for k in self.known}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +110,8 @@ class Learned:
 
 SECONDS_PER_DAY = 86400.0
 
+Logs = Mapping[ProcessType, LogModel]
+
 
 def learn(belief: Belief | None, window: Window, sign: int, settings: TrackerSettings, fit: FitSettings) -> Learned:
     """Take one record of a region into what is known of it.
@@ -93,43 +124,93 @@ def learn(belief: Belief | None, window: Window, sign: int, settings: TrackerSet
     t_s = float(window.t_s[-1])
     if belief is None or belief.log.sign != sign:
         return _first(identify_window(window, sign, None, fit), t_s, settings)
-    mean = grown(belief, t_s, settings)
-    prior = scattered(mean, settings)
-    estimate = identify_window(window, sign, prior, fit)
-    innovation, posterior = update(prior, estimate)
-    if innovation <= settings.gate:
-        log = back_to_mean(mean, prior, posterior)
-        return Learned(Belief(log, belief.records + 1, t_s), estimate, Surprise.AGREES, innovation)
+    means = {t: grown(log, t_s - belief.t_s, settings) for t, log in belief.logs().items()}
+    priors = {t: scattered(log, settings) for t, log in means.items()}
+    found = fitted(window, (sign,), fit)
+    alone = estimate_of(found, float(window.t_s[0]), {}, fit)
+    innovation, _ = update(priors[belief.log.type], alone)
+    if innovation <= gate(len(belief.log.x), settings.gate):
+        estimate = _updated(found, window, priors, fit)
+        known = _taken_in(belief.known, means, priors, estimate, settings)
+        return Learned(Belief(known, belief.records + 1, t_s), estimate, Surprise.AGREES, innovation)
     if belief.rival is not None:
-        confirmed = _against_rival(belief.rival, window, sign, settings, fit)
+        confirmed = _against_rival(belief.rival, found, alone, window, settings, fit)
         if confirmed is not None:
-            log, estimate = confirmed
-            return Learned(Belief(log, 2, t_s), estimate, Surprise.CHANGED, innovation)
-    alone = identify_window(window, sign, None, fit)
-    kept = replace(belief, rival=scattered(alone.log, settings) if alone.identifiable else None)
+            known, estimate = confirmed
+            return Learned(Belief(known, 2, t_s), estimate, Surprise.CHANGED, innovation)
+    kept = replace(belief, rival=_believed(alone, settings) if alone.identifiable else None)
     return Learned(kept, alone, Surprise.ODD, innovation)
+
+
+def gate(freedom: int, deviate: float) -> float:
+    """Chi-square value of the same probability as a normal deviate (Wilson & Hilferty 1931, equation 4)."""
+    share = 2 / (9 * freedom)
+    return float(freedom * (1 - share + deviate * math.sqrt(share)) ** 3)
 
 
 def _first(estimate: ModelEstimate, t_s: float, settings: TrackerSettings) -> Learned:
     """The first record of a region: believed when it is identifiable."""
-    belief = Belief(scattered(estimate.log, settings), 1, t_s) if estimate.identifiable else None
+    belief = Belief(_believed(estimate, settings), 1, t_s) if estimate.identifiable else None
     return Learned(belief, estimate, Surprise.FIRST, 0.0)
 
 
+def _believed(estimate: ModelEstimate, settings: TrackerSettings) -> tuple[Known, ...]:
+    """A record by itself as a belief: what it shows is the region's mean within the scatter."""
+    return _led([Known(scattered(a.log, settings), a.evidence) for a in estimate.alternatives], estimate, settings)
+
+
+def _taken_in(
+    known: tuple[Known, ...], means: Logs, priors: Logs, estimate: ModelEstimate, settings: TrackerSettings
+) -> tuple[Known, ...]:
+    """Every structure updated by the record."""
+    before = {k.log.type: k.evidence for k in known}
+    after = []
+    for alternative in estimate.alternatives:
+        type_ = alternative.log.type
+        _, posterior = update(priors[type_], estimate)
+        log = back_to_mean(means[type_], priors[type_], posterior)
+        after.append(Known(log, before[type_] + alternative.evidence))
+    return _led(after, estimate, settings)
+
+
+def _led(known: list[Known], estimate: ModelEstimate, settings: TrackerSettings) -> tuple[Known, ...]:
+    """The leading structure first, the others no farther behind than is allowed."""
+
+    def criterion(k: Known) -> float:
+        return k.evidence + len(k.log.x) * math.log(estimate.best.samples)
+
+    ranked = sorted(known, key=criterion)
+    lead = criterion(ranked[0])
+    return tuple(replace(k, evidence=k.evidence - max(criterion(k) - lead - settings.most_lead, 0.0)) for k in ranked)
+
+
+def _updated(found: list[Candidate], window: Window, priors: Logs, fit: FitSettings) -> ModelEstimate:
+    """The record's fits repeated with the priors in them."""
+    known = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
+    return estimate_of(with_priors(found, known), float(window.t_s[0]), known, fit)
+
+
 def _against_rival(
-    rival: LogModel, window: Window, sign: int, settings: TrackerSettings, fit: FitSettings
-) -> tuple[LogModel, ModelEstimate] | None:
+    rival: tuple[Known, ...],
+    found: list[Candidate],
+    alone: ModelEstimate,
+    window: Window,
+    settings: TrackerSettings,
+    fit: FitSettings,
+) -> tuple[tuple[Known, ...], ModelEstimate] | None:
     """The rival updated with the record, and the record's estimate, if the two agree."""
-    prior = scattered(rival, settings)
-    estimate = identify_window(window, sign, prior, fit)
-    innovation, posterior = update(prior, estimate)
-    return (back_to_mean(rival, prior, posterior), estimate) if innovation <= settings.gate else None
+    means = {k.log.type: k.log for k in rival}
+    priors = {t: scattered(log, settings) for t, log in means.items()}
+    innovation, _ = update(priors[rival[0].log.type], alone)
+    if innovation > gate(len(rival[0].log.x), settings.gate):
+        return None
+    estimate = _updated(found, window, priors, fit)
+    return _taken_in(rival, means, priors, estimate, settings), estimate
 
 
-def grown(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
+def grown(log: LogModel, elapsed_s: float, settings: TrackerSettings) -> LogModel:
     """The region's mean at a later time: where it was, a covariance grown by the random walk."""
-    days = max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
-    return _widened(belief.log, settings.walk_per_day**2 * days)
+    return _widened(log, settings.walk_per_day**2 * max(elapsed_s, 0.0) / SECONDS_PER_DAY)
 
 
 def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
@@ -139,36 +220,38 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
 
 def predicted(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
     """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
-    return scattered(grown(belief, t_s, settings), settings)
+    return scattered(grown(belief.log, t_s - belief.t_s, settings), settings)
 
 
 def _widened(log: LogModel, variance: float) -> LogModel:
     """filterpy's prediction with F = I and Q = variance I."""
     kf = _filter(log)
-    kf.predict(Q=variance * np.eye(3))
-    return LogModel(kf.x[:, 0].copy(), proper_covariance(kf.P), log.sign)
+    kf.predict(Q=variance * np.eye(len(log.x)))
+    return replace(log, x=kf.x[:, 0].copy(), p=proper_covariance(kf.P))
 
 
 def back_to_mean(mean: LogModel, prior: LogModel, posterior: LogModel) -> LogModel:
     """What a record's process says of the region's mean (see the head of this file)."""
     gain = mean.p @ np.linalg.inv(prior.p)
     p = mean.p + gain @ (posterior.p - prior.p) @ gain.T
-    return LogModel(mean.x + gain @ (posterior.x - mean.x), proper_covariance(p), mean.sign)
+    return replace(mean, x=mean.x + gain @ (posterior.x - mean.x), p=proper_covariance(p))
 
 
 def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:
-    """Innovation statistic (chi-square with 3 degrees of freedom) and the posterior."""
-    kf = _filter(prior)
-    kf.update(estimate.score.reshape(3, 1), R=np.eye(3), H=estimate.information)
+    """Innovation statistic (chi-square, one degree of freedom a parameter) and posterior for the prior's structure."""
+    kf, d = _filter(prior), len(prior.x)
+    record = estimate.of(prior.type)
+    kf.update(record.score.reshape(d, 1), R=np.eye(d), H=record.information)
     y: FloatArray = kf.y
     statistic = float((y.T @ np.linalg.solve(kf.S, y))[0, 0])
-    posterior = LogModel(kf.x[:, 0].copy(), proper_covariance(kf.P), prior.sign)
+    posterior = replace(prior, x=kf.x[:, 0].copy(), p=proper_covariance(kf.P))
     return statistic if math.isfinite(statistic) else math.inf, posterior
 
 
 def _filter(log: LogModel) -> KalmanFilter:
     """A filterpy filter that stands where the estimate stands."""
-    kf = KalmanFilter(dim_x=3, dim_z=3)
-    kf.x = log.x.reshape(3, 1).copy()
+    d = len(log.x)
+    kf = KalmanFilter(dim_x=d, dim_z=d)
+    kf.x = log.x.reshape(d, 1).copy()
     kf.P = log.p.copy()
     return kf

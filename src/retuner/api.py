@@ -1,7 +1,7 @@
 """`retuner.identify`: the process behind a record of arrays, with frozen results that know their JSON."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -9,9 +9,10 @@ import numpy.typing as npt
 from retuner.adaptive.estimate import ModelEstimate
 from retuner.adaptive.identify import OPEN_LOOP, FitSettings, identify_window
 from retuner.adaptive.margins import Margins, margins
+from retuner.adaptive.robust_settings import RobustSettings, robust_simc
 from retuner.adaptive.sample import Window
 from retuner.schedule.gains import PidGains
-from retuner.tuning import TuneResult, tune
+from retuner.tuning import TuneResult
 
 Numbers = Sequence[float] | npt.NDArray[np.floating]
 
@@ -35,6 +36,7 @@ class Identification:
 
 def identify(
     t: Numbers, sp: Numbers, pv: Numbers, co: Numbers, *, open_loop: bool = False, gains: PidGains | None = None,
+    co_min: float | None = None, co_max: float | None = None,
 ) -> Identification:  # fmt: skip
     """Find the process behind a record.
 
@@ -43,7 +45,8 @@ def identify(
     t : time in seconds, increasing. sp, pv : setpoint and process value. co : controller output, held between samples.
         All of shape (n,), n >= 3.
     open_loop : the record is an experiment in manual that begins at rest. gains : the controller in force, for the sign
-        of the process and its margins now.
+        of the process and its margins now. co_min, co_max : limits of the final element; a recorded co beyond them is
+        taken to have stood at the limit.
 
     Raises
     ------
@@ -51,14 +54,38 @@ def identify(
         Shapes differ, a value is not finite, time does not increase, or pv or co never moves.
     """
     window = Window(*(np.asarray(v, dtype=np.float64) for v in (t, sp, pv, co)))
-    return identify_record(window, open_loop=open_loop, gains=gains)
+    return identify_record(window, open_loop=open_loop, gains=gains, co_min=co_min, co_max=co_max)
 
 
-def identify_record(window: Window, *, open_loop: bool = False, gains: PidGains | None = None) -> Identification:
+def identify_record(
+    window: Window, *, open_loop: bool = False, gains: PidGains | None = None,
+    co_min: float | None = None, co_max: float | None = None,
+) -> Identification:  # fmt: skip
     """The same for a record that is a Window already; see identify."""
     fit = OPEN_LOOP if open_loop else FitSettings()
+    window = within(window, co_min, co_max)
     estimate = identify_window(window, gains.direction if gains else None, settings=fit)
-    model = estimate.log.model()
-    settings = tune(model) if estimate.identifiable else None
-    in_force = margins(model.linear(), gains) if gains and estimate.identifiable else None
+    process = estimate.log.model().linear()
+    settings = settings_for(estimate, window.sample_time_s) if estimate.identifiable else None
+    in_force = margins(process, gains) if gains and estimate.identifiable else None
     return Identification(estimate, settings, in_force)
+
+
+def within(window: Window, co_min: float | None, co_max: float | None) -> Window:
+    """The record with co inside the limits of the final element.
+
+    Raises
+    ------
+    ValueError
+        A limit is not finite or they leave no room.
+    """
+    low, high = -np.inf if co_min is None else co_min, np.inf if co_max is None else co_max
+    if not low < high:
+        raise ValueError(f"co_min {low:g} and co_max {high:g} leave no room between them")
+    return replace(window, co=np.clip(window.co, low, high))
+
+
+def settings_for(estimate: ModelEstimate, sample_time_s: float) -> TuneResult:
+    """SIMC's PI settings for an estimate, robust on all models that its record allows; margins on the best model."""
+    found = robust_simc(estimate, sample_time_s, RobustSettings())
+    return TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))

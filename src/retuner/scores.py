@@ -7,7 +7,7 @@ half a sampling interval of dead time added for the sampled controller.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def _truths(linearise: Linearise | None, run: Columns, region: int, half_sample_
     if linearise is None or not visited.size:
         return []
     processes = [linearise(float(pv)) for pv in np.linspace(visited.min(), visited.max(), POINTS)]
-    return [LinearProcess(p.k, p.lags_s, p.leads_s, p.theta_s + half_sample_s, p.integrators) for p in processes]
+    return [replace(p, theta_s=p.theta_s + half_sample_s) for p in processes]
 
 
 def iae(columns: Columns, region: int) -> float:

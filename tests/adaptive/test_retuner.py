@@ -193,7 +193,7 @@ def test_a_restored_memory_decides_as_if_never_stopped() -> None:
     assert [d.canonical() for d in later] == [d.canonical() for d in twin.exercise()]
 
 
-@pytest.mark.parametrize("damage", [{"version": 2}, {"table": "x"}, {"beliefs": {"0": {}}}, {"noise": None}])
+@pytest.mark.parametrize("damage", [{"version": 1}, {"table": "x"}, {"beliefs": {"0": {}}}, {"noise": None}])
 def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> None:
     bench = made(GOOD)
     bench.run(10)

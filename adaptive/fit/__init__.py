@@ -1,0 +1,1 @@
+"""The fit engine: one family of processes and one misfit, shared by identification and by the rivals of diagnosis."""

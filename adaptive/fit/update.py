@@ -1,0 +1,35 @@
+"""A fit repeated with what is known already as a prior: the iterated extended Kalman update (Bell & Cathey 1993).
+
+    minimise  |r(p)|^2 + |root x - target|^2
+
+The configuration (loads, drift, whitening) is that of the record's own fit. With the prior in it from the beginning, a
+record of another process would have its misfit whitened away instead of being found odd.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from retuner.adaptive.fit.candidate import Candidate, judged
+from retuner.adaptive.fit.refine import Prior, refine
+from retuner.adaptive.fit.structure import SIZE
+from retuner.adaptive.process import ProcessType
+
+EXACT = 1e-10
+"""Relative decrease at which these fits stop."""
+
+Priors = Mapping[ProcessType, Prior]
+
+
+def with_priors(found: list[Candidate], priors: Priors) -> list[Candidate]:
+    """The candidates of structures with a prior, refitted with it, best first."""
+    again = [with_prior(c, priors[c.fit.misfit.type]) for c in found if c.fit.misfit.type in priors]
+    return sorted(again, key=lambda c: c.criterion)
+
+
+def with_prior(alone: Candidate, prior: Prior) -> Candidate:
+    """One fit, started from its own optimum and from the prior's."""
+    misfit, p = alone.fit.misfit, alone.fit.p
+    starts = (p, np.concatenate([prior.mean, p[SIZE[misfit.type] :]]))
+    fits = [refine(misfit, start, prior, enough=EXACT) for start in starts]
+    return judged(min(fits, key=lambda fit: fit.deviance), prior)
