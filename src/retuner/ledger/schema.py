@@ -66,7 +66,10 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
             raise
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
             raise LedgerError(f"{path}: {NO_DATABASE}") from None
-        raise LedgerError(f"{path}: cannot be opened as a ledger: {error}") from None
+        hint = ""
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_CANTOPEN and path.exists():
+            hint = "; SQLite must be able to write in its folder, also to read what a killed run left: copy the folder"
+        raise LedgerError(f"{path}: cannot be opened as a ledger: {error}{hint}") from None
     return connection
 
 
