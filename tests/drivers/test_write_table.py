@@ -1,0 +1,173 @@
+"""The write's table in full: every phase with every event, and every abort with its verified end.
+
+The expected table is written out here by hand; the code's own is not asked.
+"""
+
+import itertools
+
+import pytest
+
+from retuner.drivers.checksum import page_crc
+from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
+from retuner.drivers.frames import Abort, Ack, Challenge, Commit, Kind, Page, Read, Reason
+from retuner.drivers.page_reader import PageReader, ReadBack
+from retuner.drivers.write_protocol import TRANSITIONS, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.schedule.gains import PidGains
+
+OLD, NEW = PidGains(1.0, 0.0625), PidGains(1.5, 0.125)
+ORDER = WriteOrder(node=1, epoch=3, seq=7, base=6, gains=NEW)
+OLD_SET, NEW_SET = RunningSet(6, OLD, 1), RunningSet(7, NEW, ORDER.set_crc)
+RIGHT = ReadBack(Page.STAGED, 7, NEW, page_crc(ORDER.set_crc, 0))
+WRONG = ReadBack(Page.STAGED, 7, OLD, page_crc(ORDER.set_crc, 0))
+TIMEOUT_S = 6.0
+P, W = WritePhase, WriteInput
+
+EXPECTED = """
+             IDLE       STAGING     COMMITTING  FENCING     READING
+BEGIN        STAGING    -           -           -           -
+STAGED_RIGHT .          COMMITTING  .           .           .
+STAGED_WRONG .          STAGING     .           .           .
+ACCEPTED     .          .           READING     .           .
+REFUSED      .          FENCING     FENCING     .           .
+TIMEOUT      .          STAGING     -           FENCING     READING
+EXHAUSTED    .          FENCING     FENCING     -           -
+RESTARTED    .          FENCING     FENCING     FENCING     FENCING
+FENCED       .          .           .           READING     .
+RUNNING_READ .          .           .           .           IDLE
+"""
+"""Where each event leads; . is "stays", - is what cannot happen in that phase."""
+
+
+def expected() -> dict[tuple[WritePhase, WriteInput], str]:
+    head, *rows = EXPECTED.strip().splitlines()
+    phases = [P[name] for name in head.split()]
+    return {(phase, W[row.split()[0]]): to for row in rows for phase, to in zip(phases, row.split()[1:], strict=True)}
+
+
+class Driven:
+    """A protocol that is taken to a phase, and to which an event happens, through what it offers the outside."""
+
+    def __init__(self, phase: WritePhase) -> None:
+        self.protocol = WriteProtocol(PageReader(), TIMEOUT_S)
+        self.t = 0.0
+        if phase is P.IDLE:
+            return
+        self.protocol.begin(ORDER)
+        self.send()
+        for until, step in ((P.STAGING, self.right), (P.COMMITTING, self.refused), (P.FENCING, self.fenced)):
+            if phase is until:
+                break
+            step()
+            self.send()
+        assert self.protocol.phase is phase
+
+    def send(self) -> list:
+        self.t += 0.5
+        return self.protocol.due(self.t)
+
+    def right(self) -> None:
+        self.protocol.on_staged(RIGHT)
+
+    def refused(self) -> None:
+        self.protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.WRONG_BASE, 7))
+
+    def fenced(self) -> None:
+        self.protocol.on_ack(Ack(Kind.ABORT, 7, Reason.OK, 7))
+
+    def pass_time(self) -> None:
+        self.t += TIMEOUT_S
+        self.protocol.due(self.t)
+
+    def happen(self, event: WriteInput) -> None:
+        """What the outside has to do for it."""
+        protocol = self.protocol
+        {
+            W.BEGIN: lambda: protocol.begin(ORDER),
+            W.STAGED_RIGHT: self.right,
+            W.STAGED_WRONG: lambda: protocol.on_staged(WRONG),
+            W.ACCEPTED: lambda: protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.OK, 7)),
+            W.REFUSED: self.refused,
+            W.TIMEOUT: self.pass_time,
+            W.EXHAUSTED: lambda: [self.pass_time() for _ in range(4)],
+            W.RESTARTED: protocol.on_restart,
+            W.FENCED: self.fenced,
+            W.RUNNING_READ: lambda: protocol.on_running(OLD_SET),
+        }[event]()
+
+    def finish(self, running: RunningSet) -> object:
+        """The device answers everything from now on; what the write comes to."""
+        for _ in range(20):
+            for frame in self.send():
+                assert not isinstance(frame, Commit), "a commit after the write was given up"
+                if isinstance(frame, Abort):
+                    self.fenced()
+                elif isinstance(frame, Read) and frame.page == Page.RUNNING:
+                    return self.protocol.on_running(running)
+        return None
+
+
+@pytest.mark.parametrize(
+    ("phase", "event"), [key for key, to in expected().items() if to != "-"], ids=lambda value: value.name
+)
+def test_every_event_in_every_phase(phase: WritePhase, event: WriteInput) -> None:
+    to = expected()[phase, event]
+    driven = Driven(phase)
+    driven.happen(event)
+    assert driven.protocol.phase is (phase if to == "." else P[to])
+
+
+def test_the_codes_table_has_no_other_ways() -> None:
+    ways = {key: P[to] for key, to in expected().items() if to not in {".", "-"}}
+    assert ways == TRANSITIONS
+
+
+ABORTS = [W.REFUSED, W.EXHAUSTED, W.RESTARTED]
+OPEN = [phase for phase in P if phase is not P.IDLE]
+
+
+@pytest.mark.parametrize(("phase", "event"), list(itertools.product(OPEN, ABORTS)), ids=lambda value: value.name)
+@pytest.mark.parametrize("running", [OLD_SET, NEW_SET], ids=["old set runs", "new set runs"])
+def test_every_abort_ends_in_what_truly_runs_read_back(phase, event, running: RunningSet) -> None:
+    driven = Driven(phase)
+    driven.happen(event)
+    outcome = driven.finish(running)
+    assert isinstance(outcome, WriteDone if running == NEW_SET else WriteFailed)
+    assert outcome.running == running
+    assert driven.protocol.phase is P.IDLE
+
+
+@pytest.mark.parametrize(("phase", "event"), list(itertools.product(OPEN, ABORTS)), ids=lambda value: value.name)
+def test_every_abort_without_answers_is_known_to_be_unknown(phase, event) -> None:
+    driven = Driven(phase)
+    driven.happen(event)
+    unknown = []
+    for _ in range(20):
+        driven.pass_time()
+        unknown.append(driven.protocol.unknown())
+    assert driven.protocol.phase in {P.FENCING, P.READING}
+    assert driven.protocol.busy
+    assert sum(u is not None for u in unknown) == 1
+
+
+def test_with_a_key_the_commit_waits_for_the_challenge_in_either_order() -> None:
+    order = WriteOrder(node=1, epoch=3, seq=7, base=6, gains=NEW, key=bytes(16))
+    for first_page in (True, False):
+        protocol = WriteProtocol(PageReader(), TIMEOUT_S)
+        protocol.begin(order)
+        assert [type(f) for f in protocol.due(0.0)][-2:] == [Read, Read]
+        steps = [lambda p=protocol: p.on_staged(RIGHT), lambda p=protocol: p.on_challenge(Challenge(0, 1, 99))]
+        for step in steps if first_page else reversed(steps):
+            assert protocol.phase is P.STAGING
+            step()
+        assert protocol.phase is P.COMMITTING
+        assert protocol.due(1.0) == order.commit(99)
+        assert len(order.commit(99)) == 3
+
+
+def test_a_challenge_of_a_device_without_a_key_is_a_refusal() -> None:
+    order = WriteOrder(node=1, epoch=3, seq=7, base=6, gains=NEW, key=bytes(16))
+    protocol = WriteProtocol(PageReader(), TIMEOUT_S)
+    protocol.begin(order)
+    protocol.due(0.0)
+    protocol.on_challenge(Challenge(0, 0, 99))
+    assert protocol.phase is P.FENCING
