@@ -14,6 +14,7 @@ VERSION = 1
 READING_ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the second: a message of SQLite's about damaged text
 SMALLEST = 512  # bytes; SQLite's smallest page, so no database is smaller
 NO_DATABASE = "is not a database, so not a ledger; give another path"
+FULL = 2  # SQLite's synchronous: a row is flushed to the disk before it is acknowledged
 BUSY_TIMEOUT_S = 5.0  # longest wait for another process's short lock (a checkpoint, a reader that recovers the WAL)
 
 TABLES = """
@@ -55,7 +56,9 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
             f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_S
         )
         connection.text_factory = _as_text
-        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA synchronous = {FULL}")
+        if _pragma(connection, "synchronous") != FULL:
+            raise sqlite3.OperationalError("it does not take synchronous = FULL, without which a power cut loses rows")
         if mode == "rwc":
             _create(connection)
         _check_version(connection, path)
@@ -90,7 +93,7 @@ def _create(connection: sqlite3.Connection) -> None:
     """Lay the tables into an empty file, all or nothing; a file that has content already stays as it is."""
     if _pragma(connection, "schema_version") != 0:
         return
-    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA journal_mode = WAL").fetchone()  # an error of the disk comes with the row
     marks = f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION};"
     connection.executescript(f"BEGIN IMMEDIATE; {marks} {TABLES} COMMIT;")
 
