@@ -34,6 +34,8 @@ NO_INTEGRAL = 1.0
 """An integral time surely longer than this many record lengths is none."""
 NO_PROPORTIONAL = 0.5
 """A kp surely smaller than what the integral does in this share of a sample is none."""
+NOTHING = 1e-6
+"""Share of the other term below which P or I is a rounding of doubles."""
 REMAINDER = 0.8
 """Share of the remainder that may be left by a derivative or filter that is told: the smallest are shifts in time."""
 LEAST_DERIVATIVE = 0.5
@@ -76,13 +78,14 @@ def best_structure(window: Window, usable: BoolArray, largest_lag: int) -> Regre
 
 
 def _leaner(found: Regression, window: Window) -> Regression:
-    """Without P or I where the record shows that there is none: not even within its standard deviations."""
-    kp, ki = (abs(found.values[name]) + SIGNIFICANT * found.std[name] for name in ("kp", "ki"))
+    """Without P or I where the record shows that there is none: not significant, and small even at three sigma."""
+    kp, ki = (abs(found.values[name]) for name in ("kp", "ki"))
+    kp_most, ki_most = kp + SIGNIFICANT * found.std["kp"], ki + SIGNIFICANT * found.std["ki"]
     dt, span = window.sample_time_s, float(window.t_s[-1] - window.t_s[0])
     simple = found.structure
-    if abs(found.values["kp"]) > NO_INTEGRAL * span * ki:
+    if kp > NO_INTEGRAL * span * ki_most and (ki_most > 2 * ki or ki * span < NOTHING * kp):
         simple = replace(simple, integral=False)
-    elif abs(found.values["ki"]) * dt * NO_PROPORTIONAL > kp:
+    elif NO_PROPORTIONAL * ki * dt > kp_most and (kp_most > 2 * kp or kp < NOTHING * ki * dt):
         simple = replace(simple, proportional=False)
     return found if simple is found.structure else fit_on(window, simple, found.kept, levels=found.levels)
 

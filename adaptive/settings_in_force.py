@@ -34,7 +34,6 @@ class LawSettings:
     explained_limit : smallest share of co's movement that the law must explain; 0.5 to 0.99, default 0.8.
     std_limit : largest standard deviation of kp (of ki without P) as a share of it; 0.01 to 0.5, default 0.15.
     disagreement : largest ratio of a gain in the two halves of the record; 1.05 to 2, default 1.25.
-    limited_share : largest share of samples with co at a limit; 0 to 0.8, default 0.3.
     compression_limit : largest compression of pv or co by a recorder; 1.5 to 10, default 3 (Thornhill et al. 2004).
     largest_lag : samples from pv to co that are tried; 0 to 3, default 1.
     """
@@ -43,7 +42,6 @@ class LawSettings:
     explained_limit: float = 0.8
     std_limit: float = 0.15
     disagreement: float = 1.25
-    limited_share: float = 0.3
     compression_limit: float = 3.0
     largest_lag: int = 1
 
@@ -120,21 +118,24 @@ def settings_in_force(
     state = record_condition(window, limits.low + limits.high)
     if state.condition in {Condition.DEAD_PV, Condition.DEAD_CO, Condition.MANUAL}:
         return _refused(state.sentence)
-    if limits.low + limits.high > settings.limited_share:
-        share = f"{limits.low + limits.high:.0%}"
-        return _refused(f"co stands at a limit in {share} of the record; at most {settings.limited_share:.0%} may")
-    for name, values in (("pv", window.pv), ("co", window.co)):
-        quality = recording_quality(values)
-        if quality is not None and quality.compression > settings.compression_limit:
-            return _refused(
-                f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
-            )
     usable = usable_increments(window, co_min, co_max)
     count = int(np.sum(usable))
     if count < settings.fewest_samples:
         return _refused(f"only {count} samples have co moving inside its limits; {settings.fewest_samples} are needed")
+    lost = _compressed(window, usable, settings)
+    if lost:
+        return _refused(lost)
     best = best_structure(window, usable, settings.largest_lag)
     return _judged(best, window, settings)
+
+
+def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str:
+    """Whether a recorder left out the movements of pv or co: the sentence, or nothing."""
+    for name, values in (("pv", window.pv), ("co", window.co[1:][usable])):
+        quality = recording_quality(values)
+        if quality is not None and quality.compression > settings.compression_limit:
+            return f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
+    return ""
 
 
 def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:

@@ -164,7 +164,7 @@ def test_the_real_servo_shows_its_settings():
         (lambda w: Window(w.t_s, w.sp, np.roll(w.pv, 97), w.co), "only known"),
         (lambda w: Window(w.t_s, w.sp, w.pv, 50 + np.sin(w.t_s / 7) + np.sin(w.t_s / 19)), "explain"),
         (lambda w: Window(w.t_s[:40], w.sp[:40], w.pv[:40], w.co[:40]), "only 39 samples"),
-        (lambda w: Window(w.t_s, w.sp, w.pv, np.clip(w.co, 50, 50.3)), "at a limit"),
+        (lambda w: Window(w.t_s, w.sp, w.pv, np.clip(w.co, 50, 50.3)), "only 4 samples"),
         (lambda w: Window(w.t_s, w.sp, np.interp(w.t_s, w.t_s[::9], w.pv[::9]), w.co), "compressed 9 times"),
         (lambda w: Window(w.t_s, w.sp, w.pv, np.where(w.t_s < 400, w.co, 50 + 3 * (w.co - 50))), "first half"),
     ],

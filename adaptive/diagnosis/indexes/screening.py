@@ -32,6 +32,8 @@ FEWEST_CYCLES = 2.0
 """Cycles in the record for the shape of an oscillation to be looked at."""
 SHAPE_STRENGTH = 0.1
 """Strength from which that is done: limit cycles are often irregular, and the evidence is worth having."""
+FEWEST_MOVING = 10
+"""Samples of co off its limits that are needed to judge its recording."""
 STRETCHES_PER_PERIOD = 20
 """Samples per period that the indexes of movement work on."""
 IAE_AMPLITUDE = 0.1
@@ -78,7 +80,7 @@ def screen(
     found: dict[str, float | None] = {
         "at_low_limit": limits.low, "at_high_limit": limits.high, "limits_hit": float(limits.hit),
         "still_share": state.still_share, "sp_moving_share": state.sp_moving_share, "offset": state.offset,
-        **_recording(window), **_setpoint(window),
+        **_recording(window, limits), **_setpoint(window),
     }  # fmt: skip
     wave = _oscillation(window)
     period_s = None
@@ -93,9 +95,15 @@ def screen(
     return Screening(state, MappingProxyType(kept), period_s, limits)
 
 
-def _recording(window: Window) -> dict[str, float | None]:
-    """Noise and recording, of pv and co."""
-    pv, co = recording_quality(window.pv), recording_quality(window.co)
+def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
+    """Noise and recording, of pv and co; standing at a limit is no compression."""
+    moving = (
+        (window.co > np.min(window.co)) & (window.co < np.max(window.co))
+        if limits.hit
+        else np.full(len(window.co), fill_value=True)
+    )
+    pv = recording_quality(window.pv)
+    co = recording_quality(window.co[moving]) if np.sum(moving) > FEWEST_MOVING else None
     found: dict[str, float | None] = {}
     if pv is not None:
         found |= {"noise_share": pv.noise_share, "quantum_pv": pv.quantum, "repeated_pv": pv.repeated,
