@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.guard import GuardSettings, change_factor
@@ -13,6 +14,7 @@ from retuner.config.bench import OvenPlantConfig
 from retuner.drivers.bus import LinkSettings
 from retuner.drivers.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.gain_box import GainBox
+from retuner.drivers.key_file import read_key
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.oven_plant import OvenPlant
 from retuner.drivers.plant import Plant
@@ -87,7 +89,20 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         co_rate_per_s=loop.co_rate_pct_per_s,
         b=loop.b,
         tau_f_s=loop.tau_f_s,
+        trial_samples=round(config.device.confirm_within_s / loop.sample_time_s) if config.device else 0,
+        key=commit_key(config),
     )
+
+
+def commit_key(config: Config) -> bytes | None:
+    """The key that commits are authenticated with; None without one.
+
+    Raises
+    ------
+    KeyFileError
+        The configured file cannot be used.
+    """
+    return read_key(Path(config.bus.key_file)) if config.bus.key_file else None
 
 
 def certified_box(table: GainTable) -> GainBox:
@@ -118,6 +133,8 @@ def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
         variable=config.schedule.variable,
         reply_floor_s=standard.reply_floor_s * speed,
         connect_floor_s=standard.connect_floor_s * speed,
-        lease_floor_s=standard.lease_floor_s * speed,
+        lease_floor_s=config.bus.lease_s * speed,
+        probation_samples=config.bus.probation_samples,
+        key=commit_key(config),
         owner=standard.owner if config.bus.interface == "virtual" else fresh_owner(),
     )

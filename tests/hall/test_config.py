@@ -303,3 +303,13 @@ def test_the_reference_page_is_in_step_with_the_models() -> None:
     root = Path(__file__).resolve().parents[2]
     page = runpy.run_path(str(root / "scripts" / "document_config.py"))["page"]()
     assert (root / "docs" / "configuration.md").read_text() == page, "run: python scripts/document_config.py"
+
+
+def test_the_trial_time_leaves_room_for_the_probation(tmp_path: Path) -> None:
+    oven = (Path(__file__).resolve().parents[2] / "examples" / "oven.toml").read_text()
+    path = tmp_path / "oven.toml"
+    path.write_text(oven.replace('kind = "virtual"', 'kind = "virtual"\nconfirm_within_s = 30.0'))
+    assert load_config(path).device.confirm_within_s == 30.0
+    path.write_text(oven.replace('kind = "virtual"', 'kind = "virtual"\nconfirm_within_s = 20.0'))
+    with pytest.raises(ConfigError, match=r"confirm_within_s = 20 s must be 0, or 30 to 131070 s: the 5 samples"):
+        load_config(path)

@@ -25,6 +25,18 @@ class BusConfig(Section):
         "Networks that udp_multicast frames may cross; 0 keeps them on this host", unit="-", low=0, high=255, default=0,
         source="no frame leaves the host unasked",
     )  # fmt: skip
+    lease_s: float = setting(
+        "How long the controller stays reserved for a host that has died; at least 30 samples", unit="s", above=0,
+        high=3600, default=3.0, source="a restart of the host",
+    )  # fmt: skip
+    probation_samples: int = setting(
+        "Samples that must show a new set running before it is confirmed", unit="samples", low=0, high=10000, default=5,
+        source="the link must be seen to work",
+    )  # fmt: skip
+    key_file: str = setting(
+        "File with the key that authenticates commits, hexadecimal, readable by you alone; empty for none", unit="-",
+        text=(0, 1024), default="", source="the user",
+    )  # fmt: skip
 
 
 class OvenPlantConfig(Section):
@@ -109,6 +121,10 @@ class DeviceConfig(Section):
     """[device]: the virtual controller. Leave the section out when a real one hangs on the bus."""
 
     kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the only one so far")
+    confirm_within_s: float = setting(
+        "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time", unit="s",
+        low=0, high=1e6, default=0.0, source="off",
+    )  # fmt: skip
     seed: int = setting("Seed of the measurement noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
     plant: Annotated[OvenPlantConfig | LinearPlantConfig, Field(discriminator="kind")] = setting(
         "The simulated plant behind the virtual device", unit="-", source="the user"

@@ -8,11 +8,14 @@ from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
 from retuner.config.loop import LoopConfig, ScheduleConfig
 from retuner.config.setting import Problem, Section, setting
+from retuner.drivers.firmware_settings import SAMPLES_MAX
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 
 SCHEMA = 1
+CONFIRM_ROOM = 10
+"""Samples that a confirmation may take beside the probation: the write's own read-back, and repeated frames."""
 
 
 class Config(Section):
@@ -98,6 +101,14 @@ class Config(Section):
         if self.scenario is not None and self.scenario.duration_s < sample:
             yield Problem(("scenario", "duration_s"), f"= {self.scenario.duration_s:g} s is shorter than one sample of "
                           f"{sample:g} s")  # fmt: skip
+        yield from self._trial_problems()
+
+    def _trial_problems(self) -> Iterator[Problem]:
+        sample, confirm = self.loop.sample_time_s, self.device.confirm_within_s if self.device else 0.0
+        least, most = (self.bus.probation_samples + CONFIRM_ROOM) * sample, SAMPLES_MAX * sample
+        if confirm and not least <= confirm <= most:
+            yield Problem(("device", "confirm_within_s"), f"= {confirm:g} s must be 0, or {least:g} to {most:g} s: the "
+                          f"{self.bus.probation_samples} samples of probation and {CONFIRM_ROOM} more")  # fmt: skip
 
     def _scenario_problems(self) -> Iterator[Problem]:
         for i, step in enumerate(self.scenario.steps if self.scenario else ()):
