@@ -23,8 +23,8 @@ from retuner.adaptive.sample import FloatArray, Window
 
 T1_SHARE = 1 - math.exp(-1 / 3)
 T2_SHARE = 1 - math.exp(-1)
-SAME_LEVEL = 0.02
-"""co within this share of the step belongs to a level; more is another move."""
+SAME_LEVEL = 0.05
+"""co within this share of the step belongs to a level (a controller at rest passes noise on); more is another move."""
 REST_SHARE = 0.1
 """The final level is the mean over this last share of the record."""
 DRIFT_SHARE, REST_DRIFT = 0.2, 0.05
@@ -73,7 +73,7 @@ def step_response(window: Window) -> StepResponse:
         co does not make exactly one step, pv was not recorded before it, hardly answers, or has not come to rest.
     """
     i = _step_index(window.co)
-    a = float(window.co[-1] - window.co[0])
+    a = float(np.mean(window.co[i:]) - np.mean(window.co[:i]))
     sigma = noise_sigma(window.pv)
     # what pv reads at the step's own sample it owes to the output before it
     before = float(np.mean(window.pv[: i + 1]))

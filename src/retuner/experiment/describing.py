@@ -21,8 +21,8 @@ def model_text(model: ProcessModel) -> str:
     return f"{model.type}  k {model.k:.4g}{shown}  theta {model.theta_s:.4g} s"
 
 
-def described(found: Findings) -> list[str]:
-    """Models by method, readings, and settings in lines."""
+def described(found: Findings, *, settings: bool = True) -> list[str]:
+    """Models by method, readings, and settings (unless they are not wanted) in lines."""
     width = max((len(name) for name in (*found.models, *found.refused)), default=0)
     lines = [f"{name:<{width}}  {model_text(model)}" for name, model in found.models.items()]
     lines += [f"{name:<{width}}  - {reason}" for name, reason in found.refused.items()]
@@ -32,6 +32,8 @@ def described(found: Findings) -> list[str]:
     for name, values in found.measured.items():
         text = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
         lines.append(f"{name}: {text}")
+    if not settings:
+        return lines
     if found.chosen is None:
         return [*lines, f"no settings: {found.reason}"]
     for name, offer in found.offers.items():

@@ -46,6 +46,7 @@ class Question:
     kc : proportional gain in force (setpoint, ultimate), None when not known.
     hysteresis : of the relay. rest : pv and co at rest before the relay began; None: the first sample.
     from_rest : the record begins at rest and has no load in it.
+    in_force : gains of the controller, where they are known: the sign of the process is theirs.
     """
 
     kind: str
@@ -56,6 +57,7 @@ class Question:
     hysteresis: float = 0.0
     rest: tuple[float, float] | None = None
     from_rest: bool = True
+    in_force: PidGains | None = None
 
 
 @dataclass(slots=True)
@@ -127,7 +129,7 @@ def _try(found: Findings, name: str, work: Callable[[], ProcessModel]) -> None:
 
 def _fit(found: Findings, window: Window, question: Question) -> None:
     """The maximum-likelihood fit."""
-    gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Kind.SETPOINT else None
+    gains = PidGains(question.kc, 0.0) if question.kc and question.kind == Kind.SETPOINT else question.in_force
     try:
         found.fit = identify_record(window, open_loop=question.from_rest, gains=gains)
     except ValueError as refusal:

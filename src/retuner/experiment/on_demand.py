@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -133,8 +134,8 @@ class OnDemandExperiment:
         if rest is None or before is None or len(conductor.excited) < FEWEST_SAMPLES:
             return None
         kc = p_only(conductor.plan, before).kp if conductor.plan.kind == Kind.SETPOINT else None
-        question = Question(
-            asked.kind, asked.method, asked.rule, asked.controller, kc, rest.hysteresis, (rest.pv, rest.co)
+        question = replace(
+            asked, kc=kc, hysteresis=rest.hysteresis, rest=(rest.pv, rest.co), from_rest=True, in_force=before.gains
         )
         return evaluate(Window.of(conductor.excited), question)
 
@@ -145,7 +146,8 @@ class OnDemandExperiment:
         record = self._outcome.folder / RECORD
         state = conductor.phase.value if conductor.touched else "nothing was touched"
         self._screen.say(f"{ended}; {state}; {len(conductor.excited)} samples in {record}")
-        for line in described(found) if found is not None else ["too little was recorded to say anything"]:
+        lines = described(found, settings=not conductor.cause) if found else ["too little was recorded to say anything"]
+        for line in lines:
             self._screen.say(line)
         if conductor.phase is Phase.STRANDED:
             sys.stderr.write(f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
