@@ -3,6 +3,7 @@
 import hashlib
 import json
 import multiprocessing
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -41,9 +42,13 @@ def run_seed(job: tuple[int, int]) -> Outcome:
 def fingerprint() -> str:
     """Of the code under test and of this harness: results of other code are not added up."""
     digest = hashlib.sha256()
-    folders = (Path(str(drivers.__file__)).parent, Path(__file__).parent)
-    for path in sorted(path for folder in folders for path in folder.iterdir() if path.suffix in {".py", ".dbc"}):
-        digest.update(path.name.encode() + path.read_bytes())
+    here, there = Path(__file__).parent, Path(str(drivers.__file__)).parent
+    loaded = {
+        name.rpartition(".")[2] for name in sys.modules if name.startswith(("retuner.drivers.", "bus_simulation."))
+    }
+    for path in sorted((*here.glob("*.py"), *there.glob("*.py"), *there.glob("*.dbc"))):
+        if path.stem in loaded or path.suffix == ".dbc":
+            digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -16,6 +16,7 @@ from retuner.drivers.virtual_device import VirtualDevice
 NAME = "device"
 COMMIT = 5
 COMMAND = (1 << COMMAND_BITS) - 1
+BUFFER = 64  # frames that a device which hangs still receives
 SAFE = 1 << 60  # messages until a crash: none
 
 
@@ -36,13 +37,17 @@ class LagPlant:
 
 
 class DeviceEnd:
-    """One device. fuse counts the messages until it crashes; down the steps for which it then stays off."""
+    """One device.
+
+    fuse counts the messages until it crashes, down the steps for which it then stays off, hung those for which it does
+    nothing while its receive buffer fills.
+    """
 
     def __init__(self, bus: Bus, device: VirtualDevice, truth: Truth, rng: Random) -> None:
         self.bus, self.device, self.truth, self._rng = bus, device, truth, rng
         self._way = bus.ways[NAME]
         self.fuse = SAFE
-        self.down = 0
+        self.down = self.hung = 0
         self.slow = 1.0
         self._running = device.pages.running
         self._confirmed = device.pages.confirmed
@@ -50,6 +55,9 @@ class DeviceEnd:
 
     def answer(self) -> None:
         """Take what has arrived."""
+        if self.hung:
+            del self._way.inbox[:-BUFFER]
+            return
         if self.down:
             self._way.take()
             return
@@ -74,8 +82,8 @@ class DeviceEnd:
 
     def sample(self) -> None:
         """One controller sample, unless it is off."""
-        if self.down:
-            self.down -= 1
+        if self.down or self.hung:
+            self.down, self.hung = max(self.down - 1, 0), max(self.hung - 1, 0)
             return
         messages = self.device.step(2.0 * self.slow)
         if self.device.pages.running is not self._running:

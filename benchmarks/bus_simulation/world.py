@@ -82,7 +82,7 @@ class World:
         """No faults from now on."""
         self.bus.weather = CALM
         self.bus.clear()
-        self.far.fuse, self.far.down, self.far.slow = 1 << 60, 0, 1.0
+        self.far.fuse, self.far.down, self.far.hung, self.far.slow = 1 << 60, 0, 0, 1.0
         for host in self.hosts:
             host.clear_up()
 
@@ -115,7 +115,7 @@ class World:
         """Something happens to a machine."""
         rng = self.rng
         host = rng.choice(self.hosts)
-        kind = rng.randrange(7)
+        kind = rng.randrange(8)
         if kind <= 1:
             self.far.fuse = rng.randrange(1, 12)
         elif kind <= 3:
@@ -124,8 +124,10 @@ class World:
             host.jump(rng.choice((3.0, 50.0, 1000.0, 1e6)))
         elif kind == 5:
             host.drift(rng.choice((0.0, -0.5, -0.1, 0.1, 1.0)))
-        else:
+        elif kind == 6:
             self.far.slow = rng.choice((1.0, 1.0, 0.2, 3.0))
+        else:
+            self.far.hung = rng.choice((2, 8, 30))
 
     def _known(self, host: HostEnd) -> None:
         """The host knows what runs."""

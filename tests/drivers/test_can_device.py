@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -431,3 +432,29 @@ def test_events_between_polls_are_told_at_the_next(bench) -> None:
         bench.run(1)
         bench.host.send_load(0.0, bench.now_s)  # also sends what is due, and may find the result unknown
     assert sum(isinstance(e, WriteUnknown) for e in bench.events) == 1
+
+
+def test_a_device_that_rounds_silently_gets_nothing_committed(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The read-back is compared bit by bit: fixed-point firmware shows before anything runs."""
+    stage = bench.device.pages.stage
+    monkeypatch.setattr(bench.device.pages, "stage", lambda f: stage(replace(f, value=round(f.value * 4) / 4)))
+    bench.host.begin_write(PidGains(1.1, 0.07, 0.5), bench.now_s)
+    (failed,) = [e for e in bench.run(40) if isinstance(e, WriteFailed)]
+    assert failed.reason == "the staged gains could not be read back"
+    assert bench.device.running.gains == bench.FIRST
+
+
+def test_a_device_that_acknowledges_without_effect_is_not_believed(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    pages = bench.device.pages
+    swap, old = pages.swap, pages.running
+
+    def without_effect():
+        answer = swap()
+        pages.running = old
+        return answer
+
+    monkeypatch.setattr(pages, "swap", without_effect)
+    bench.host.begin_write(bench.SECOND, bench.now_s)
+    (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
+    assert failed.running.gains == bench.FIRST
+    assert "gave way" in failed.reason
