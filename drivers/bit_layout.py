@@ -26,6 +26,23 @@ class _Piece(NamedTuple):
     signals: tuple[Signal, ...]
     is_group: bool
 
+    @property
+    def is_alone(self) -> bool:
+        """Whether one signal fills it that the struct holds as bytes only, or that has a scale."""
+        return self.is_group and len(self.signals) == 1 and self.signals[0].length == 8 * self.length
+
+
+class _Alone(NamedTuple):
+    """A signal that fills its bytes: slot, whether the struct gives bytes, their number, sign, scale, place."""
+
+    slot: int
+    is_bytes: bool
+    length: int
+    signed: bool
+    scale: float
+    offset: float
+    place: int
+
 
 class _Odd(NamedTuple):
     """A signal in a group: slot of the group among the pieces; first bit in it, mask and sign bit of the raw number,
@@ -63,12 +80,13 @@ class BitLayout:
         pieces = _pieces(signals)
         self._struct = struct.Struct("<" + _codes(pieces, layout.length))
         self._plain = tuple((i, place[p.signals[0].name]) for i, p in enumerate(pieces) if not p.is_group)
-        self._wide = tuple((i, p.length) for i, p in enumerate(pieces) if p.is_group and 8 * p.length not in CODES)
-        self._odd = tuple(
-            _odd(i, p.start, s, place[s.name]) for i, p in enumerate(pieces) if p.is_group for s in p.signals
-        )
+        groups = [(i, p) for i, p in enumerate(pieces) if p.is_group and not p.is_alone]
+        self._wide = tuple((i, p.length) for i, p in groups if 8 * p.length not in CODES)
+        self._odd = tuple(_odd(i, p.start, s, place[s.name]) for i, p in groups for s in p.signals)
+        self._alone = tuple(_alone(i, p, place[p.signals[0].name]) for i, p in enumerate(pieces) if p.is_alone)
+        self._is_direct = not self._odd and not self._alone
         self._blank = [0] * len(pieces)
-        source = {at: slot for slot, at in self._plain}
+        source = {at: slot for slot, at in self._plain} | {field.place: field.slot for field in self._alone}
         source |= {field.place: len(pieces) + i for i, field in enumerate(self._odd)}
         self._to_order = _picker([source[i] for i in range(len(signals))])
 
@@ -82,8 +100,11 @@ class BitLayout:
     def unpack(self, data: bytes | bytearray) -> Sequence[float] | None:
         """The numbers in data, which must have the frame's length; None when one is not finite or out of range."""
         raw: Any = self._struct.unpack(data)
-        if self._odd:
+        if not self._is_direct:
             raw = [*raw]
+            for slot, is_bytes, _, signed, scale, offset, _ in self._alone:
+                number = int.from_bytes(raw[slot], "little", signed=signed) if is_bytes else raw[slot]
+                raw[slot] = number if scale == 1 and not offset else number * scale + offset
             for slot, _ in self._wide:
                 raw[slot] = int.from_bytes(raw[slot], "little")
             for slot, shift, mask, sign, scale, offset, _ in self._odd:
@@ -102,6 +123,10 @@ class BitLayout:
         raw: list[Any] = self._blank.copy()
         for slot, place in self._plain:
             raw[slot] = values[place]
+        for slot, is_bytes, length, signed, scale, offset, place in self._alone:
+            value = values[place]
+            number = round(value if scale == 1 and not offset else (value - offset) / scale)
+            raw[slot] = number.to_bytes(length, "little", signed=signed) if is_bytes else number
         for slot, shift, mask, _, scale, offset, place in self._odd:
             value = values[place]
             raw[slot] |= (round(value if scale == 1 and not offset else (value - offset) / scale) & mask) << shift
@@ -179,11 +204,18 @@ def _codes(pieces: Iterable[_Piece], length: int) -> str:
     for piece in pieces:
         signal = piece.signals[0]
         letter = CODES.get(8 * piece.length, f"{piece.length}s")
-        if not piece.is_group:
+        if not piece.is_group or (piece.is_alone and len(letter) == 1):
             letter = "f" if signal.is_float else letter.lower() if signal.is_signed else letter
         code += "x" * (piece.start - at) + letter
         at = piece.start + piece.length
     return code + "x" * (length - at)
+
+
+def _alone(slot: int, piece: _Piece, place: int) -> _Alone:
+    """What is known beforehand of a signal that fills its bytes."""
+    signal = piece.signals[0]
+    is_bytes = 8 * piece.length not in CODES
+    return _Alone(slot, is_bytes, piece.length, signal.is_signed, signal.scale, signal.offset, place)
 
 
 def _odd(slot: int, start: int, signal: Signal, place: int) -> _Odd:

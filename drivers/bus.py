@@ -85,7 +85,7 @@ class CanLink:
 
     def send(self, message: can.Message) -> bool:
         """Send a frame; False when the bus is down or did not take it (the protocol above repeats what matters)."""
-        bus = self._opened()
+        bus = self._bus or self._opened()
         if bus is None:
             return False
         try:
@@ -102,7 +102,8 @@ class CanLink:
         self.counters.sent += 1
         if self._datagrams:
             self._own.append((message.arbitration_id, bytes(message.data)))
-        self._write_log(message, received=False)
+        if self._log is not None:
+            self._write_log(message, received=False)
         return True
 
     def receive_all(self, limit: int = 10_000) -> list[can.Message]:
