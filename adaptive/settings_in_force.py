@@ -34,6 +34,7 @@ class LawSettings:
     explained_limit : smallest share of co's movement that the law must explain; 0.5 to 0.99, default 0.8.
     std_limit : largest standard deviation of kp (of ki without P) as a share of it; 0.01 to 0.5, default 0.15.
     disagreement : largest ratio of a gain in the two halves of the record; 1.05 to 2, default 1.25.
+    slow_disagreement : the same of kp in fast and slow movements, where only another law makes one; default 1.15.
     compression_limit : largest compression of pv or co by a recorder; 1.5 to 10, default 3 (Thornhill et al. 2004).
     largest_lag : samples from pv to co that are tried; 0 to 3, default 1.
     """
@@ -42,12 +43,15 @@ class LawSettings:
     explained_limit: float = 0.8
     std_limit: float = 0.15
     disagreement: float = 1.25
+    slow_disagreement: float = 1.15
     compression_limit: float = 3.0
     largest_lag: int = 1
 
 
 SLOW, FEWEST_SLOW = 5, 60
 """Samples averaged to see slow movements, and how many such means are needed."""
+ALL_EXPLAINED = 0.9999
+"""Share of co's movement from which slow movements can say nothing new."""
 DIRECTION_EXPLAINED = 0.3
 """Share of co's movement from which the direction of the controller is told, if nothing else."""
 BEST_STD = 1e-3
@@ -204,7 +208,7 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     if slow is None:
         return ""
     pair = [_central_kp(f, dt) for f, dt in ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))]
-    if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings):
+    if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
         return (f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones: the record is too coarse for "
                 "this controller's derivative, or it saw another pv")  # fmt: skip
     return ""
@@ -218,19 +222,19 @@ def _central_kp(found: Regression, dt_s: float) -> float:
 def _differ(name: str, a: Regression, b: Regression, settings: LawSettings) -> bool:
     """Whether two fits disagree about a gain."""
     spread = math.hypot(*(f.std.get(name, 0.0) for f in (a, b)))
-    return _apart([f.values.get(name, 0.0) for f in (a, b)], spread, settings)
+    return _apart([f.values.get(name, 0.0) for f in (a, b)], spread, settings.disagreement)
 
 
-def _apart(values: list[float], std: float, settings: LawSettings) -> bool:
+def _apart(values: list[float], std: float, ratio: float) -> bool:
     """Whether two values differ by more than chance and by more than matters."""
-    least = (settings.disagreement - 1) * max(map(abs, values))
+    least = (ratio - 1) * max(map(abs, values))
     return abs(values[0] - values[1]) > max(SIGNIFICANT * std, least)
 
 
 def _slow(found: Regression, window: Window) -> Regression | None:
-    """The same structure on means of a few samples; None where the record is too short for that."""
+    """The same structure on means of a few samples; None where the record is too short, or all is explained."""
     n = len(window.t_s) // SLOW
-    if n < FEWEST_SLOW or not found.structure.proportional:
+    if n < FEWEST_SLOW or not found.structure.proportional or found.explained > ALL_EXPLAINED:
         return None
     means = Window(
         *(x[: n * SLOW].reshape(n, SLOW).mean(axis=1) for x in (window.t_s, window.sp, window.pv, window.co))
