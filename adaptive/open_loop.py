@@ -8,7 +8,7 @@ The phase is a sum of arc tangents, so it is exact and needs no unwrapping howev
 
 import cmath
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,8 @@ from retuner.adaptive.sample import FloatArray
 from retuner.schedule.gains import PidGains
 
 
-@dataclass(frozen=True, slots=True)
-class OpenLoop:
-    """L(s) as at the head of this file.
+class OpenLoop(NamedTuple):
+    """L(s) as at the head of this file. A named tuple because on-line work makes one for every model it asks about.
 
     Parameters
     ----------
@@ -161,14 +160,13 @@ def open_loop(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> 
     order = process.integrators + 1
     while a0 == 0:  # no integral action, or derivative alone: a zero at the origin takes away a pole there
         a0, a1, a2, order = a1, a2, 0.0, order - 1
-    lags = [*process.lags_s, *(c1 for c1, c2 in process.quadratics if c2 == 0), tau_f_s if filtered else 0.0]
-    return OpenLoop(
-        k=process.k * a0,
-        order=order,
-        b1=a1 / a0,
-        b2=a2 / a0,
-        leads=tuple(x for x in process.leads_s if x),
-        lags=tuple(x for x in lags if x),
-        quadratics=tuple(pair for pair in process.quadratics if pair[1]),
-        theta=process.theta_s,
-    )
+    lags, pairs = process.lags_s, process.quadratics
+    if pairs:
+        lags = (*lags, *(c1 for c1, c2 in pairs if c2 == 0))
+        pairs = tuple(pair for pair in pairs if pair[1])
+    if filtered:
+        lags = (*lags, tau_f_s)
+    if not all(lags):
+        lags = tuple(x for x in lags if x)
+    leads = process.leads_s if all(process.leads_s) else tuple(x for x in process.leads_s if x)
+    return OpenLoop(process.k * a0, order, a1 / a0, a2 / a0, leads, lags, pairs, process.theta_s)
