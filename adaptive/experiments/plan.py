@@ -32,12 +32,14 @@ SURE_STD = 2.0
 """Surely: the trend and this many of its standard deviations together."""
 TURN_SHARE = 0.02
 """A turn is a move back by this share of the range, or by what noise cannot be."""
-STEP_PARTS, SWING_PARTS = 3, 2
-"""That part is the last third of a step's response, and half of one that may swing: a peak looks flat from near."""
+STEP_PART, SWUNG_PART, SMOOTH_PART = 0.33, 0.5, 0.67
+"""That part of a step's response; of a setpoint response that has swung once; and of one that has not, because a peak
+looks flat from near.
+"""
 ENOUGH_OF_BAND = 0.6
 """A response that has gone this share of the way to the edge of the band has shown its slope."""
-TURNS = 5
-"""A swing that turns this often has shown its peaks, whether it dies down or not."""
+SWUNG, TURNS = 2, 5
+"""A swing has turned back this often when peak and undershoot have been seen, and when it need not die down at all."""
 SHORTEST_WATCH = 20
 """Samples before a response may count as come to rest."""
 
@@ -186,15 +188,16 @@ def enough(plan: Plan, samples: list[LoopSample], rest: Rest, relay: RelayState)
     if len(pv) < SHORTEST_WATCH:
         return False
     if plan.kind == Kind.SETPOINT:
-        return _turned(pv - rest.pv, rest.sigma) >= TURNS or _come_to_rest(pv, rest, SWING_PARTS)
+        turns = _turned(pv - rest.pv, rest.sigma)
+        return turns >= TURNS or _come_to_rest(pv, rest, SWUNG_PART if turns >= SWUNG else SMOOTH_PART)
     room = plan.pv_high - rest.pv if pv[-1] > rest.pv else rest.pv - plan.pv_low
     far = abs(float(pv[-1]) - rest.pv) > ENOUGH_OF_BAND * room
-    return far or _come_to_rest(pv, rest, STEP_PARTS)
+    return far or _come_to_rest(pv, rest, STEP_PART)
 
 
-def _come_to_rest(pv: FloatArray, rest: Rest, parts: int) -> bool:
-    """Whether the last of so many parts is flat, after a clear move."""
-    last = pv[-(len(pv) // parts) :]
+def _come_to_rest(pv: FloatArray, rest: Rest, part: float) -> bool:
+    """Whether this last part is flat, after a clear move."""
+    last = pv[-int(part * len(pv)) :]
     moved = abs(float(np.mean(last)) - rest.pv)
     if moved <= 2 * TREND_STD * rest.sigma:
         return False

@@ -23,6 +23,8 @@ from retuner.adaptive.sample import FloatArray, Window
 
 LARGEST_D = 0.6
 """Largest overshoot for which the correlations were made (Shamsuzzoha & Skogestad 2010, section 3)."""
+UNDERSHOOT_BY = 3.5
+"""The first undershoot lies at about 2 t_p, and before this many t_p however strong the damping (delay and one lag)."""
 LARGEST_UNDERSHOOT = 0.85
 """dy_u / dy_p above this: the overshoot is below about 0.15, and 0.45 (dy_p + dy_u) is no more the final level."""
 INTEGRATING_B = 0.02
@@ -91,22 +93,24 @@ def measure(window: Window) -> Overshoot:
     Raises
     ------
     ValueError
-        The setpoint does not make exactly one step, or pv shows no peak or no undershoot after it.
+        The setpoint does not make exactly one step, or pv shows no peak after it, or the record ends soon after that.
     """
     i, dy_s = _setpoint_step(window.sp)
     t = window.t_s[i:] - window.t_s[i]
     before = float(np.mean(window.pv[: i + 1]))
     sign = math.copysign(1.0, dy_s)
-    y, left = smoothed((window.pv[i:] - before) * sign, dy_s)
-    clear = CLEAR * max(left, noise_sigma(y))
+    raw = (window.pv[i:] - before) * sign
+    y, left = smoothed(raw, float(np.ptp(raw)))
+    clear = 2 * CLEAR * max(left, noise_sigma(y))  # both ends of a move back are the extremes of many samples
     top = _first_peak(y, clear)
     if top is None:
         raise ValueError("pv shows no overshoot: no peak that it clearly comes back from; repeat with a larger gain")
-    bottom = _first_peak(-y[top:], clear)
-    if bottom is None:
-        raise ValueError("pv shows no undershoot after its peak; record longer, or repeat with a larger gain")
     t_p, dy_p = _refined(t, y, top)
-    _, under = _refined(t, -y, top + bottom)
+    end = int(np.searchsorted(t, UNDERSHOOT_BY * t_p))
+    bottom = top + int(np.argmin(y[top:end]))
+    if bottom == len(y) - 1:
+        raise ValueError("pv still falls after its peak at the end of the record; record longer")
+    _, under = _refined(t, -y, bottom)
     return Overshoot(dy_s, dy_p * sign, -under * sign, t_p)
 
 

@@ -5,9 +5,12 @@
     tangent         tau = B/S, theta where the tangent at the inflection leaves the old level (Ziegler & Nichols 1942)
     reaction-curve  tau = B/S, theta until the response starts                                (Cohen & Coon 1953)
     63-percent      theta until the response starts, tau the further time to 63.2 %           (Skogestad 2003)
+    slope           integrating: k' = S/A, theta as for the tangent; takes a response that has not come to rest
+                    (Ziegler & Nichols 1942: unit reaction rate and lag; Skogestad 2003: slope after take-off)
 
-k = B/A with A the change of co, B that of pv, S the steepest slope. They need a response that has come to rest and one
-clean step; the fit (identify) needs neither and says how sure it is, so it is the default and these are for comparison.
+k = B/A with A the change of co, B that of pv, S the steepest slope. They need one clean step and, but for the last, a
+response that has come to rest; the fit (identify) needs neither and says how sure it is, so it is the default and these
+are for comparison.
 """
 
 import math
@@ -31,6 +34,8 @@ DRIFT_SHARE, REST_DRIFT = 0.2, 0.05
 """pv is at rest when over the last fifth of the record it moves by less than this share of its change."""
 SLOPE_ERROR = 0.05
 """The steepest slope is taken over enough samples that noise moves it by about this share."""
+RAMP_PART = 3
+"""The slope of a ramp is taken over a third of the record: over a few samples the steepest is that with most noise."""
 STARTED = 0.02
 """The response has started at this share of its change, or at the edge of the noise where that is wider."""
 
@@ -42,6 +47,7 @@ class StepMethod(StrEnum):
     TANGENT = "tangent"
     REACTION_CURVE = "reaction-curve"
     PERCENT_63 = "63-percent"
+    SLOPE = "slope"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +70,10 @@ class StepResponse:
     sigma_left: float
 
 
-def step_response(window: Window) -> StepResponse:
+def step_response(window: Window, *, rest: bool = True) -> StepResponse:
     """Find the step in a record.
+
+    rest : whether pv has to have come to rest at the end.
 
     Raises
     ------
@@ -85,7 +93,7 @@ def step_response(window: Window) -> StepResponse:
                          "a larger step")  # fmt: skip
     last = window.pv[-max(int(DRIFT_SHARE * (len(window.pv) - i)), 3) :]
     moved = float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0])
-    if abs(moved) > max(REST_DRIFT * abs(b), CLEAR * sigma * math.sqrt(12 / len(last))):
+    if rest and abs(moved) > max(REST_DRIFT * abs(b), CLEAR * sigma * math.sqrt(12 / len(last))):
         raise ValueError(f"pv has not come to rest: it still moves by {moved:.3g} over the last fifth of the record; "
                          "record longer, or use the fit")  # fmt: skip
     t = window.t_s[i:] - window.t_s[i]
@@ -107,13 +115,17 @@ def _step_index(co: FloatArray) -> int:
 
 
 def model_by(method: StepMethod, response: StepResponse) -> ProcessModel:
-    """First order + dead time by a named method; see the head of this file.
+    """First order (for "slope" integrating) + dead time by a named method; see the head of this file.
 
     Raises
     ------
     ValueError
         The response is faster than the samples.
     """
+    if method == StepMethod.SLOPE:
+        slope, t, pv = _steepest(response, len(response.t_s) // RAMP_PART)
+        theta = max(t - (pv - response.pv_before) / slope, 0.0)
+        return ProcessModel(ProcessType.INTEGRATING, slope / response.co_change, theta_s=theta)
     work = {
         StepMethod.TWO_POINT: _two_point,
         StepMethod.TANGENT: _tangent,
@@ -158,9 +170,10 @@ def _start(response: StepResponse) -> float:
     return _share_time(response, share)
 
 
-def _steepest(response: StepResponse) -> tuple[float, float, float]:
+def _steepest(response: StepResponse, fewest: int = 3) -> tuple[float, float, float]:
     """Steepest slope towards the new level with a point of its tangent: slope, time, pv.
 
+    fewest : samples that the slope is taken over at least.
     A straight line is fitted to as few samples as keep the noise out of its slope, whose standard deviation is
     sigma sqrt(12)/(dt m^1.5) over m samples.
     """
@@ -168,7 +181,7 @@ def _steepest(response: StepResponse) -> tuple[float, float, float]:
     dt = float(np.median(np.diff(t)))
     rise = max(1.5 * (_share_time(response, T2_SHARE) - _share_time(response, T1_SHARE)), dt)
     wanted = (math.sqrt(12) * response.sigma * rise / (SLOPE_ERROR * abs(response.pv_change) * dt)) ** (2 / 3)
-    m = int(min(max(3.0, wanted), max(rise / (2 * dt), 3.0), len(t)))
+    m = int(min(max(fewest, min(max(3.0, wanted), max(rise / (2 * dt), 3.0))), len(t)))
     best = (0.0, 0.0, 0.0)
     sign = math.copysign(1.0, response.pv_change)
     for i in range(len(t) - m + 1):

@@ -58,7 +58,7 @@ def step(
     pv_low: PvLow = None, pv_high: PvHigh = None, deviation: Deviation = None, time: Time = None, rest: Rest = None,
     out: Out = None, yes: Yes = False, json: Json = False,
 ) -> int:  # fmt: skip
-    """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent."""
+    """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent, slope."""
     from retuner.commands.experiment import Recorded, question_for
     from retuner.commands.experiment_on_demand import OnDemand
 

@@ -98,12 +98,24 @@ def test_two_point_times_on_two_equal_lags_are_those_of_the_exact_response() -> 
     assert found.theta_s == pytest.approx(21.462 - found.tau1_s, abs=0.15)
 
 
-@pytest.mark.parametrize("method", list(step.StepMethod))
+@pytest.mark.parametrize("method", [m for m in step.StepMethod if m != "slope"])
 def test_noise_of_one_per_cent_moves_graphical_methods_little(method: step.StepMethod) -> None:
     record = step_record(LinearProcess(1.5, (20.0,), (), 5.0), noise=0.03)
     found = step.model_by(method, step.step_response(record))
     assert found.k == pytest.approx(1.5, rel=0.02)
     assert found.tau1_s + found.theta_s == pytest.approx(25.0, rel=0.12)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("k", [0.05, -0.05])
+def test_the_slope_of_a_ramp_gives_an_integrating_process(k: float, noise: float) -> None:
+    record = step_record(LinearProcess(k, (), (), 4.0, 1), n=600, noise=noise)
+    with pytest.raises(ValueError, match="not come to rest"):
+        step.step_response(record)
+    found = step.model_by(step.StepMethod.SLOPE, step.step_response(record, rest=False))
+    assert found.type == ProcessType.INTEGRATING
+    assert found.k == pytest.approx(k, rel=0.02 if not noise else 0.06)
+    assert found.theta_s == pytest.approx(4.0, abs=0.1 if not noise else 1.5)
 
 
 REFUSED_STEPS = {
@@ -200,6 +212,16 @@ def test_reverse_acting_noisy_setpoint_response() -> None:
     model = setpoint.two_step_model(setpoint.measure(record), -4.007)
     assert model.k == pytest.approx(-1.0, rel=0.1)
     assert model.theta_s == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_on_a_response_without_overshoot_is_no_peak(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.arange(600.0)
+    pv = np.where(t >= 30, 1 - np.exp(-np.maximum(t - 30, 0) / 60), 0.0) + 0.04 * rng.standard_normal(600)
+    sp = np.where(t >= 30, 2.0, 0.0)
+    with pytest.raises(ValueError, match="no overshoot"):
+        setpoint.measure(Window(t, sp, pv, 1.0 * (sp - pv)))
 
 
 def test_setpoint_responses_that_say_nothing_are_refused() -> None:

@@ -150,7 +150,7 @@ def _read_step(found: Findings, window: Window, question: Question) -> None:  # 
 
 def _step_model(method: step.StepMethod, window: Window) -> ProcessModel:
     """A graphical method's model."""
-    return step.model_by(method, step.step_response(window))
+    return step.model_by(method, step.step_response(window, rest=method != step.StepMethod.SLOPE))
 
 
 def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
