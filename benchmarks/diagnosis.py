@@ -26,7 +26,7 @@ from cases.case import DiagnosisCase
 from cases.counting import picture, share, spread
 from cases.robustness import robustness
 
-import retuner
+from retuner import api
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST = 1.8, 1.03
@@ -64,7 +64,7 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
     record, begun = case.record, time.process_time()
     confidence, retune, evidence, gains = 1.0, False, {}, None
     try:
-        result = retuner.diagnose(
+        result = api.diagnose(
             record.t, record.sp, record.pv, record.co, gains=case.gains, co_min=case.co_min, co_max=case.co_max
         )
     except ValueError as error:
@@ -175,7 +175,7 @@ def main() -> int:
     parser.add_argument("--save-failures", metavar="FOLDER")
     parser.add_argument("--out", metavar="FILE", help="every score as a line of JSON")
     options = parser.parse_args()
-    if not hasattr(retuner, "diagnose"):
+    if not hasattr(api, "diagnose"):
         sys.stderr.write("this retuner has no diagnose(t, sp, pv, co, gains=, co_min=, co_max=): nothing to measure\n")
         return 1
     lines, everything = [f"seed {options.seed}"], []

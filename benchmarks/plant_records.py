@@ -19,7 +19,7 @@ import numpy as np
 from cases.case import FloatArray, Record
 from cases.counting import spread
 
-import retuner
+from retuner import api
 
 
 class Row(NamedTuple):
@@ -50,7 +50,7 @@ def judge(data: Path, pictures: Path | None, entry: dict[str, str]) -> Row:
     begun = time.process_time()
     fits: dict[str, FloatArray] = {}
     try:
-        result = retuner.diagnose(record.t, record.sp, record.pv, record.co, gains=None)
+        result = api.diagnose(record.t, record.sp, record.pv, record.co, gains=None)
     except ValueError as error:
         row = Row(entry["file"], entry["tag"], entry["label"], "refused", 1.0, False, str(error), {}, 0.0)
     else:
@@ -111,7 +111,7 @@ def main() -> int:
     parser.add_argument("--only", metavar="TAG")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    if not hasattr(retuner, "diagnose"):
+    if not hasattr(api, "diagnose"):
         sys.stderr.write("this retuner has no diagnose(t, sp, pv, co, gains=, co_min=, co_max=): nothing to measure\n")
         return 1
     if not (options.data / "index.csv").is_file():
