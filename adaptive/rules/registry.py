@@ -123,6 +123,8 @@ def _worked_out(
         raise ValueError(f"rule {rule.name} works from a model; give its type, k, tau1, tau2, theta")
     fitted, notes = fitted_to(rule, model)
     found = rule.from_model(fitted, kind, wishes)
+    if model.zeta < 1:
+        notes = (*notes, f"this process swings (zeta = {model.zeta:g}) and rules know real lags only: look at Ms")
     return replace(found, notes=(*found.notes, *notes))
 
 

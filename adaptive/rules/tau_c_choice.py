@@ -54,6 +54,7 @@ def tau_c_for_gm(rule: TauCRule, process: LinearProcess, gm: float) -> Tuning:
 def _smallest(rule: TauCRule, process: LinearProcess, keeps: Callable[[PidGains], bool], what: str) -> Tuning:
     """Bisection on log(tau_c) between values that do not keep the demand and ones that do."""
     times = [process.theta_s, *process.lags_s, *(abs(x) for x in process.leads_s)]
+    times += [math.sqrt(c2) for _, c2 in process.quadratics]
     unit = max(times, default=0.0) or 1.0
     low, high = math.log(min((x for x in times if x > 0), default=1.0) / SLOWEST), math.log(unit * SLOWEST)
     if keeps(rule(math.exp(low)).gains):
