@@ -188,13 +188,7 @@ def _leave(
                            config.loop.sample_time_s / 2, config.loop.tau_f_s)  # fmt: skip
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
-    facts = {
-        "retuner": version("retuner"), "Python": platform.python_version(),
-        "bus": f"{config.bus.interface} {config.bus.channel}, node {config.bus.node}",
-        "seed": str(config.device.seed) if config.device else "a real controller",
-        "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
-        "trend": trend.name, "bus log": BUS_LOG, "gains": GAINS,
-    }  # fmt: skip
+    facts = _facts(job, ledger, trend.name)
     data = ReportData(
         config.loop.name, config.loop.pv_unit, before, session.table, scores, list(session.decisions),
         columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
@@ -210,6 +204,18 @@ def _leave(
     screen.console.print(f"{len(session.decisions)} decisions, {len(session.commits)} changes of gains; "
                          f"report: {folder / REPORT}", highlight=False)  # fmt: skip
     screen.console.print(f"ledger head {ledger.head()}", highlight=False)
+
+
+def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:
+    """What a reader of the report needs to find the rest, or to do the run again."""
+    config = job.config
+    return {
+        "retuner": version("retuner"), "Python": platform.python_version(),
+        "bus": f"{config.bus.interface} {config.bus.channel}, node {config.bus.node}",
+        "seed": str(config.device.seed) if config.device else "a real controller",
+        "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
+        "trend": trend, "bus log": BUS_LOG, "gains": GAINS,
+    }  # fmt: skip
 
 
 def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:
