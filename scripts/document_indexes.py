@@ -13,8 +13,9 @@ HEAD = """# The numbers of the evidence
 `retuner diagnose` gives these numbers beside the cause: as a table for people, by name in the JSON. They are the
 field's classic indexes and a few of our own; they put into words what a record looks like. They do not decide where
 fitted hypotheses can. A number that does not apply to a record is left out. Unit "share" is 0 to 1 (shown in percent),
-"pv" and "co" are the record's own units. Formulas and why this variant: `adaptive/diagnosis/indexes/`, one index a
-file. This page is written by scripts/document_indexes.py.
+"pv" and "co" are the record's own units, "noise" counts in standard deviations of pv's noise. Formulas and why this
+variant: `adaptive/diagnosis/indexes/`, one index a file.
+This page is written by scripts/document_indexes.py.
 """
 COLUMNS = "| name | meaning | unit | how to read it | source |\n|---|---|---|---|---|\n"
 

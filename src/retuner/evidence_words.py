@@ -12,10 +12,21 @@ MARGINS = {
     "ki_ratio": Entry("SIMC's integral gain over the one in force", "ratio", "above 1.3: slow", "Skogestad 2003"),
     "kp_ratio": Entry("SIMC's gain over the one in force", "ratio", "above 1.3: slow", "Skogestad 2003"),
 }
-WORDS = {**GLOSSARY, **MARGINS}
+HYPOTHESES = {
+    "loads": Entry("load steps found", "count", "", ""),
+    "linear_left": Entry("left by the loop alone", "noise", "near 1: all explained", ""),
+    "external_left": Entry("left with a tone from outside", "noise", "", ""),
+    "stuck_left": Entry("left with a sticking valve", "noise", "", ""),
+    "external_lead": Entry("what the tone gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
+    "stuck_lead": Entry("what the sticking valve gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
+    "external_period_s": Entry("period of the tone", "s", "", ""),
+    "slip_jump": Entry("jump of the valve when it slips", "co", "", "Kano et al. 2004"),
+}
+WORDS = {**GLOSSARY, **MARGINS, **HYPOTHESES}
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "margins with the settings in force": tuple(MARGINS),
+    "rival explanations": tuple(HYPOTHESES),
     "oscillation": ("period_s", "cycles", "regularity", "strength", "decay_ratio", "iae_count", "period_to_tau_i",
                     "phase_deg", "amplitude_pv", "amplitude_co"),
     "setpoint and load responses": ("setpoint_steps", "overshoot", "damping", "idle_index"),
@@ -24,7 +35,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "limits and recording": ("at_low_limit", "at_high_limit", "still_share", "offset", "noise_share", "quantum_pv",
                              "quantum_co", "compression_pv"),
 }  # fmt: skip
-"""Headings with the numbers under them; what is not here is in the JSON only, or under "hypotheses"."""
+"""Headings with the numbers under them; what is not here is in the JSON only, or under "other"."""
 SILENT_UP_TO = {
     "at_low_limit": 0.0, "at_high_limit": 0.0, "still_share": 0.0, "quantum_pv": 0.0, "quantum_co": 0.0, "offset": 1.0,
     "compression_pv": 1.5,
@@ -43,14 +54,14 @@ def value_text(name: str, value: float) -> str:
         return f"{value:.1%}"
     if unit == "count":
         return f"{value:.3g}"
-    return f"{value:.3g}" + {"s": " s", "deg": " deg", "pv": " (pv)", "co": " (co)"}.get(unit, "")
+    return f"{value:.3g}" + {"s": " s", "deg": " deg", "pv": " (pv)", "co": " (co)", "noise": " x noise"}.get(unit, "")
 
 
 def evidence_table(evidence: Mapping[str, float]) -> dict[str, list[tuple[str, str, str]]]:
     """Rows (words, value, how to read it) by heading; only what the evidence holds."""
     found: dict[str, list[tuple[str, str, str]]] = {}
     other = [name for name in evidence if name not in WORDS]
-    for heading, names in {**GROUPS, "hypotheses": tuple(other)}.items():
+    for heading, names in {**GROUPS, "other": tuple(other)}.items():
         rows = []
         for name in names:
             if name not in evidence or evidence[name] <= SILENT_UP_TO.get(name, -math.inf):

@@ -1,4 +1,4 @@
-"""The picture of one record: setpoint, pv and the model's pv, co and its limits, what is left, pv over co, evidence."""
+"""The picture of one record: setpoint, pv and its explanations, co, what is left, pv over co, evidence."""
 
 import io
 from collections.abc import Sequence
@@ -23,11 +23,26 @@ LINE_WIDTH, MOST_LINES = 72, 32
 
 
 @dataclass(frozen=True, slots=True)
+class Explanation:
+    """pv as something explains it. t_s, pv : shape (m,), m samples of the record or as many as it was condensed to."""
+
+    name: str
+    t_s: FloatArray
+    pv: FloatArray
+
+    @classmethod
+    def of(cls, name: str, window: Window, pv: FloatArray) -> "Explanation":
+        """An explanation of every n-th sample of a window."""
+        every = -(-len(window.t_s) // len(pv))
+        return cls(name, window.t_s[::every], np.asarray(pv, dtype=np.float64))
+
+
+@dataclass(frozen=True, slots=True)
 class RecordPicture:
     """What is drawn.
 
     window : the record. title, subtitle : the finding and its sentence. lines : text beside the curves.
-    fitted : pv as the model explains it, shape (n,), or None. loads_s : when load steps entered.
+    explanations : pv as rivals explain it, the one that is believed last. loads_s : when load steps entered.
     limits : of co, None where not known. noise_std : of pv's noise, for the band round the remainder.
     closed_loop : there was a controller with a setpoint.
     """
@@ -36,7 +51,7 @@ class RecordPicture:
     title: str
     subtitle: str
     lines: Sequence[str]
-    fitted: FloatArray | None = None
+    explanations: Sequence[Explanation] = ()
     loads_s: Sequence[float] = ()
     limits: tuple[float | None, float | None] = (None, None)
     noise_std: float = 0.0
@@ -74,14 +89,16 @@ def record_png(picture: RecordPicture) -> bytes:
 
 
 def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
-    """pv, setpoint, and what the model makes of it."""
+    """pv, setpoint, and the explanations of pv."""
     window = picture.window
     axes.plot(x, window.pv, color=PV, lw=0.9, label="pv")
     near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR * float(np.ptp(window.pv))
     if picture.closed_loop and (near or np.ptp(window.sp) > 0):
         axes.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
-    if picture.fitted is not None:
-        axes.plot(x, picture.fitted, color=MODEL, lw=1.3, label="model")
+    for i, curve in enumerate(picture.explanations):
+        believed = i == len(picture.explanations) - 1
+        place = np.interp(curve.t_s, window.t_s, x)
+        axes.plot(place, curve.pv, color=MODEL if believed else LIMIT, lw=1.3 if believed else 1.0, label=curve.name)
     axes.set_ylabel("pv, sp")
     axes.legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=3)
 
@@ -98,15 +115,17 @@ def _output(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
 
 
 def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
-    """What the model leaves, in the band of the noise; without a model the control error."""
+    """What the explanations leave, in the band of the noise; without one the control error."""
     window = picture.window
-    if picture.fitted is None:
+    if not picture.explanations:
         axes.plot(x, window.sp - window.pv, color=PV, lw=0.8)
         axes.set_ylabel("sp - pv")
-    else:
-        axes.plot(x, window.pv - picture.fitted, color=PV, lw=0.8)
-        axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
-        axes.set_ylabel("pv - model")
+    for i, curve in enumerate(picture.explanations):
+        believed = i == len(picture.explanations) - 1
+        left = window.pv[np.searchsorted(window.t_s, curve.t_s)] - curve.pv
+        axes.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else BEFORE, lw=0.8)
+        axes.set_ylabel("pv left over")
+    axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
     axes.axhline(0, color=LIMIT, lw=0.8)
 
 

@@ -37,10 +37,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
         calls.append({"window": window, "gains": gains, "co_min": co_min, "co_max": co_max})
         if gains is None:
             nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the settings in force are not known")
-            return SimpleNamespace(diagnosis=nothing, settings=None, estimate=None)
+            return SimpleNamespace(diagnosis=nothing, settings=None, estimate=None, fits={})
         told = Diagnosis(Cause.AGGRESSIVE, 0.97, {"ms": 3.1, "gm": float("inf")}, "Ms 3.10 is over 1.8")
         cure = tune(ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 3.0))
-        return SimpleNamespace(diagnosis=told, settings=cure, estimate=None)
+        return SimpleNamespace(diagnosis=told, settings=cure, estimate=None, fits={"linear": window.pv[::2]})
 
     monkeypatch.setattr(api, "diagnose_record", double, raising=False)
     return calls
@@ -206,12 +206,14 @@ def test_what_a_record_lacks_is_said_with_what_would_be_needed():
 
 def test_words_for_numbers_known_and_unknown():
     lines = "\n".join(
-        evidence_lines({"period_s": 40.0, "ms": 2.5, "bic_valve": -3.2, "offset": 0.2, "quantum_pv": 0.0})
+        evidence_lines(
+            {"period_s": 40.0, "ms": 2.5, "linear_left": 1.2, "some_number": -3.2, "offset": 0.2, "quantum_pv": 0.0}
+        )
     )
     assert "oscillation period" in lines
     assert "40 s" in lines
-    assert "hypotheses" in lines
-    assert "bic valve" in lines
+    assert "1.2 x noise" in lines
+    assert "some number" in lines
     assert "mean error" not in lines
     assert value_text("gm", float("inf")) == "none"
     assert value_text("tone_share", 0.5) == "50.0%"

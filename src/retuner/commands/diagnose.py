@@ -8,16 +8,16 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from retuner import api
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.indexes.screening import Screening, screen
 from retuner.adaptive.diagnosis.sufficiency import shortcomings
-from retuner.adaptive.estimate import ModelEstimate
+from retuner.adaptive.noise import noise_sigma
 from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.sample import Window
 from retuner.adaptive.settings_in_force import SettingsInForce, settings_in_force
+from retuner.api import RecordDiagnosis
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop
 from retuner.commands.tune import described as tuning_lines
 from retuner.drivers.recording import Recording
@@ -26,26 +26,6 @@ from retuner.evidence_words import evidence_lines
 from retuner.explain import settings_text
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
-from retuner.tuning import TuneResult
-
-
-class RecordDiagnosis(Protocol):
-    """What api.diagnose_record gives."""
-
-    @property
-    def diagnosis(self) -> Diagnosis:
-        """Cause, confidence, evidence, reason."""
-        ...
-
-    @property
-    def settings(self) -> TuneResult | None:
-        """Settings that would cure it, for causes of tuning."""
-        ...
-
-    @property
-    def estimate(self) -> ModelEstimate | None:
-        """The process, where one was fitted."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,18 +155,24 @@ def _process_lines(found: Finding) -> list[str]:
     return [f"process: {model.type}, " + ", ".join(numbers)]
 
 
+SHOWN = {"linear": "the loop alone", "external": "with a tone from outside", "stuck": "with a sticking valve"}
+"""Explanations in words."""
+WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
+"""The explanation that is believed, besides the loop by itself."""
+
+
 def _picture(found: Finding, options: RecordOptions) -> bytes:
     """The record with what was found."""
-    from retuner.adaptive.fitted import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
-    from retuner.record_plots import RecordPicture, record_png  # noqa: PLC0415
+    from retuner.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415  slow to load
 
     told, estimate = found.result.diagnosis, found.result.estimate
     lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]
+    names = [name for name in ("linear", WINNER.get(told.cause, "")) if name in found.result.fits]
+    curves = [Explanation.of(SHOWN[name], found.window, found.result.fits[name]) for name in names]
     title = f"{Path(found.source).name}: {str(told.cause).replace('_', ' ')} ({told.confidence:.0%})"
     picture = RecordPicture(
-        found.window, title, told.reason, lines, limits=(options.co_min, options.co_max),
-        fitted=fitted_pv(found.window, estimate) if estimate is not None else None,
-        loads_s=estimate.load_times_s if estimate is not None else (),
-        noise_std=estimate.noise_std if estimate is not None else 0.0, closed_loop=not options.open_loop,
+        found.window, title, told.reason, lines, curves, limits=(options.co_min, options.co_max),
+        loads_s=estimate.load_times_s if estimate is not None else (), noise_std=noise_sigma(found.window.pv),
+        closed_loop=not options.open_loop,
     )  # fmt: skip
     return record_png(picture)

@@ -66,12 +66,13 @@ def described(found: Identification) -> list[str]:
 def _picture(recording: Recording, found: Identification, options: RecordOptions) -> bytes:
     """The record with the model's pv."""
     from retuner.adaptive.fitted import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
-    from retuner.record_plots import RecordPicture, record_png  # noqa: PLC0415
+    from retuner.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415
 
     window, estimate = recording.window(), found.estimate
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")
+    model = Explanation.of("model", window, fitted_pv(window, estimate))
     picture = RecordPicture(
-        window, title, estimate.reason, described(found)[1:], fitted_pv(window, estimate), estimate.load_times_s,
+        window, title, estimate.reason, described(found)[1:], [model], estimate.load_times_s,
         (options.co_min, options.co_max), estimate.noise_std, closed_loop=not options.open_loop,
     )  # fmt: skip
     return record_png(picture)
