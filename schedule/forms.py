@@ -124,7 +124,7 @@ def to_ideal(gains: PidGains) -> IdealGains:
     """
     if gains.kp == 0:
         raise ValueError(f"kp = 0 (ki = {gains.ki}, kd = {gains.kd}) has no ideal or series form; use parallel")
-    return IdealGains(gains.kp, gains.kp / gains.ki if gains.ki else None, gains.kd / gains.kp)
+    return IdealGains(gains.kp, gains.kp / gains.ki if gains.ki else None, gains.kd / gains.kp if gains.kd else 0.0)
 
 
 def to_series(gains: PidGains) -> SeriesGains:

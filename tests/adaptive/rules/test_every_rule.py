@@ -1,6 +1,8 @@
 """What every rule must do: scale as dimensions demand, mirror, refuse what it has no answer for."""
 
 import math
+import runpy
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -198,3 +200,9 @@ def test_derivative_pays_only_when_the_second_lag_is_longer_than_the_dead_time()
     assert "derivative action would pay" in str(advised)
     assert "hardly pays" in str(tune(ProcessModel(T.SOPDT, 1.0, 5.0, 1.0, 2.0), kind="pid").to_dict()["notes"])
     assert tune(ProcessModel(T.SOPDT, 1.0, 5.0, 1.0, 2.0)).to_dict()["notes"] == []
+
+
+def test_the_page_of_rules_is_up_to_date() -> None:
+    root = Path(__file__).parents[3]
+    page = runpy.run_path(str(root / "scripts" / "document_rules.py"))["page"]()
+    assert (root / "docs" / "rules.md").read_text() == page, "run: python scripts/document_rules.py"
