@@ -103,8 +103,8 @@ def _plan(layout: Layout, source: str) -> _Plan:
         raise DbcError(f"{source}: {layout.name} has not the signals of this protocol: {odd}")
     try:
         bits = BitLayout(layout, [by_field[name].name for name in names])
-    except ValueError as error:
-        raise DbcError(f"{source}: {error}") from None
+    except (ValueError, OverflowError) as error:  # the second: a limit with hundreds of digits
+        raise DbcError(f"{source}: {layout.name}: {error}") from None
     return _Plan(
         layout, bits, make, make, _values(names), tuple(by_field[n].name for n in names), CHECKSUM.lower() in by_field
     )

@@ -8,7 +8,8 @@ import cantools.database
 import pytest
 
 from retuner.drivers.bit_layout import BitLayout
-from retuner.drivers.codec import _database
+from retuner.drivers.codec import _database, plans_of
+from retuner.drivers.dbc_reading import DbcError, read_dbc
 
 LAYOUTS = _database().messages
 DRAWS = 300
@@ -103,3 +104,10 @@ def test_signals_of_another_kind_are_refused(signal: str, types: str, told: str)
     database = cantools.database.load_string(DBC.format(signal=signal, types=types), "dbc")
     with pytest.raises(ValueError, match=told):
         BitLayout(database.messages[0], ["s"])
+
+
+def test_a_limit_with_hundreds_of_digits_is_refused_in_one_line() -> None:
+    text = _database().as_dbc_string().replace("[0|255]", f"[0|{'9' * 400}]")
+    with pytest.raises(DbcError, match=r"x\.dbc: ") as caught:
+        plans_of(read_dbc(text, "x.dbc"), "x.dbc")
+    assert len(str(caught.value).splitlines()) == 1
