@@ -4,11 +4,12 @@
     Ku = 4 d / (pi sqrt(a^2 - eps^2))        with hysteresis eps
     Pu = mean duration of a full wave
 
-The formulas take the wave for a sine (describing function): right within about 10 % for lags, worst (30 %) for an
-integrator with dead time. A full wave begins at every switching, and each gives one Ku and one Pu. Reported is the mean
-with the standard deviation over the waves, which says what noise, drift and coarse sampling did. Left out are the first
-wave, waves that last less than half or more than twice the median (a setpoint change), and outliers of the rest by
-their median absolute deviation (the limit cycle has not been reached). Noisy peaks are read off a smoothed record.
+The formulas take the wave for a sine (describing function): Ku is right within a few per cent for several lags, and
+20 % too low for first order or an integrator with dead time. A full wave begins at every switching, and each gives one
+Ku and one Pu. Reported is the mean with the standard deviation over the waves, which says what noise, drift and coarse
+sampling did. Left out are the first wave, waves that last less than half or more than twice the median (a setpoint
+change), and outliers of the rest by their median absolute deviation (the limit cycle has not been reached). Noisy peaks
+are read off a smoothed record.
 
 The frequency response at the fundamental, G(jw) = Y1/U1 by Fourier over whole waves, needs no sine wave. Its phase
 would be -180 degrees for an ideal relay: what is missing is hysteresis, and the time that passes between pv's crossing

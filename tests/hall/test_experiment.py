@@ -23,12 +23,13 @@ from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.device_process import DeviceOnBus, run_device
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.virtual_device import VirtualDevice
+from retuner.errors import LedgerError
 from retuner.experiment.bench import Bench, live, simulated
 from retuner.experiment.conductor import Conductor
 from retuner.experiment.findings import Question, evaluate
 from retuner.experiment.on_demand import OnDemandExperiment
 from retuner.experiment.writing import GainWriter
-from retuner.ledger import LedgerReader
+from retuner.ledger import Ledger, LedgerReader
 from retuner.running import nothing
 from retuner.schedule.gains import PidGains
 
@@ -217,6 +218,59 @@ def test_an_abort_is_the_answer_no(loop: Path, capsys: pytest.CaptureFixture[str
     assert found["applied"] is False
     assert main(["experiment", "step", str(loop), "--amplitude", "20", "--deviation", "0.5", "--json"]) in {0, 1}
     assert said(capsys)["restored"] is True
+
+
+def test_a_controller_that_dies_is_told_with_the_state_to_bring_back(
+    loop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told, sample_of = OnDemandExperiment._on_sample, DeviceOnBus.sample
+    dead = []
+
+    def on_sample(self: OnDemandExperiment, sample: LoopSample, at: Phase) -> None:
+        told(self, sample, at)
+        dead.extend([1] if at is Phase.EXCITING else [])
+
+    def sample(self: DeviceOnBus, dt_s: float | None = None) -> None:
+        if dead:
+            self.link.receive_all()
+        else:
+            sample_of(self, dt_s)
+
+    monkeypatch.setattr(OnDemandExperiment, "_on_sample", on_sample)
+    monkeypatch.setattr(DeviceOnBus, "sample", sample)
+    assert main(["experiment", "relay", str(loop), "--amplitude", "10", "--yes", "--json"]) == 1
+    shown = capsys.readouterr()
+    assert "NOT RESTORED" in shown.err
+    assert "sp 4, mode auto" in shown.err
+    assert shown.err.count("\n") == 1
+    found = json.loads(shown.out)
+    assert found["restored"] is False
+    assert found["ended"] == {**found["ended"], "phase": "stranded", "cause": "silent"}
+
+
+@pytest.mark.parametrize("rows_kept", [0, 1, 2, 5])
+def test_a_ledger_that_fails_is_one_line_and_the_loop_is_as_before(
+    rows_kept: int, loop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = []
+    append = Ledger.append
+
+    def full(self: Ledger, kind: str, body: dict[str, object], clock_s: float) -> object:
+        if len(kept) == rows_kept:
+            raise LedgerError("the disk is full")
+        kept.append(kind)
+        return append(self, kind, body, clock_s)
+
+    monkeypatch.setattr(Ledger, "append", full)
+    assert main(["experiment", "step", str(loop), "--amplitude", "10", "--yes"]) == 2
+    assert capsys.readouterr().err == "the disk is full\n"
+    folder = loop.parent / "out-experiment"
+    assert folder.exists() == (rows_kept > 0)
+    if folder.exists():
+        summary = json.loads((folder / "summary.json").read_text())
+        assert summary["restored"] is True
+        assert summary["applied"] is False
+        assert summary["ended"]["cause"] == "recorder"
 
 
 ON_DEMAND_REFUSED = [

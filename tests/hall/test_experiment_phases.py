@@ -338,6 +338,55 @@ def test_an_operator_who_takes_over_ends_the_experiment(lab: Callable[..., Lab])
     assert bench.as_before()
 
 
+def test_an_operator_who_moves_the_setpoint_ends_a_setpoint_experiment(lab: Callable[..., Lab]) -> None:
+    bench = lab(PLANS[Kind.SETPOINT])
+    bench.until(Phase.EXCITING)
+    bench.some(5)
+    bench.device.sp = 47.0
+    bench.over()
+    assert bench.conductor.cause is Cause.FOREIGN
+    assert bench.as_before()
+
+
+def test_a_setpoint_that_follows_pv_in_manual_is_no_trouble_and_is_brought_back(lab: Callable[..., Lab]) -> None:
+    bench = lab(PLANS[Kind.STEP])
+    for _ in range(3000):
+        if bench.conductor.phase.over:
+            break
+        bench.turn()
+        if not bench.device.auto:
+            bench.device.sp = bench.device.pv
+    assert bench.conductor.cause is None
+    assert bench.conductor.phase is Phase.RESTORED
+    assert bench.as_before()
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_a_loop_that_another_host_commands_is_left_alone(kind: Kind, lab: Callable[..., Lab]) -> None:
+    bench = lab(PLANS[kind])
+    link = CanLink(bench.near.settings, bench.clock)
+    other = CanDevice(link, CanDeviceSettings(sample_time_s=DT, owner=77))
+    try:
+        for _ in range(20):
+            bench.clock.advance(DT)
+            bench.on_bus.sample()
+            other.poll(bench.clock.now_s())
+            bench.near.receive_all()
+            bench.on_bus.answer()
+        for _ in range(300):
+            bench.turn()
+            other.poll(bench.clock.now_s())
+            bench.on_bus.answer()
+            if bench.conductor.phase.over:
+                break
+    finally:
+        link.close()
+    assert bench.conductor.cause is Cause.FOREIGN
+    assert "host 77" in bench.conductor.text
+    assert not bench.conductor.touched
+    assert bench.as_before()
+
+
 @pytest.mark.parametrize("failing", range(7))
 def test_a_ledger_that_fails_ends_the_experiment_but_not_the_way_back(failing: int, lab: Callable[..., Lab]) -> None:
     calls = []

@@ -173,7 +173,7 @@ class Conductor:
                     self.before = self.before._replace(gains=event.running.gains)
                 self.abort(Cause.FOREIGN, "another gain set was written")
             case LeaseChanged() if not event.ours:
-                self.abort(Cause.FOREIGN, f"host {event.owner} has taken the lease")
+                self.abort(Cause.FOREIGN, f"host {event.owner} holds the lease")
             case CommandFailed() | WriteFailed() if self.phase in TAKING_OVER:
                 self.abort(Cause.REFUSED, event.reason)
             case Reverted() if self.phase in TAKING_OVER:
@@ -253,7 +253,7 @@ class Conductor:
         plan, rest, before = self.plan, self.rest, self.before
         assert rest is not None
         assert before is not None
-        trouble = self._following.trouble(self._target(), sample, before.sp)
+        trouble = self._following.trouble(self._target(), sample)
         if trouble is None:
             if plan.kind == Kind.RELAY:
                 self._relay = relay_step(self._relay, sample.pv, rest, before.gains.direction)

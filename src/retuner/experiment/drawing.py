@@ -38,7 +38,7 @@ def experiment_png(window: Window, found: Findings, title: str, unit: str, band:
     top.set_ylabel(f"pv, sp [{unit}]")
     bottom.set_ylabel("co [%]")
     bottom.set_xlabel(f"time [{x_unit}]")
-    top.legend(loc="best", fontsize=9, framealpha=0.9)
+    top.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4, fontsize=9, frameon=False)
     for axes in (top, bottom):
         axes.margins(x=0)
         axes.grid(alpha=0.3)

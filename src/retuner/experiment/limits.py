@@ -55,9 +55,9 @@ class Following:
         self._limited = self._foreign = 0
         self._shown = False
 
-    def trouble(self, wanted: Target, sample: LoopSample, sp: float) -> Trouble | None:
-        """One sample under a target; sp is the setpoint that should be in force unless the target has one."""
-        differs = self._helm.differs(wanted, sample, sp)
+    def trouble(self, wanted: Target, sample: LoopSample) -> Trouble | None:
+        """One sample under a target. In manual the setpoint may be anything: some controllers let it follow pv."""
+        differs = self._helm.differs(wanted, sample)
         self._shown = self._shown or not differs
         self._foreign = self._foreign + 1 if differs else 0
         if self._foreign > (0 if self._shown else self._patience):

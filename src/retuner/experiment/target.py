@@ -88,12 +88,11 @@ class Helm:
         """Whether telemetry and the read-back of the gains show the target."""
         return self._shows_mode(wanted, sample) and self._shows_sp(wanted, sample) and self._shows_gains(wanted)
 
-    def differs(self, wanted: Target, sample: LoopSample, sp: float) -> str:
-        """In words what mode or setpoint (sp unless the target has one) are instead, empty when they are right."""
+    def differs(self, wanted: Target, sample: LoopSample) -> str:
+        """In words what mode or setpoint are instead of the target's, empty when they are right."""
         if wanted.mode is not None and sample.mode != wanted.mode:
             return f"it is in {LoopMode(sample.mode).name.lower()}"
-        right = wanted if wanted.sp is not None else wanted._replace(sp=sp)
-        return "" if self._shows_sp(right, sample) else f"its setpoint is {sample.sp:.6g}"
+        return "" if self._shows_sp(wanted, sample) else f"its setpoint is {sample.sp:.6g}"
 
     def _shows_mode(self, wanted: Target, sample: LoopSample) -> bool:
         if wanted.mode is None:
