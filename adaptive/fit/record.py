@@ -66,7 +66,7 @@ class Record:
 
 def _motion(pv: FloatArray, noise_std: float) -> float:
     """Travel of pv in the first samples beyond its noise, as a share of its range, and somewhat more."""
-    m = max(START_SAMPLES, len(pv) // START_SHARE)
+    m = min(max(START_SAMPLES, len(pv) // START_SHARE), len(pv))
     travel = abs(float(np.median(pv[m - 3 : m]) - np.median(pv[:3]))) - 2 * noise_std
     share = travel / (float(np.ptp(pv)) or 1.0)
     return min(MOTION_REACH * share, 1.0) if share > LEAST_MOTION else 0.0
