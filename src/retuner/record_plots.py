@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FAR = 2.0
 """A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
 MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
-LINE_WIDTH, MOST_LINES = 72, 32
+LINE_WIDTH, MOST_LINES = 72, 30
 """Characters in a line of the text beside the curves, and lines that fit."""
 
 
@@ -100,7 +100,12 @@ def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
         place = np.interp(curve.t_s, window.t_s, x)
         axes.plot(place, curve.pv, color=MODEL if believed else LIMIT, lw=1.3 if believed else 1.0, label=curve.name)
     axes.set_ylabel("pv, sp")
-    axes.legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=3)
+    _legend(axes)
+
+
+def _legend(axes: "Axes") -> None:
+    """Names of the curves above them, where they hide nothing."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=9, frameon=False, ncols=6)
 
 
 def _output(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
@@ -136,7 +141,7 @@ def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> 
             place = float(np.interp(t_s, picture.window.t_s, x))
             axes.axvline(place, color=MARK, lw=0.9, ls="--", label="load step" if not j else None)
     if picture.loads_s:
-        panels[0].legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=4)
+        _legend(panels[0])
 
 
 def _curve(axes: "Axes", window: Window) -> None:

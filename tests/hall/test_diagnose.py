@@ -46,16 +46,16 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
     return calls
 
 
-def loop(path: Path, n: int = 400, noise: float = 0.02, **spoilt: np.ndarray) -> Path:
-    """PI with Kc 2, tau_I 20 s on a lag of 20 s, gain 1, dead time 3 s, sampled every second, two setpoint steps."""
+def loop(path: Path, n: int = 400, noise: float = 0.02, kc: float = 2.0, **spoilt: np.ndarray) -> Path:
+    """PI with Kc 2, tau_I 20 s on a lag of 20 s, gain 1, dead time 3 s, sampled every second, setpoint steps."""
     rng = np.random.default_rng(1)
     sp = np.where((np.arange(n) // 100) % 2 == 0, 10.0, 12.0)
     pv, co = np.zeros(n), np.zeros(n)
     x, integral, queue = 10.0, 10.0, [10.0] * 3
     for i in range(n):
         pv[i] = x + noise * rng.normal()
-        co[i] = 2 * (sp[i] - pv[i]) + integral
-        integral += 2 / 20 * (sp[i] - pv[i])
+        co[i] = kc * (sp[i] - pv[i]) + integral
+        integral += kc / 20 * (sp[i] - pv[i])
         queue.append(co[i])
         x += (queue.pop(0) - x) / 20
     columns = {"t": np.arange(float(n)), "sp": sp, "pv": pv, "co": co, **spoilt}
@@ -76,6 +76,21 @@ def refused(capsys: Capture, *arguments: str) -> str:
     assert found.out == ""
     assert found.err.count("\n") == 1
     return found.err
+
+
+@pytest.mark.parametrize(("kc", "cause"), [(7.0, "aggressive"), (0.5, "sluggish"), (3.0, "ok")])
+def test_the_whole_way_from_a_file_to_a_cause(tmp_path, capsys, kc, cause):
+    """No double: settings read off the record, rivals fitted, margins judged."""
+    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", kc=kc)), "--co-min", "-50", "--co-max", "100")
+    assert found["cause"] == cause
+    assert found["retune"] == (cause != "ok")
+    assert found["gains_in_force"]["forms"]["series"]["kc"] == pytest.approx(kc, rel=0.05)
+    assert found["model"]["theta"] + found["model"]["tau2"] == pytest.approx(3.0, abs=0.8)
+    if found["retune"]:
+        assert 2.0 < found["gains"]["kc"] < 4.5
+        assert found["margins"]["ms"] < 1.8
+    else:
+        assert found["gains"] is None
 
 
 def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, capsys, asked):
