@@ -29,6 +29,7 @@ from retuner.schedule.gains import PidGains
 
 FIRST = PidGains(1.0, 0.0625, 0.5)
 BOX = GainBox(kp_max=64.0, ki_max=4.0, kd_max=32.0, ratio_max=4.0, direction=1)
+COMMIT = 5
 CALM = 60 + 5  # samples, and heartbeats of one sample
 
 
@@ -132,10 +133,25 @@ class ClientMachine(RuleBasedStateMachine):
         del self.replies[first : first + count]
 
     @precondition(lambda self: self.link.outbox)
-    @rule(which=st.integers(0, 30))
-    def hold_back(self, which: int) -> None:
+    @rule(which=st.integers(0, 30), doubled=st.booleans())
+    def hold_back(self, which: int, doubled: bool) -> None:
         """A frame of the host comes much later, perhaps a second time."""
-        self.late.append(self.link.outbox[which % len(self.link.outbox)])
+        index = which % len(self.link.outbox)
+        self.late.append(self.link.outbox[index])
+        if not doubled:
+            del self.link.outbox[index]
+
+    @precondition(lambda self: self.host.writing)
+    @rule(samples=st.sampled_from([2, 4, 9, 12]))
+    def flow_without_commit(self, samples: int) -> None:
+        """Everything arrives but the commit, which is late."""
+        for _ in range(samples):
+            self.sample()
+            self.to_host(0, 99)
+            self.poll()
+            self.late += [m for m in self.link.outbox if m.arbitration_id & 31 == COMMIT]
+            self.link.outbox = [m for m in self.link.outbox if m.arbitration_id & 31 != COMMIT]
+            self.to_device(0, 99)
 
     @precondition(lambda self: self.late)
     @rule(which=st.integers(0, 30))
