@@ -5,7 +5,11 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(no_args_is_help=True, help="A step, setpoint or relay test: on demand, or from a recording.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="A step, setpoint or relay test: on demand, or from a recording.",
+    epilog="Example: retuner experiment relay examples/oven.toml --amplitude 5",
+)
 
 Config = Annotated[
     Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration (TOML): run the test on its controller.")
