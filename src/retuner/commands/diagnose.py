@@ -18,7 +18,7 @@ from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.sample import Window
 from retuner.adaptive.settings_in_force import SettingsInForce, settings_in_force
 from retuner.api import RecordDiagnosis
-from retuner.commands.recorded_loop import RecordOptions, controller, read_loop
+from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
 from retuner.commands.tune import described as tuning_lines
 from retuner.drivers.recording import Recording
 from retuner.errors import user_input
@@ -56,6 +56,7 @@ def diagnose(path: Path, options: RecordOptions) -> int:
     """
     gains = controller(options)
     recording = read_loop(path, options)
+    require_length(recording)
     with user_input(str(path)):
         found = _found(recording, gains, options)
     if options.plot is not None:

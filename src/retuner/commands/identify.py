@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from retuner.api import Identification, identify_record
-from retuner.commands.recorded_loop import RecordOptions, controller, read_loop
+from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
 from retuner.commands.tune import described as tuning_lines
 from retuner.drivers.recording import Recording, require_excitation
 from retuner.errors import user_input
@@ -23,6 +23,7 @@ def identify(path: Path, options: RecordOptions) -> int:
     gains = controller(options)
     recording = read_loop(path, options)
     require_excitation(recording)
+    require_length(recording)
     with user_input(str(path)):
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max

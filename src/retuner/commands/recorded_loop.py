@@ -9,6 +9,9 @@ from retuner.errors import UserError, user_input
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 
+FEWEST_SAMPLES = 20
+"""Shorter records are refused: a model has four numbers, a load two, and noise must show besides."""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
@@ -45,6 +48,21 @@ def read_loop(path: Path, options: RecordOptions) -> Recording:
     if not options.open_loop:
         require_setpoint(recording)
     return recording
+
+
+def require_length(recording: Recording) -> None:
+    """Refuse a record too short for anything.
+
+    Raises
+    ------
+    UserError
+        It has fewer than FEWEST_SAMPLES.
+    """
+    n = len(recording.t_s)
+    if n < FEWEST_SAMPLES:
+        raise UserError(
+            f"{recording.source}: {n} samples say nothing of a loop; give at least {FEWEST_SAMPLES}, better 100"
+        )
 
 
 def renamed(text: str) -> dict[str, str]:
