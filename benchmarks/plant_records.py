@@ -41,7 +41,8 @@ def read(path: Path) -> Record:
     with path.open(encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines))
     columns = {key: np.array([float(row[key]) for row in rows]) for key in ("t", "sp", "pv", "co")}
-    return Record(columns["t"], columns["sp"], columns["pv"], columns["co"])
+    new = np.concatenate([[True], np.diff(columns["t"]) > 0])  # one of the records repeats some of its time stamps
+    return Record(columns["t"][new], columns["sp"][new], columns["pv"][new], columns["co"][new])
 
 
 def judge(data: Path, pictures: Path | None, entry: dict[str, str]) -> Row:
