@@ -157,6 +157,7 @@ def test_it_reads_well(tmp_path, capsys):
     [
         (["--co-min", "5", "--co-max", "5"], "--co-min 5 is not below --co-max 5"),
         (["--co-min", "nan"], "--co-min nan: give a finite number"),
+        (["--co-max", "1"], "--co-max 1: co runs from"),
         (["--tau-i", "20"], "need --kc"),
         (["--kc", "0"], "kc = 0"),
         (["--plot", "a.svg"], "ends in .png"),

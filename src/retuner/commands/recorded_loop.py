@@ -9,6 +9,8 @@ from retuner.errors import UserError, user_input
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 
+MOST_BEYOND = 0.9
+"""Share of co beyond a limit from which the limit is meant in another unit."""
 FEWEST_SAMPLES = 20
 """Shorter records are refused: a model has four numbers, a load two, and noise must show besides."""
 
@@ -47,7 +49,21 @@ def read_loop(path: Path, options: RecordOptions) -> Recording:
     recording = read_recording(path, renamed(options.columns))
     if not options.open_loop:
         require_setpoint(recording)
+    _check_range(recording, options)
     return recording
+
+
+def _check_range(recording: Recording, options: RecordOptions) -> None:
+    """Refuse limits in another unit than the record's: most of co lies beyond them."""
+    low, high = float(recording.co.min()), float(recording.co.max())
+    for name, limit, beyond in (
+        ("--co-min", options.co_min, None if options.co_min is None else recording.co < options.co_min),
+        ("--co-max", options.co_max, None if options.co_max is None else recording.co > options.co_max),
+    ):
+        if beyond is not None and float(beyond.mean()) > MOST_BEYOND:
+            raise UserError(
+                f"{name} {limit:g}: co runs from {low:g} to {high:g} in {recording.source}; give the limits in its unit"
+            )
 
 
 def require_length(recording: Recording) -> None:
