@@ -11,8 +11,7 @@ from bus_simulation.weather import CALM, FAULTS, Fault, Weather
 
 HISTORY = 256  # frames that a repeater may send again
 STRANGER = "intruder"  # may send, and receives nothing
-LONGEST_DELAY = 40  # steps
-LONG_DELAY_SHARE = 0.15
+LONGEST_DELAYS = (4, 4, 12, 40)  # steps, one of them for each late frame
 
 
 class Way:
@@ -107,8 +106,8 @@ class Bus:
 
     def _delay(self, way: Way, message: can.Message) -> None:
         """Let a frame arrive later."""
-        longest = LONGEST_DELAY if self._random() < LONG_DELAY_SHARE else 4
-        heappush(way.late, (self.step + self._rng.randrange(1, longest), next(self._number), message))
+        late = self._rng.randrange(1, self._rng.choice(LONGEST_DELAYS))
+        heappush(way.late, (self.step + late, next(self._number), message))
 
 
 def damaged(rng: Random, fault: Fault, message: can.Message) -> can.Message:

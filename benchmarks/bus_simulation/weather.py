@@ -22,6 +22,7 @@ class Fault(Enum):
 
 FAULTS = tuple(Fault)
 MIXED = (5, 3, 5, 3, 1, 1, 2, 3)
+LATE = (1, 1, 6, 0, 0, 0, 0, 0)
 
 
 @dataclass(slots=True)
@@ -50,7 +51,9 @@ def draw(rng: Random) -> Weather:
     """The next weather; something happens in every one of them."""
     kind = rng.random()
     mishap, intruder, stall = rng.choice((0.002, 0.01, 0.03)), rng.choice((0.0, 0.02, 0.1, 0.3)), rng.choice((0, 0.02))
-    if kind < 0.25:
+    if kind < 0.1:
+        return late(rng)
+    if kind < 0.3:
         return Weather(0.02, MIXED, mishap=mishap, intruder=intruder, stall=stall)
     if kind < 0.55:
         return Weather(rng.uniform(0.05, 0.3), MIXED, mishap=mishap, intruder=intruder, stall=stall)
@@ -62,3 +65,8 @@ def draw(rng: Random) -> Weather:
         one_way = rng.random()
         return Weather(0.1, MIXED, out_cut=one_way < 0.66, back_cut=one_way > 0.33, mishap=mishap, stall=stall)
     return Weather(0.05, MIXED, mishap=0.1, intruder=intruder, stall=0.2)
+
+
+def late(rng: Random) -> Weather:
+    """Frames come late, many of them when nobody waits for them any more, and nothing else happens."""
+    return Weather(rng.uniform(0.1, 0.5), LATE)

@@ -50,7 +50,7 @@ class World:
         )  # fmt: skip
         self.device = VirtualDevice(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
         self.far = DeviceEnd(self.bus, self.device, self.truth, rng)
-        eager, same_owner = rng.choice((0.05, 0.3)), rng.random() < 0.3
+        eager, same_owner = rng.choice((0.02, 0.1, 0.3)), rng.random() < 0.3
         self.hosts = [HostEnd(name, self.bus, self.truth, rng, key=key, same_owner=same_owner, eager=eager)
                       for name in hosts]  # fmt: skip
         self.intruder = Intruder(self.bus, self.device, self.truth, rng, forges=forges)
