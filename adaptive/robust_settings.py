@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from retuner.adaptive.estimate import ModelEstimate
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.rules.tuning import Tuning
 
@@ -54,15 +54,13 @@ def robust_simc(estimate: ModelEstimate, sample_time_s: float, settings: RobustS
     """PI settings for an estimate."""
     half = sample_time_s / 2
     model = later(estimate.log.model(), half)
-    theta = _least_tau_c_s(model)
+    theta = without_second_lag(model).theta_s
     others = [later(p.model, half) for p in believed(estimate.plausible, settings.believed)]
-
-    whole = without_second_lag(model).theta_s
 
     third = third_lag(model, settings.hidden_share)
 
     def at(ratio: float) -> RobustTuning:
-        tuning = simc(model, (1 + ratio) * theta - whole)
+        tuning = simc(model, ratio * theta)
         ms = sensitivity_peak(model.linear(), tuning.gains)
         worst = max([ms, *(sensitivity_peak(m.linear(), tuning.gains) for m in others)])
         return RobustTuning(tuning, ms, worst)
@@ -98,17 +96,6 @@ def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
         return None
     hidden = share * (model.tau2_s / (2 * model.zeta) if model.zeta < 1 else model.tau2_s)
     return replace(model, theta_s=hidden) if model.theta_s < hidden else None
-
-
-def _least_tau_c_s(model: ProcessModel) -> float:
-    """The effective dead time; of an integrating process with half its lag only, as if the integrator were a long lag.
-
-    The half rule puts a neglected lag whole into the dead time of an integrating process, and half of it where the
-    integrator is a lag, however long. A record seldom tells the two apart; Ms, which decides in the end, is the same.
-    """
-    if model.type == ProcessType.INTEGRATING_LAG:
-        return model.theta_s + model.tau2_s / 2
-    return without_second_lag(model).theta_s
 
 
 def later(model: ProcessModel, delay_s: float) -> ProcessModel:

@@ -18,6 +18,7 @@ from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.nested import long_lag, with_second_lag
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Fit, refine
+from retuner.adaptive.fit.remainder import MOST_ORDER
 from retuner.adaptive.fit.search import starts
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.process import ProcessType
@@ -49,6 +50,7 @@ class ChoiceSettings:
     most_loads : load steps in all; 0 to 12, default 4.
     most_samples : rivals are compared on at most this many samples; 300 to 3000, default 800.
     starts : starts refined per structure and number of loads; 1 to 8, default 3 (nested local optima).
+    most_order : highest order of a whitening filter for what is left; 0 to 8, default 4.
     start_spread : see Misfit; default 0.3, 0 for an experiment that is known to begin at rest.
     """
 
@@ -56,6 +58,7 @@ class ChoiceSettings:
     most_loads: int = 4
     most_samples: int = 800
     starts: int = 3
+    most_order: int = MOST_ORDER
     start_spread: float = 0.3
 
 
@@ -105,7 +108,9 @@ def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit
     """Every structure with 0, 1, ... seeded loads."""
 
     def misfit(type_: ProcessType, loads: int) -> Misfit:
-        return Misfit(record, type_, sign, loads, record.noise_std, settings.start_spread)
+        return Misfit(
+            record, type_, sign, loads, record.noise_std, settings.start_spread, most_order=settings.most_order
+        )
 
     seeds = starts(misfit(FIRST, 0), settings.seeded_loads, settings.starts)
     slopes = starts(misfit(INTEGRATING, 0), settings.seeded_loads, 1)

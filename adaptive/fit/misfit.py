@@ -24,6 +24,7 @@ import numpy as np
 
 from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.remainder import MOST_ORDER
 from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, swing_excess
 from retuner.adaptive.process import ProcessType
 from retuner.adaptive.sample import FloatArray
@@ -78,7 +79,8 @@ class Misfit:
     sigma : what residuals are counted in, pv units. start_spread : prior standard deviation of the start, as a share
         of pv's range. ar : coefficients a_1.. of the whitening filter 1 + a_1 z^-1 + ..., empty for white.
     harmonics : number of harmonics of the tone from outside, 0 for none. ramp : whether pv drifts along a ramp.
-    rounded : whether the loads come through a lag of their own.
+    rounded : whether the loads come through a lag of their own. most_order : highest order of a whitening filter for
+        what is left.
     co : another input than the recorded one (a stuck valve's output), shape (n,), or None.
     """
 
@@ -92,6 +94,7 @@ class Misfit:
     harmonics: int = 0
     ramp: bool = False
     rounded: bool = False
+    most_order: int = MOST_ORDER
     co: FloatArray | None = None
 
     @property

@@ -78,12 +78,16 @@ def _settings(model: ProcessModel, tau_c_s: float, span: float, c: float) -> Tun
 
 
 def without_second_lag(model: ProcessModel) -> ProcessModel:
-    """The half rule for tau2: half of it joins tau1, half the dead time; on an integrating process all joins theta."""
+    """The half rule for tau2: half of it joins the dead time, the other half tau1 (an integrator's is infinite).
+
+    On an integrating process that is the reading which reproduces the margins of the Astrom-Hagglund batch, and the
+    limit of a second-order process with a long tau1; Skogestad's example E6 prints the whole of it in the dead time.
+    """
     if model.type == ProcessType.SOPDT:
         half = model.tau2_s / 2
         return ProcessModel(ProcessType.FOPDT, model.k, model.tau1_s + half, 0.0, model.theta_s + half)
     if model.type == ProcessType.INTEGRATING_LAG:
-        return ProcessModel(ProcessType.INTEGRATING, model.k, 0.0, 0.0, model.theta_s + model.tau2_s)
+        return ProcessModel(ProcessType.INTEGRATING, model.k, 0.0, 0.0, model.theta_s + model.tau2_s / 2)
     return model
 
 

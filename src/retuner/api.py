@@ -1,16 +1,19 @@
 """`retuner.identify`: the process behind a record of arrays, with frozen results that know their JSON."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.estimate import ModelEstimate
 from retuner.adaptive.identify import OPEN_LOOP, FitSettings, identify_window
 from retuner.adaptive.margins import Margins, margins
 from retuner.adaptive.robust_settings import RobustSettings, robust_simc
 from retuner.adaptive.sample import Window
+from retuner.adaptive.settings_in_force import settings_in_force
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult
 
@@ -89,3 +92,60 @@ def settings_for(estimate: ModelEstimate, sample_time_s: float) -> TuneResult:
     """SIMC's PI settings for an estimate, robust on all models that its record allows; margins on the best model."""
     found = robust_simc(estimate, sample_time_s, RobustSettings())
     return TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))
+
+
+@dataclass(frozen=True, slots=True)
+class RecordDiagnosis:
+    """The cause of a loop's behaviour, the process where it could be told, and the settings that would cure it.
+
+    fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
+    """
+
+    diagnosis: Diagnosis
+    estimate: ModelEstimate | None
+    settings: TuneResult | None
+    fits: Mapping[str, npt.NDArray[np.float64]]
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys cause, confidence, retune, evidence, reason, gains, form, margins."""
+        found = self.settings.to_dict() if self.settings else None
+        return {**self.diagnosis.to_dict(), "gains": found["gains"] if found else None,
+                "form": found["form"] if found else None, "margins": found["margins"] if found else None}  # fmt: skip
+
+
+def diagnose(
+    t: Numbers, sp: Numbers, pv: Numbers, co: Numbers, *, gains: PidGains | None = None,
+    co_min: float | None = None, co_max: float | None = None,
+) -> RecordDiagnosis:  # fmt: skip
+    """Name the cause of a loop's behaviour.
+
+    Parameters
+    ----------
+    t, sp, pv, co : the record in automatic, see identify. gains : the controller in force; where it is not given it is
+        read off the record if the record shows it. co_min, co_max : limits of the controller output.
+
+    Raises
+    ------
+    ValueError
+        Shapes differ, a value is not finite, or time does not increase.
+    """
+    window = Window(*(np.asarray(v, dtype=np.float64) for v in (t, sp, pv, co)))
+    return diagnose_record(window, gains=gains, co_min=co_min, co_max=co_max)
+
+
+def diagnose_record(
+    window: Window, *, gains: PidGains | None = None, co_min: float | None = None, co_max: float | None = None
+) -> RecordDiagnosis:
+    """The same for a record that is a Window already."""
+    window = within(window, co_min, co_max)
+    direction = None
+    if gains is None:
+        read_off = settings_in_force(window, co_min, co_max)
+        gains, direction = read_off.gains, read_off.direction
+    found = diagnose_window(window, gains, co_min, co_max, direction=direction)
+    settings = None
+    if found.tuning is not None and found.estimate is not None:
+        tuning = found.tuning.tuning
+        settings = TuneResult(tuning, tuning.form, margins(found.estimate.log.model().linear(), tuning.gains))
+    fits = {name: c.fit.at.explained for name, c in found.fits.items()}
+    return RecordDiagnosis(found.diagnosis, found.estimate, settings, fits)
