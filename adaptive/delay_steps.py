@@ -95,43 +95,43 @@ def delay_steps(loop: CutLoop, fastest: float, setpoint: float, load: float, *, 
 
     fastest : smallest time constant of loop.a. kick : the derivative acts on the setpoint's step too.
     """
-    c, lengths = collocation(), elements(fastest)
-    n, count = len(loop.b), len(lengths)
-    size = n + count * NODES + 2
+    c, lengths, n = collocation(), elements(fastest), len(loop.b)
+    size = n + len(lengths) * NODES + 2
     x = np.zeros((n, size))  # the states as a function of q
     x[:, :n] = np.eye(n)
     x[:, size - 2] = loop.b
-    errors, areas, rates, outputs = [], [], [], []
+    constant = np.zeros(size)
+    constant[-1] = setpoint
+    errors, areas, outputs = [], [], []
     for i, h in enumerate(lengths):
         v = np.zeros((NODES, size))
         v[:, n + i * NODES : n + (i + 1) * NODES] = np.eye(NODES)
         v[:, -1] = load
         states = _element(loop, x, v, float(h), setpoint)
-        constant = np.zeros(size)
-        constant[-1] = setpoint
         error = constant - np.tensordot(loop.c, states, (0, 1)) - loop.d * v
-        output = np.tensordot(loop.u, states, (0, 1)) + loop.v * v + loop.w * constant
-        area = x[loop.z] + h * (c.sums @ error)
         errors.append(c.fine @ error)
-        areas.append(area)
-        rates.append((c.slope / h) @ output)
-        outputs.append(output)
+        areas.append(x[loop.z] + h * (c.sums @ error))
+        outputs.append(np.tensordot(loop.u, states, (0, 1)) + loop.v * v + loop.w * constant)
         x = states[-1]
-    step = np.zeros((size, size))
-    step[:n], step[n : size - 2], step[-1, -1] = x, np.concatenate(outputs), 1.0
-    step[size - 2, size - 2] = loop.impulse
-    start = np.zeros(size)
-    start[-1] = 1.0
     return DelaySteps(
-        step=step,
+        step=_step(loop, x, outputs),
         error=np.stack(errors),
         area=np.stack(areas),
         output=np.stack([c.fine @ output for output in outputs]),
-        rate=np.stack(rates),
+        rate=np.stack([(c.slope / h) @ output for h, output in zip(lengths, outputs, strict=True)]),
         lengths=lengths,
-        start=start,
+        start=np.eye(size)[-1],
         kick=loop.kd * setpoint if kick else 0.0,
     )
+
+
+def _step(loop: CutLoop, last: FloatArray, outputs: list[FloatArray]) -> FloatArray:
+    """q to the next q, from the states at the end of the dead time and the output at all its nodes."""
+    n, size = last.shape
+    step = np.zeros((size, size))
+    step[:n], step[n : size - 2], step[-1, -1] = last, np.concatenate(outputs), 1.0
+    step[size - 2, size - 2] = loop.impulse
+    return step
 
 
 def _element(loop: CutLoop, x: FloatArray, v: FloatArray, h: float, setpoint: float) -> FloatArray:

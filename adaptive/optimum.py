@@ -62,8 +62,8 @@ class Optimum:
 class References:
     """IAE_ys* and IAE_d* of a process."""
 
-    setpoint: float
-    load: float
+    iae_setpoint: float
+    iae_load: float
 
 
 @lru_cache(maxsize=512)
@@ -113,7 +113,7 @@ def _judged(process: LinearProcess, shape: PidGains, ms: float, aim: Aim, best: 
     if aim != Aim.BOTH:
         return Optimum(gains, setpoint, load, min(setpoint, load))
     assert best is not None
-    return Optimum(gains, setpoint, load, 0.5 * (setpoint / best.setpoint + load / best.load))
+    return Optimum(gains, setpoint, load, 0.5 * (setpoint / best.iae_setpoint + load / best.iae_load))
 
 
 def optimal_pi(process: LinearProcess, ms: float, aim: Aim = Aim.BOTH) -> Optimum:

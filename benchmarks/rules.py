@@ -41,7 +41,7 @@ def main() -> None:
         gains = simc(half_rule(process)).gains
         peaks[name] = sensitivity_peak(process, gains)
         best = references(process)
-        j = weighted_cost(performance(process, gains), best.setpoint, best.load)
+        j = weighted_cost(performance(process, gains), best.iae_setpoint, best.iae_load)
         ratios[name] = j / optimal_pi(process, peaks[name]).cost
     ms, ratio = np.array(list(peaks.values())), np.array(list(ratios.values()))
     print(f"{len(ms)} processes, SIMC with tau_c = theta after the half rule")

@@ -128,7 +128,7 @@ def pareto_png(model: ProcessModel) -> bytes:
         gains = simc(model, ratio * theta).gains
         ms = sensitivity_peak(process, gains)
         if ms <= MS_CURVE[-1]:
-            points.append((ratio, ms, weighted_cost(performance(process, gains), best.setpoint, best.load)))
+            points.append((ratio, ms, weighted_cost(performance(process, gains), best.iae_setpoint, best.iae_load)))
     axes.plot([p[1] for p in points], [p[2] for p in points], color="#2e8b57", lw=1.4, label="SIMC, tau_c varied")
     for ratio, ms, j in points:
         if ratio in TAU_C_MARKED:

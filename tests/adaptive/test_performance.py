@@ -35,7 +35,7 @@ def test_an_integral_controller_on_a_pure_delay_without_overshoot(theta: float, 
 
 
 def test_the_lightly_damped_second_order_loop() -> None:
-    # I control of a lag: T = w0^2/(s^2 + 2 zeta w0 s + w0^2). e = exp(-zeta w0 t)(cos wd t + zeta/s sin wd t), s = wd/w0
+    # I control of a lag: T = w0^2/(s^2 + 2 zeta w0 s + w0^2). e = exp(-zeta w0 t)(cos wd t + zeta w0/wd sin wd t)
     zeta, w0 = 0.1, 2.0
     wd = w0 * math.sqrt(1 - zeta**2)
     found = performance(LinearProcess(1.0, (1 / (2 * zeta * w0),)), PidGains(0.0, w0 / (2 * zeta)))

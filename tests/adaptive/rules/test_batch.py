@@ -31,7 +31,7 @@ def test_simc_is_near_the_best_pi_at_its_ms(name: str) -> None:
     process = BATCH[name]
     gains = simc(half_rule(process)).gains
     best = references(process)
-    j = weighted_cost(performance(process, gains), best.setpoint, best.load)
+    j = weighted_cost(performance(process, gains), best.iae_setpoint, best.iae_load)
     ratio = j / optimal_pi(process, sensitivity_peak(process, gains)).cost
     assert 1 - 1e-6 < ratio < 1.335
     if name == "P1 T=0.02":
