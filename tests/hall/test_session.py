@@ -12,9 +12,14 @@ from retuner.adaptive.sample import LoopSample
 from retuner.config.bench import ScenarioConfig
 from retuner.drivers.device import (
     CommandFailed,
+    DeviceConflict,
     Event,
+    ForeignHost,
+    LeaseChanged,
     LinkChanged,
     LinkState,
+    Reverted,
+    RunningChanged,
     RunningSet,
     SamplesLost,
     WriteDone,
@@ -284,6 +289,11 @@ def test_nothing_is_written_without_a_connection_or_a_known_running_set() -> Non
         (LinkChanged(LinkState.SILENT, "age 5 s"), "link"),
         (SamplesLost(3, 7.0), "lost"),
         (CommandFailed("setpoint", "out of range"), "command"),
+        (RunningChanged(RunningSet(3, PidGains(1.0, 0.1), 7)), "foreign"),
+        (Reverted(RunningSet(1, PidGains(1.0, 0.1), 7)), "reverted"),
+        (LeaseChanged(ours=False, owner=77), "lease"),
+        (ForeignHost(4), "foreign_host"),
+        (DeviceConflict(1), "conflict"),
     ],
 )
 def test_trouble_is_recorded(event: Event, kind: str) -> None:
