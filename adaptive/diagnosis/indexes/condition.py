@@ -84,10 +84,11 @@ class RecordCondition:
         return SENTENCES[self.condition]
 
 
-def record_condition(window: Window, at_limit_share: float = 0.0) -> RecordCondition:
+def record_condition(window: Window, at_limit_share: float = 0.0, *, oscillates: bool = False) -> RecordCondition:
     """Judge a record.
 
-    at_limit_share : share of samples with co at a limit: there an error may stand.
+    at_limit_share : share of samples with co at a limit: there an error may stand. oscillates : a lasting oscillation
+        was seen, which may be too fast for means of AVERAGED samples to show it.
     """
     e = window.sp - window.pv
     spread = float(np.std(e))
@@ -95,6 +96,8 @@ def record_condition(window: Window, at_limit_share: float = 0.0) -> RecordCondi
     still = sum(end - start for start, end in still_stretches(window.co)) / len(window.co)
     moving = float(np.mean(np.diff(window.sp) != 0))
     condition = _condition(window, still - at_limit_share, moving, offset, at_limit_share)
+    if oscillates and condition in {Condition.QUIET, Condition.NO_RESPONSE}:
+        condition = Condition.NORMAL
     return RecordCondition(condition, still, moving, offset)
 
 

@@ -76,13 +76,13 @@ def screen(
     co_min, co_max : limits of co where known; else they are recognised when co stands at them.
     """
     limits = at_limits(window.co, co_min, co_max)
-    state = record_condition(window, limits.low + limits.high)
+    wave = _oscillation(window)
+    state = record_condition(window, limits.low + limits.high, oscillates=wave is not None and wave.lasting)
     found: dict[str, float | None] = {
         "at_low_limit": limits.low, "at_high_limit": limits.high, "limits_hit": float(limits.hit),
         "still_share": state.still_share, "sp_moving_share": state.sp_moving_share, "offset": state.offset,
         **_recording(window, limits), **_setpoint(window),
     }  # fmt: skip
-    wave = _oscillation(window)
     period_s = None
     if np.ptp(window.pv) > 0 and np.ptp(window.co) > 0:
         found |= _movement(window, gains, wave)

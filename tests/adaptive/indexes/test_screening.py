@@ -97,6 +97,13 @@ def test_conditions(rng):
     assert {c.condition for c in map(record_condition, cases.values())} == set(Condition)
 
 
+def test_an_oscillation_as_fast_as_the_averaging_is_not_quiet(wave, rng):
+    tone = wave("sine", n=400, period=16.0) + 0.05 * rng.normal(size=400)
+    found = screen(window(tone, -tone))
+    assert found.condition.condition == Condition.NORMAL
+    assert record_condition(window(tone, -tone)).condition == Condition.QUIET
+
+
 def test_a_rounded_co_that_rests_for_a_while_is_not_manual(wave):
     co = np.round(wave("sine", period=300.0) * 2)
     assert still_stretches(co) == []
