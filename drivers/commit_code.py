@@ -1,7 +1,7 @@
 """The code that authenticates a commit: HMAC-SHA-256 (RFC 2104, FIPS 180-4), its first 96 bits in two AUTH frames.
 
 It covers the node, the boot epoch, the device's challenge, the owner of the lease, the sequence numbers and the gains
-as they stand on the wire. The challenge (48 random bits, new after every commit, good or bad) makes it fresh, so
+as they stand on the wire. The challenge (48 random bits, new after every commit and fence) makes it fresh, so
 nothing needs to be remembered over a restart against replay. 96 bits: a guess is right once in 8e28, and DESK_TRIES
 wrong ones lock commits out, longer every time, also over a restart.
 """
@@ -53,6 +53,7 @@ class CodeDesk:
         self._key, self._lock_samples, self._make = key, lock_samples, nonce
         self.wrong = 0  # kept over a restart, as in non-volatile memory
         self._left = 0
+        self._parts: dict[int, Auth] = {}
         self.boot()
 
     @property
@@ -67,10 +68,14 @@ class CodeDesk:
 
     def boot(self) -> None:
         """Restart: a new challenge, and the lock-out begins anew, so that restarting does not shorten it."""
-        self.nonce = self._make()
-        self._parts: dict[int, Auth] = {}
+        self.renew()
         if self.wrong >= DESK_TRIES:
             self._lock()
+
+    def renew(self) -> None:
+        """A number was fenced off: a code made for it must be worth nothing, even if the number comes round again."""
+        self.nonce = self._make()
+        self._parts = {}
 
     def tick(self) -> None:
         """One controller sample has passed."""

@@ -167,7 +167,7 @@ class VirtualDevice:
             case Lease():
                 return [self._take_lease(frame)]
             case Abort():
-                return [self.pages.abort(frame)]
+                return [self._fence(frame)]
             case Stage() | Commit() | Auth() | Confirm() | Store():
                 return _some(self._change(frame))
             case Setpoint() | Mode() | Load():
@@ -175,6 +175,13 @@ class VirtualDevice:
             case _:  # a frame that only devices send: another device under this node's number
                 self.refused += 1
                 return []
+
+    def _fence(self, frame: Abort) -> Ack:
+        """Fence a number off, and with it any code that was made for it: numbers come round again, codes must not."""
+        answer = self.pages.abort(frame)
+        if answer.reason is Reason.OK:
+            self.code.renew()
+        return answer
 
     def _take_lease(self, frame: Lease) -> Ack:
         """Give, prolong or take back the lease; a page staged under one that ends is dropped."""

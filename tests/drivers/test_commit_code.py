@@ -11,7 +11,7 @@ from speaking import FIRST, OWNER, SECOND, acks, commit, device, say, stage, ste
 from retuner.drivers.can_settings import CanDeviceSettings
 from retuner.drivers.commit_code import CodeDesk, code_frames, commit_code
 from retuner.drivers.device import WriteDone, WriteFailed
-from retuner.drivers.frames import Auth, Challenge, Flags, Frame, Heartbeat, Page, Read, Reason
+from retuner.drivers.frames import Abort, Auth, Challenge, Flags, Frame, Heartbeat, Page, Read, Reason
 from retuner.drivers.virtual_device import VirtualDevice
 
 KEY = bytes(range(16))
@@ -100,6 +100,16 @@ def test_no_random_code_is_ever_right() -> None:
         assert desk.judge(1, 1, OWNER, seq, 0, SECOND) != Reason.OK
         while desk.locked:
             desk.tick()
+
+
+def test_a_code_held_back_is_worth_nothing_once_its_number_is_fenced_off_and_has_come_round_again() -> None:
+    """Somebody who jams and records a commit, and then drives the numbers round with aborts, which anybody may send."""
+    dev = device(key=KEY)
+    held_back = code_of(dev, 1)
+    assert acks(say(dev, *stage(1, SECOND), Abort(1))) == [Reason.OK]
+    assert acks(say(dev, Abort(1 + 32767), Abort((1 + 65534) % 65536))) == [Reason.OK, Reason.OK]
+    assert attempt(dev, 1, held_back) == [Reason.WRONG_CODE]
+    assert dev.running.gains == FIRST
 
 
 def test_asking_for_the_challenge_does_not_change_it() -> None:
