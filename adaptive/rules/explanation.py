@@ -12,6 +12,7 @@ from retuner.adaptive.rules.tuning import Tuning
 
 PREFIXES = {
     "integrating: ": (ProcessType.INTEGRATING,),
+    "integrating with lag: ": (ProcessType.INTEGRATING_LAG,),
     "pure delay: ": (ProcessType.DELAY,),
     "double integrating: ": (ProcessType.DOUBLE_INTEGRATING,),
 }
@@ -82,7 +83,7 @@ def _symbols(model: ProcessModel, found: Tuning, wishes: Wishes) -> dict[str, fl
     """Numbers under every name that the formulas use for them."""
     symbols = {"k": model.k, "K": model.k, "k'": model.slope, "k''": model.k, "M": model.slope}
     symbols |= {"theta": model.theta_s, "L": model.theta_s}
-    if model.tau1_s:
+    if model.type in {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.DELAY}:
         symbols |= {"tau1": model.tau1_s, "tau": model.tau1_s, "T": model.tau1_s}
     symbols |= {"tau2": model.tau2_s} if model.tau2_s else {}
     given = {"tau_c": found.tau_c_s, "lambda": found.tau_c_s, "u0": wishes.u0, "ymax": wishes.y_max, "m": wishes.ms,

@@ -100,39 +100,51 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
 
 
 EVERY = tuple(ProcessType)
-TABLE_PI = (
-    "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))",
-    "tau_I = min(tau1, c (tau_c + theta))",
-    "pure delay: Ki = 1/(k (tau_c + theta))",
-)
-TABLE_PID = (
-    "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))",
-    "tau_I = min(tau1, c (tau_c + theta))",
+GAIN = "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))"
+
+
+def _lines(c: str, *, derivative: bool) -> tuple[str, ...]:
+    """The formulas with this factor c: those of the first and second order, then those of the other structures."""
+    reset, slow = f"tau_I = min(tau1, {c} (tau_c + theta))", f"Kc = 1/(k' (tau_c + theta)), tau_I = {c} (tau_c + theta)"
+    if not derivative:
+        return GAIN, reset, f"integrating: {slow}", "pure delay: Ki = 1/(k (tau_c + theta))"
+    double = "double integrating: Kc = 1/(4 k'' (tau_c + theta)^2), tau_I = tau_D = 4 (tau_c + theta)"
+    return GAIN, reset, "tau_D = tau2", f"integrating with lag: {slow}, tau_D = tau2", double
+
+
+def _formulas(c: str) -> dict[ControllerKind, tuple[str, ...]]:
+    return {PI: _lines(c, derivative=False), PID: _lines(c, derivative=True)}
+
+
+SMOOTH = ("Kc = Kc,min = |u0|/|ymax|", "tau_c = 1/(k' Kc) - theta", "tau_I = min(tau1, c (tau_c + theta))")
+SLOW = "Kc = Kc,min = |u0|/|ymax|, tau_c = 1/(k' Kc) - theta, tau_I = c (tau_c + theta)"
+SMOOTH_PI = (*SMOOTH, f"integrating: {SLOW}")
+SMOOTH_PID = (
+    *SMOOTH,
     "tau_D = tau2",
-    "double integrating: Kc = 1/(4 k'' (tau_c + theta)^2), tau_I = tau_D = 4 (tau_c + theta)",
+    f"integrating with lag: {SLOW}, tau_D = tau2",
+    "double integrating: Kc = Kc,min = |u0|/|ymax|, tau_c = sqrt(1/(4 k'' Kc)) - theta,"
+    " tau_I = tau_D = 4 (tau_c + theta)",
 )
 SKOGESTAD = "Skogestad 2003, J. Process Control 13, 291, table 1"
 TIGHT = "any; tau_c = theta is tight control with Ms 1.6 to 1.7; derivative action pays when tau2 > theta"
 WISHES = ("tau_c_s", "ms", "gm", "c")
 RULES = (
-    Rule("simc", "series", {PI: TABLE_PI, PID: TABLE_PID}, SKOGESTAD, TIGHT,
+    Rule("simc", "series", _formulas("c"), SKOGESTAD, TIGHT,
          types=EVERY, wishes=WISHES, from_model=_plain("simc", TAU_I_FACTOR)),
     Rule("simc-improved", "series",
-         {PI: ("Kc = (tau1 + theta/3)/(k (tau_c + theta))", "tau_I = min(tau1 + theta/3, c (tau_c + theta))")},
+         {PI: ("Kc = (tau1 + theta/3)/(k (tau_c + theta))", "tau_I = min(tau1 + theta/3, c (tau_c + theta))",
+               "integrating: Kc = 1/(k' (tau_c + theta)), tau_I = c (tau_c + theta)")},
          "Grimholt & Skogestad 2012, IFAC PID'12, equations 10 and 11",
          "any but two integrators; better than SIMC for tau1 < theta",
          types=tuple(t for t in EVERY if t != ProcessType.DOUBLE_INTEGRATING), wishes=WISHES, from_model=_improved),
-    Rule("simc-smooth", "series",
-         {PI: ("Kc = Kc,min = |u0|/|ymax|, tau_c from Kc", *TABLE_PI[1:2]),
-          PID: ("Kc = Kc,min = |u0|/|ymax|, tau_c from Kc", *TABLE_PID[1:3])},
+    Rule("simc-smooth", "series", {PI: SMOOTH_PI, PID: SMOOTH_PID},
          "Skogestad 2003, and his slides 'Simple rules for PID tuning' (smooth control)", "tau_c >= theta",
          types=tuple(t for t in EVERY if t != ProcessType.DELAY), wishes=("u0", "y_max", "c"), from_model=_smooth),
-    Rule("haugen", "series", {PI: (*TABLE_PI[:1], "tau_I = min(tau1, 1.44 (tau_c + theta))"),
-                              PID: (*TABLE_PID[:1], "tau_I = min(tau1, 1.44 (tau_c + theta))", "tau_D = tau2")},
+    Rule("haugen", "series", _formulas("1.44"),
          "Haugen, appendix A 'Skogestad's method for PID tuning', k1 = 1.44", "faster load rejection, Ms about 2",
          types=EVERY, wishes=WISHES, from_model=_plain("haugen", TAU_I_FACTOR_HAUGEN)),
-    Rule("haugen-2010", "series", {PI: (*TABLE_PI[:1], "tau_I = min(tau1, 2 (tau_c + theta))"),
-                                   PID: (*TABLE_PID[:1], "tau_I = min(tau1, 2 (tau_c + theta))", "tau_D = tau2")},
+    Rule("haugen-2010", "series", _formulas("2"),
          "Haugen 2010, as quoted by Grimholt & Skogestad 2012, equation 9", "faster load rejection, Ms up to 2",
          types=EVERY, wishes=WISHES, from_model=_plain("haugen-2010", TAU_I_FACTOR_HAUGEN_2010)),
 )  # fmt: skip
