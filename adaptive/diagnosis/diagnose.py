@@ -18,6 +18,8 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.indexes.condition import Condition
 from retuner.adaptive.diagnosis.indexes.screening import Screening, screen
@@ -32,6 +34,13 @@ from retuner.adaptive.robust_settings import RobustSettings, RobustTuning, later
 from retuner.adaptive.sample import Window
 from retuner.schedule.gains import PidGains
 
+PADDED = 4
+"""Zero padding of the spectrum: peaks to a quarter of a line."""
+FEWEST_CYCLES = 2
+"""Cycles in the record of a tone that is looked for."""
+SAME_TONE = 0.03
+"""Two frequencies closer than this (in logarithms) lead to the same fit."""
+
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisSettings:
@@ -40,19 +49,27 @@ class DiagnosisSettings:
     saturated_share : share of samples at a limit of co from which saturation is the cause; 0.1 to 0.8, default 0.25.
     least_lead : by how much the criterion of an external tone or a stuck valve must be the smaller one;
         5 to 100, default 20 (odds of e^10). lead_per_sample : and by so much per sample; default 0.02.
+    tone_explains : a tone that leaves no more than this many times the noise has explained the record, and a valve
+        must do better; 1.05 to 1.5, default 1.15 (no limit cycle is as regular).
+    stuck_handicap : where it leaves more, a valve may leave so many times as much: its band differs from stop to stop,
+        and the scan may miss it; 1 to 2.5, default 1.6.
+    rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
-        rivals even where nothing oscillates regularly; 1.1 to 3, default 1.3.
-    explained : a change of gains needs a remainder within this many times the noise, or several events; default 2.5.
-    events : number of separate events that make up for that; default 2.
+        rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
+    explained : a change of gains needs a remainder within this many times the noise; 1.1 to 3, default 1.5.
+    explained_steps : the same where several setpoint steps agree; 1.5 to 10, default 3.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.7.
     """
 
     saturated_share: float = 0.25
     least_lead: float = 20.0
     lead_per_sample: float = 0.02
-    oscillating_residual: float = 1.3
-    explained: float = 2.5
-    events: int = 2
+    tone_explains: float = 1.15
+    stuck_handicap: float = 1.6
+    rival_explains: float = 2.0
+    oscillating_residual: float = 1.12
+    explained: float = 1.5
+    explained_steps: float = 3.0
     majority: float = 0.7
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=1000)
@@ -131,10 +148,10 @@ def _compared(
     best = found[0]
     fits = {"linear": best}
     evidence = dict(seen.evidence) | {"linear_left": _left(best), "loads": float(best.fit.misfit.loads)}
-    suspicious = seen.oscillates or _left(best) > settings.oscillating_residual
-    if suspicious:
+    by_loads = best.fit.misfit.loads > 0 and not seen.evidence.get("setpoint_steps")
+    if seen.oscillates or by_loads or _left(best) > settings.oscillating_residual:
         period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
-        tone = external(best, _frequencies(seen, period_s), settings.fit.choice.most_loads)
+        tone = external(best, _frequencies(best, period_s), settings.fit.choice.most_loads)
         valve = sticking(best, period_s, settings.fit.choice.most_loads)
         fits |= {"external": tone, "stuck": valve.fit}
         evidence |= {"external_left": _left(tone), "stuck_left": _left(valve.fit)}
@@ -158,10 +175,15 @@ def _time_scale(best: Candidate) -> float:
     return best.fit.misfit.record.span_s / 10
 
 
-def _frequencies(seen: Screening, period_s: float) -> list[float]:
-    """Where to look for a tone, rad/s."""
-    periods = {period_s, seen.evidence.get("period_s", period_s)}
-    return [2 * math.pi / p for p in sorted(periods)]
+def _frequencies(best: Candidate, period_s: float) -> list[float]:
+    """Where to look for a tone, rad/s: at the screened period, and at the peak of what the linear fit leaves."""
+    record = best.fit.misfit.record
+    left = record.pv - best.fit.at.explained
+    power = np.abs(np.fft.rfft(left * np.hanning(len(left)), PADDED * len(left))) ** 2
+    first = FEWEST_CYCLES * PADDED
+    peak = first + int(np.argmax(power[first:]))
+    found = [2 * math.pi / period_s, 2 * math.pi * peak / (PADDED * len(left) * record.sample_time_s)]
+    return found if abs(math.log(found[1] / found[0])) > SAME_TONE else found[:1]
 
 
 def _rival_verdict(
@@ -171,11 +193,21 @@ def _rival_verdict(
     n = len(best.fit.misfit.record.pv)
     needed = max(settings.least_lead, settings.lead_per_sample * n)
     leads = {Cause.EXTERNAL: evidence["external_lead"], Cause.STICTION: evidence["stuck_lead"]}
-    cause = max(leads, key=lambda c: leads[c])
-    if leads[cause] < needed:
+    if max(leads.values()) < needed:
         return None
-    apart = abs(leads[Cause.EXTERNAL] - leads[Cause.STICTION])
-    confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed - 1 + 0.5, apart / needed))
+    tone_left, stuck_left = evidence["external_left"], evidence["stuck_left"]
+    if leads[Cause.STICTION] < needed or (tone_left <= settings.tone_explains and tone_left < stuck_left):
+        cause = Cause.EXTERNAL
+    else:
+        cause = Cause.STICTION if stuck_left < settings.stuck_handicap * tone_left else Cause.EXTERNAL
+    if min(tone_left, stuck_left) > settings.rival_explains and cause == Cause.EXTERNAL:
+        reason = (
+            f"something swings here that is neither the loop's own doing nor a regular tone nor a valve of one stick "
+            f"band: {tone_left:.1f} times the noise is left at best"
+        )
+        return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
+    apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else settings.stuck_handicap)))
+    confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed / 2, 4 * apart))
     if cause == Cause.STICTION:
         evidence |= {"stick": valve.valve.stick, "slip_jump": valve.valve.jump}
         reason = (
@@ -214,8 +246,12 @@ def _linear_verdict(
         if verdict.confidence < settings.majority:
             reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%}): {verdict.reason}"
             return Found(replace(verdict, cause=Cause.UNKNOWN, reason=reason), estimate, fits=fits)
-        if evidence["linear_left"] > settings.explained and events < settings.events:
-            reason = f"an unexplained disturbance: {evidence['linear_left']:.1f} times the noise is left"
+        limit = settings.explained_steps if evidence.get("setpoint_steps", 0.0) > 1 else settings.explained
+        if evidence["linear_left"] > limit or evidence["loads"] >= settings.fit.choice.most_loads:
+            reason = (
+                f"an unexplained disturbance: {evidence['loads']:.0f} load steps and still "
+                f"{evidence['linear_left']:.1f} times the noise is left"
+            )
             return Found(replace(verdict, cause=Cause.UNKNOWN, reason=reason), estimate, fits=fits)
     return Found(verdict, estimate, tuning if verdict.retune else None, fits)
 

@@ -27,7 +27,7 @@ STICK_RANGE = (0.1, 1.2)
 """Stick bands tried, as shares of the usual travel of co within a period."""
 JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
 """Slip jumps tried, as shares of the stick band."""
-LAGS_PER_PERIOD = (0.02, 0.08, 0.3, 1.0, 4.0)
+LAGS_PER_PERIOD = (0.02, 0.1, 0.4, 1.5, 20.0)
 THETAS_PER_PERIOD = (0.01, 0.06, 0.15, 0.3)
 """Dynamics tried for every band, as shares of the period."""
 FINALISTS = 6
