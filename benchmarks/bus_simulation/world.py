@@ -15,6 +15,7 @@ from bus_simulation.host_end import HostEnd
 from bus_simulation.intruder import Intruder
 from bus_simulation.truth import Ran, Truth
 from bus_simulation.weather import CALM, CHANGE_EVERY, draw
+from retuner.drivers.device import WriteDone
 from retuner.drivers.gain_box import GainBox
 from retuner.drivers.running_belief import ALONE
 from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
@@ -146,9 +147,13 @@ class World:
         if not writers:
             raise t.ViolationError(f"writes_succeed_in_calm: {owner} still holds the lease")
         host = writers[0]
-        host.last_outcome = None
-        factor = 0.5 if gains.kp > 1.0 else 2.0
-        host.begin(PidGains(gains.kp * factor, gains.ki, gains.kd))
-        for _ in range(WRITE_STEPS):
-            self.step()
+        for _ in range(
+            2 if self.truth.forged else 1
+        ):  # a host that was deceived may need a refusal to find the numbers
+            host.last_outcome = None
+            host.begin(PidGains(gains.kp * (0.5 if gains.kp > 1.0 else 2.0), gains.ki, gains.kd))
+            for _ in range(WRITE_STEPS):
+                self.step()
+            if isinstance(host.last_outcome, WriteDone):
+                return
         t.writes_succeed_in_calm(host.last_outcome)
