@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from retuner.adaptive.decision import Decision as Decision
+    from retuner.adaptive.margins import margins as margins
+    from retuner.adaptive.performance import performance as performance
     from retuner.adaptive.process import LinearProcess as LinearProcess
     from retuner.adaptive.process import ProcessModel as ProcessModel
     from retuner.adaptive.process import ProcessType as ProcessType
@@ -40,6 +42,8 @@ _HOMES = {
     "gains_of": "conversions",
     "identify": "api",
     "load_config": "config",
+    "margins": "adaptive.margins",
+    "performance": "adaptive.performance",
     "process_of": "conversions",
     "reduce": "adaptive.reduction",
     "to_control": "conversions",
