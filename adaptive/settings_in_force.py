@@ -31,6 +31,8 @@ class LawSettings:
     """Settings of the recovery.
 
     fewest_samples : usable samples needed; 20 to 1000, default 50.
+    most_samples : of a longer record the stretch of so many samples is taken in which the error moves most; 1000 to
+        100000, default 4000 (a quarter of a second, and settings do not last for ever).
     explained_limit : smallest share of co's movement that the law must explain; 0.5 to 0.99, default 0.8.
     std_limit : largest standard deviation of kp (of ki without P) as a share of it; 0.01 to 0.5, default 0.15.
     disagreement : largest ratio of a gain in the two halves of the record; 1.05 to 2, default 1.25.
@@ -40,6 +42,7 @@ class LawSettings:
     """
 
     fewest_samples: int = 50
+    most_samples: int = 4000
     explained_limit: float = 0.8
     std_limit: float = 0.15
     disagreement: float = 1.25
@@ -118,6 +121,7 @@ def settings_in_force(
     settings : see LawSettings.
     """
     settings = settings or LawSettings()
+    window = _busiest(window, settings.most_samples)
     limits = at_limits(window.co, co_min, co_max)
     state = record_condition(window, limits.low + limits.high)
     if state.condition in {Condition.DEAD_PV, Condition.DEAD_CO, Condition.MANUAL}:
@@ -140,6 +144,18 @@ def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str
         if quality is not None and quality.compression > settings.compression_limit:
             return f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
     return ""
+
+
+def _busiest(window: Window, most: int) -> Window:
+    """The stretch of `most` samples in which the control error varies most; the window itself when it is no longer."""
+    n = len(window.t_s)
+    if n <= most:
+        return window
+    e = window.sp - window.pv
+    starts = [*range(0, n - most, most // 4), n - most]
+    start = max(starts, key=lambda i: float(np.std(e[i : i + most])))
+    part = slice(start, start + most)
+    return Window(window.t_s[part], window.sp[part], window.pv[part], window.co[part])
 
 
 def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:

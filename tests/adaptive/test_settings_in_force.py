@@ -147,6 +147,21 @@ def test_pv_of_the_sample_before_is_recognised():
     assert found.gains.ki == pytest.approx(0.03, rel=1e-6)
 
 
+def test_of_a_long_record_the_busiest_stretch_is_taken():
+    part = record(PidGains(0.8, 0.03), n=4000, noise=0.05)
+    calm = np.full(6000, 50.0)
+    window = Window(
+        np.arange(10000.0),
+        np.concatenate([calm, part.sp]),
+        np.concatenate([calm, part.pv]),
+        np.concatenate([calm, part.co]),
+    )
+    found = settings_in_force(window, 0, 100)
+    assert found.samples <= 4000
+    assert found.gains is not None
+    assert found.gains.ki == pytest.approx(0.03, rel=1e-3)
+
+
 def test_the_real_servo_shows_its_settings():
     found = settings_in_force(read_recording(SERVO).window(), -100, 100)
     assert found.gains is not None
