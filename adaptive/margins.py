@@ -47,7 +47,7 @@ class Margins:
     wc: float
 
     def to_dict(self) -> dict[str, float | bool | None]:
-        """Keys as in every JSON output; null where a value is infinite."""
+        """Keys as in every JSON output; null where a value is infinite, and for all of an unstable loop."""
         values = {
             "ms": self.ms,
             "mt": self.mt,
@@ -57,8 +57,10 @@ class Margins:
             "w180": self.w180,
             "wc": self.wc,
         }
-        finite: dict[str, float | bool | None] = {k: v if math.isfinite(v) else None for k, v in values.items()}
-        return finite | {"stable": self.stable}
+        known: dict[str, float | bool | None] = {
+            name: value if self.stable and math.isfinite(value) else None for name, value in values.items()
+        }
+        return known | {"stable": self.stable}
 
 
 UNSTABLE = Margins(
