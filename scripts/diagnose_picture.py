@@ -18,7 +18,7 @@ LAG_S, DEAD_TIME, NOISE, SEED = 20.0, 3, 0.05, 3
 
 
 def record() -> np.ndarray:
-    """Columns t, sp, pv, co: Kc 6, tau_I 20 s on a lag of 20 s with a dead time of 3 s; three setpoint steps, a load."""
+    """Columns t, sp, pv, co: Kc 6, tau_I 20 s on a lag of 20 s with a dead time of 3 s; setpoint steps and a load."""
     rng = np.random.default_rng(SEED)
     rules = law(PidGains(6.0, 0.3))
     pv, under_way, state = 50.0, [50.0] * DEAD_TIME, start(rules, 50.0, 50.0, 50.0)

@@ -41,6 +41,13 @@ SILENT_UP_TO = {
     "compression_pv": 1.5,
 }  # fmt: skip
 """Numbers that say nothing up to here, and are left to the JSON then."""
+OF_OSCILLATION = {
+    "period_s", "cycles", "regularity", "strength", "period_to_tau_i", "phase_deg", "amplitude_pv", "amplitude_co",
+    "triangle_co", "triangle_pv", "relay_pv", "tone_share", "distortion", "horch_drho", "stick_band",
+}  # fmt: skip
+"""Numbers for people only where the oscillation is regular: of a transient they say little."""
+REGULAR = 1.0
+"""Regularity from which it is."""
 LONGEST = 44
 """Width of the words in a table."""
 
@@ -61,10 +68,11 @@ def evidence_table(evidence: Mapping[str, float]) -> dict[str, list[tuple[str, s
     """Rows (words, value, how to read it) by heading; only what the evidence holds."""
     found: dict[str, list[tuple[str, str, str]]] = {}
     other = [name for name in evidence if name not in WORDS]
+    hidden = OF_OSCILLATION if evidence.get("regularity", 0.0) <= REGULAR and "stuck_left" not in evidence else set()
     for heading, names in {**GROUPS, "other": tuple(other)}.items():
         rows = []
         for name in names:
-            if name not in evidence or evidence[name] <= SILENT_UP_TO.get(name, -math.inf):
+            if name not in evidence or name in hidden or evidence[name] <= SILENT_UP_TO.get(name, -math.inf):
                 continue
             entry = WORDS.get(name, Entry(name.replace("_", " "), "", "", ""))
             rows.append((entry.words, value_text(name, evidence[name]), entry.reading))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FAR = 2.0
 """A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
 MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
-LINE_WIDTH, MOST_LINES = 72, 28
+LINE_WIDTH, MOST_LINES = 72, 27
 """Characters in a line of the text beside the curves, and lines that fit."""
 
 

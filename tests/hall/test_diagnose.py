@@ -229,7 +229,15 @@ def test_what_a_record_lacks_is_said_with_what_would_be_needed():
 def test_words_for_numbers_known_and_unknown():
     lines = "\n".join(
         evidence_lines(
-            {"period_s": 40.0, "ms": 2.5, "linear_left": 1.2, "some_number": -3.2, "offset": 0.2, "quantum_pv": 0.0}
+            {
+                "period_s": 40.0,
+                "regularity": 3.0,
+                "ms": 2.5,
+                "linear_left": 1.2,
+                "some_number": -3.2,
+                "offset": 0.2,
+                "quantum_pv": 0.0,
+            }
         )
     )
     assert "oscillation period" in lines
@@ -237,6 +245,8 @@ def test_words_for_numbers_known_and_unknown():
     assert "1.2 x noise" in lines
     assert "some number" in lines
     assert "mean error" not in lines
+    irregular = {"period_s": 40.0, "regularity": 0.4, "jump_share": 0.3}
+    assert "period" not in "\n".join(evidence_lines(irregular))
     assert value_text("gm", float("inf")) == "none"
     assert value_text("tone_share", 0.5) == "50.0%"
     assert {name for names in GROUPS.values() for name in names} <= set(WORDS)
