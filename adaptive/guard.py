@@ -38,6 +38,8 @@ class GuardSettings:
     """Settings.
 
     ms_nominal : largest Ms on the identified process; 1.4 to 2, default 1.75.
+    ms_target : Ms that proposals aim at by their tau_c; 1.4 to ms_nominal, default 1.65 (what is between the two is for
+        the process that is never quite the one identified).
     ms_worst : largest Ms on the corners of the uncertainty; up to 3, default 2.1.
     tau_c_max_ratio : largest tau_c over theta; 1 to 3, default 1.3.
     corner_std : how many standard deviations out the corners lie; default 2.
@@ -47,6 +49,7 @@ class GuardSettings:
     """
 
     ms_nominal: float = 1.75
+    ms_target: float = 1.65
     ms_worst: float = 2.1
     tau_c_max_ratio: float = 1.3
     corner_std: float = 2.0

@@ -254,7 +254,8 @@ class Retuner:
         """What the rule would give, and whether the tuning is the cause."""
         model = self._tuning_model(log)
         guard = self.settings.guard
-        tuning, _ = simc_at_most_ms(model, guard.ms_nominal, guard.tau_c_max_ratio)
+        target = min(guard.ms_target, guard.ms_nominal)
+        tuning, _ = simc_at_most_ms(model, target, guard.tau_c_max_ratio)
         unsure = log.gain_uncertainty(self.settings.sample_time_s / 2)
         diagnosis = tuning_cause(model, in_force, tuning.gains, unsure, self.settings.cause)
         return tuning, diagnosis

@@ -6,8 +6,8 @@
     He et al. (2007)     friction is overcome anew at every sample: y moves by the push less f_d whenever the push,
                          what was left plus the change of u, exceeds f_s
 
-After a reversal Kano's valve rests until co has travelled S, He's until S to S + J, then it jumps by J; going on in one
-direction, Kano's follows and He's moves in steps of J. J = 0 is backlash. Real valves do either (Garcia 2008 compares eight models).
+After a reversal Kano's valve rests until co has travelled S, He's until S to S + J, then it jumps by J; going on in
+one direction, Kano's follows and He's moves in steps of J. J = 0 is backlash. Real valves do either (Garcia 2008).
 """
 
 import math

@@ -1,0 +1,52 @@
+"""Settings of diagnosis."""
+
+from dataclasses import dataclass, field
+
+from retuner.adaptive.diagnosis.rivals import WHITE
+from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
+from retuner.adaptive.fit.choice import ChoiceSettings
+from retuner.adaptive.identify import FitSettings
+from retuner.adaptive.robust_settings import RobustSettings
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisSettings:
+    """Settings.
+
+    saturated_share : share of samples at a limit of co from which saturation is the cause; 0.1 to 0.8, default 0.25.
+    least_lead : by how much the criterion of an external tone or a stuck valve must be the smaller one;
+        5 to 100, default 20 (odds of e^10). lead_per_sample : and by so much per sample; default 0.02.
+    tone_explains : a tone that leaves no more than this many times the noise has explained the record, and a valve
+        must do better; 1.05 to 1.5, default 1.15 (no limit cycle is as regular).
+    stuck_handicap : where it leaves more, a valve may leave so many times as much: its band differs from stop to stop,
+        and the scan may miss it; 1 to 2.5, default 1.6.
+    rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
+    oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
+        rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
+    explained : a change of gains needs a remainder within this many times the noise; 1.1 to 3, default 1.5.
+    explained_steps : the same where several setpoint steps agree; 1.5 to 10, default 3.
+    tone_as_good : a change of gains needs that a tone leaves no less than this share of what the loop by itself
+        leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.97.
+    spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
+        identification alone would not give settings; 0.2 to 1, default 0.5.
+    majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
+    """
+
+    saturated_share: float = 0.25
+    least_lead: float = 20.0
+    lead_per_sample: float = 0.02
+    tone_explains: float = 1.15
+    stuck_handicap: float = 1.6
+    rival_explains: float = 2.0
+    oscillating_residual: float = 1.12
+    explained: float = 1.5
+    explained_steps: float = 3.0
+    tone_as_good: float = 0.95
+    tone_as_good_loads: float = 0.97
+    spread_limit: float = 0.5
+    majority: float = 0.75
+    fit: FitSettings = field(
+        default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=1000)
+    )
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.75))
+    robust: RobustSettings = field(default_factory=RobustSettings)
