@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -48,8 +48,9 @@ STEP_EVERY_S = 3600.0
 CHANGE_EVERY_S = 6 * 3600.0
 BUSES = 4
 TREND_ROWS = 1000  # half an hour, so that the trend is full long before the warm-up ends
+DECISIONS = 3  # of a loop that are kept, for the same reason; a session's own limit is DECISIONS_KEPT, 10 kB each
 WARM_UP = 0.25  # share of the run whose memory does not count
-SLOPE_MAX = 300.0  # kB an hour; decisions are kept for the report, about 5 kB each
+SLOPE_MAX = 100.0  # kB an hour
 FIRST = PidGains(1.0, 0.02)
 
 
@@ -70,6 +71,7 @@ class Loop:
         retuner = Retuner(table, RetunerSettings(SAMPLE_S, 100.0, mode=Mode.AUTO))
         self.session = Session(host, retuner, ScenarioPlayer(None), self._record)
         self.session.trend = Trend(TREND_ROWS)
+        self.session.decisions = deque(maxlen=DECISIONS)
         self.high = False
 
     def _process(self) -> LinearProcess:
@@ -189,7 +191,7 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--loops", type=int, default=32)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--slope-max", type=float, default=SLOPE_MAX, help="kB an hour (300)")
+    parser.add_argument("--slope-max", type=float, default=SLOPE_MAX, help="kB an hour (100)")
     chosen = parser.parse_args()
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
