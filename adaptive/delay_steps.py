@@ -77,6 +77,7 @@ class DelaySteps:
     """One dead time as matrices on q (see the head of this file).
 
     step : q to the next q. error, area, output, rate : (elements, FINE, len(q)) e, z, u and du/dt at the fine points.
+    rate_start : (len(q),) du/dt at the start of the dead time, free of the rounding that a short element makes.
     lengths : (elements,). start : q at time 0. kick : weight of the impulse that leaves the controller at time 0.
     """
 
@@ -85,6 +86,7 @@ class DelaySteps:
     area: FloatArray
     output: FloatArray
     rate: FloatArray
+    rate_start: FloatArray
     lengths: FloatArray
     start: FloatArray
     kick: float
@@ -119,10 +121,23 @@ def delay_steps(loop: CutLoop, fastest: float, setpoint: float, load: float, *, 
         area=np.stack(areas),
         output=np.stack([c.fine @ output for output in outputs]),
         rate=np.stack([(c.slope / h) @ output for h, output in zip(lengths, outputs, strict=True)]),
+        rate_start=_rate_at_start(loop, float(lengths[0]), size, setpoint, load),
         lengths=lengths,
         start=np.eye(size)[-1],
         kick=loop.kd * setpoint if kick else 0.0,
     )
+
+
+def _rate_at_start(loop: CutLoop, h: float, size: int, setpoint: float, load: float) -> FloatArray:
+    """du/dt at the start of the dead time from the differential equation: U dX/dt + V dv/dt."""
+    c, n = collocation(), len(loop.b)
+    x, v, slope = np.zeros((n, size)), np.zeros(size), np.zeros(size)
+    x[:, :n], x[:, size - 2] = np.eye(n), loop.b
+    v[n : n + NODES], v[-1] = c.fine[0], load
+    slope[n : n + NODES] = c.slope[0] / h
+    moving = loop.a @ x + np.outer(loop.b, v)
+    moving[:, -1] += loop.r * setpoint
+    return np.asarray(loop.u @ moving + loop.v * slope, dtype=np.float64)
 
 
 def _step(loop: CutLoop, last: FloatArray, outputs: list[FloatArray]) -> FloatArray:

@@ -100,7 +100,7 @@ def _times(shape: PidGains, factor: float) -> PidGains:
 @lru_cache(maxsize=512)
 def _error(process: LinearProcess, gains: PidGains, aim: Aim) -> float:
     """IAE of one step; the three searches on one process meet at the same grid points."""
-    return (setpoint_variation if aim == Aim.SETPOINT else load_variation)(process, gains).error
+    return (setpoint_variation if aim == Aim.SETPOINT else load_variation)(process, gains, with_output=False).error
 
 
 def _judged(process: LinearProcess, shape: PidGains, ms: float, aim: Aim, best: References | None) -> Optimum | None:

@@ -70,19 +70,26 @@ def performance(
 
 
 def setpoint_variation(
-    process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0, *, derivative_on_setpoint: bool = True
+    process: LinearProcess,
+    gains: PidGains,
+    tau_f_s: float = 0.0,
+    *,
+    derivative_on_setpoint: bool = True,
+    with_output: bool = True,
 ) -> Variation:
-    """IAE and TV of a unit setpoint step of a loop that is known to be stable."""
+    """IAE and TV of a unit setpoint step of a loop that is known to be stable; without TV it is faster."""
     if process.integrators + (1 if gains.ki else 0) == 0 or not (gains.kp or gains.ki):
         return NEVER  # an offset remains
-    return variation(process, gains, tau_f_s, 1.0, 0.0, kick=derivative_on_setpoint)
+    return variation(process, gains, tau_f_s, 1.0, 0.0, kick=derivative_on_setpoint, with_output=with_output)
 
 
-def load_variation(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Variation:
+def load_variation(
+    process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0, *, with_output: bool = True
+) -> Variation:
     """IAE and TV of a unit load step at the process input of a loop that is known to be stable."""
     if not gains.ki:
         return NEVER
-    return variation(process, gains, tau_f_s, 0.0, 1.0, kick=False)
+    return variation(process, gains, tau_f_s, 0.0, 1.0, kick=False, with_output=with_output)
 
 
 def _without_needless_delay(process: LinearProcess, loop: OpenLoop, crossed: list[float]) -> LinearProcess:

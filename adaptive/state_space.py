@@ -46,14 +46,14 @@ Section = tuple[tuple[float, ...], list[float]]
 
 
 def _sections(process: LinearProcess, unit_s: float) -> list[Section]:
-    """The cascade: slowest poles first, the slowest zeros with them."""
-    lags = sorted((x / unit_s for x in process.lags_s if x), reverse=True)
-    lags += [c1 / unit_s for c1, c2 in process.quadratics if c2 == 0 and c1]
+    """The cascade: fastest poles first, so that rates of the output cancel no digits; slow zeros go to slow poles."""
+    lags = [x / unit_s for x in process.lags_s if x]
+    lags = sorted([*lags, *(c1 / unit_s for c1, c2 in process.quadratics if c2 == 0 and c1)])
     pairs = [(1.0, c1 / unit_s, c2 / unit_s**2) for c1, c2 in process.quadratics if c2]
-    sections: list[Section] = [((0.0, 1.0), []) for _ in range(process.integrators)]
-    sections += [(pair, []) for pair in pairs] + [((1.0, lag), []) for lag in lags]
+    sections: list[Section] = [((1.0, lag), []) for lag in lags] + [(pair, []) for pair in pairs]
+    sections += [((0.0, 1.0), []) for _ in range(process.integrators)]
     zeros = sorted((x / unit_s for x in process.leads_s if x), key=abs, reverse=True)
-    for rates, held in sections:
+    for rates, held in reversed(sections):
         held += [zeros.pop(0) for _ in range(min(len(rates) - 1, len(zeros)))]
     if zeros:
         raise ValueError("the process has more zeros than poles: its response to a step is not a function; add lags")

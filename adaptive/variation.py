@@ -25,8 +25,15 @@ SETTLED = 1e-8
 """Share of the sum that a window may add and still end the search."""
 NEGLIGIBLE = 1e-9
 """Share of the sum below which a window is not looked at more closely; rounding makes it useless below."""
+MOST_LOOKS = 6000
+"""Windows looked at before the rest is accepted whole: only rounding asks for so many."""
 AGREES = 0.05
 """How far Simpson's rule may miss the change over a window that is accepted whole."""
+
+
+ERROR, OUTPUT = 0, 1
+Point = tuple[float, float]
+"""A value and its rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +45,19 @@ class Variation:
 
 
 def variation(
-    process: LinearProcess, gains: PidGains, tau_f_s: float, setpoint: float, load: float, *, kick: bool
+    process: LinearProcess,
+    gains: PidGains,
+    tau_f_s: float,
+    setpoint: float,
+    load: float,
+    *,
+    kick: bool,
+    with_output: bool = True,
 ) -> Variation:
-    """Of a stable loop whose error dies out; kick : the derivative acts on the setpoint's step."""
+    """Of a stable loop whose error dies out.
+
+    kick : the derivative acts on the setpoint's step. with_output : else TV is left out, as infinite.
+    """
     unit_s = process.theta_s or _slowest(process, gains)
     loop = cut_loop(process, gains, tau_f_s, unit_s)
     stepper: Stepper
@@ -48,9 +65,9 @@ def variation(
         stepper = _DelayStepper(delay_steps(loop, _fastest(loop), setpoint, load, kick=kick))
     else:
         stepper = _PlainStepper(plain_steps(loop, setpoint, load, kick=kick))
-    error, output = _total(stepper)
     impulse = kick and setpoint and loop.kd
-    return Variation(error * unit_s, math.inf if impulse else output)
+    output = math.inf if impulse or not with_output else _total(stepper, OUTPUT)
+    return Variation(_total(stepper, ERROR) * unit_s, output)
 
 
 def _slowest(process: LinearProcess, gains: PidGains) -> float:
@@ -72,6 +89,7 @@ class Stepper:
 
     step: FloatArray
     length: float
+    looks = 0
 
     def first(self) -> tuple[FloatArray, float, float]:
         """q after the first 2^FIRST_STEPS_LOG2 steps, and the variation of z and u until then."""
@@ -81,8 +99,8 @@ class Stepper:
         """Variation of z and u over the one step from q."""
         raise NotImplementedError
 
-    def signals(self, q: FloatArray) -> tuple[float, float, float, float]:
-        """z, e, u, du/dt at q."""
+    def signals(self, q: FloatArray) -> tuple[Point, Point]:
+        """z with its rate e, and u with its rate, at q."""
         raise NotImplementedError
 
 
@@ -116,9 +134,10 @@ class _DelayStepper(Stepper):
         jumps = abs(float(ends[0, 0]) - float(q[-3])) + float(np.sum(np.abs(ends[1:, 0] - ends[:-1, -1])))
         return _gain(z, e, self.spacing), _gain(u, rate, self.spacing) + jumps
 
-    def signals(self, q: FloatArray) -> tuple[float, float, float, float]:
+    def signals(self, q: FloatArray) -> tuple[Point, Point]:
         s = self.steps
-        return float(s.area[0, 0] @ q), float(s.error[0, 0] @ q), float(s.output[0, 0] @ q), float(s.rate[0, 0] @ q)
+        error = float(s.area[0, 0] @ q), float(s.error[0, 0] @ q)
+        return error, (float(s.output[0, 0] @ q), float(s.rate_start @ q))
 
 
 def _gain(value: FloatArray, rate: FloatArray, spacing: FloatArray) -> float:
@@ -133,7 +152,7 @@ def _gain(value: FloatArray, rate: FloatArray, spacing: FloatArray) -> float:
     return float(np.sum(change))
 
 
-def _gain_of_two(start: float, end: float, rate: float, last_rate: float, length: float) -> float:
+def _gain_of_two(start: float, rate: float, end: float, last_rate: float, length: float) -> float:
     """The same for the two ends of one short step."""
     if rate * last_rate >= 0:
         return abs(end - start)
@@ -155,47 +174,48 @@ class _PlainStepper(Stepper):
         return q, area, travel
 
     def over(self, q: FloatArray) -> tuple[float, float]:
-        z0, e0, u0, r0 = self.signals(q)
-        z1, e1, u1, r1 = self.signals(self.step @ q)
-        return _gain_of_two(z0, z1, e0, e1, self.length), _gain_of_two(u0, u1, r0, r1, self.length)
+        start, end = self.signals(q), self.signals(self.step @ q)
+        error, output = (_gain_of_two(*start[i], *end[i], self.length) for i in (ERROR, OUTPUT))
+        return error, output
 
-    def signals(self, q: FloatArray) -> tuple[float, float, float, float]:
+    def signals(self, q: FloatArray) -> tuple[Point, Point]:
         s = self.steps
-        return float(s.area @ q), float(s.error @ q), float(s.output @ q), float(s.rate @ q)
+        return (float(s.area @ q), float(s.error @ q)), (float(s.output @ q), float(s.rate @ q))
 
 
-def _total(stepper: Stepper) -> tuple[float, float]:
-    """IAE and TV in the stepper's unit of time."""
-    powers = [stepper.step]
-    q, area, travel = stepper.first()
+def _total(stepper: Stepper, signal: int) -> float:
+    """IAE (signal ERROR) or TV (signal OUTPUT) in the stepper's unit of time."""
+    powers, stepper.looks = [stepper.step], 0
+    q, *gains = stepper.first()
+    sum_ = gains[signal]
     for window in range(FIRST_STEPS_LOG2, MOST_DOUBLINGS):
         while len(powers) <= window:
             powers.append(powers[-1] @ powers[-1])
-        scale = (area * NEGLIGIBLE, travel * NEGLIGIBLE)
-        gained, q = _over_window(stepper, powers, window, q, scale)
-        area, travel = area + gained[0], travel + gained[1]
-        if gained[0] <= SETTLED * area and gained[1] <= SETTLED * travel:
-            return area, travel
-    return math.inf, math.inf
+        gained, q = _over_window(stepper, powers, window, q, signal, sum_ * NEGLIGIBLE)
+        sum_ += gained
+        if gained <= SETTLED * sum_:
+            return sum_
+    return math.inf
 
 
 def _over_window(
-    stepper: Stepper, powers: list[FloatArray], j: int, q: FloatArray, scale: tuple[float, float]
-) -> tuple[tuple[float, float], FloatArray]:
-    """Variation of z and u over 2^j steps from q, and q at the end."""
+    stepper: Stepper, powers: list[FloatArray], j: int, q: FloatArray, signal: int, negligible: float
+) -> tuple[float, FloatArray]:
+    """Variation of z or u over 2^j steps from q, and q at the end."""
     if j == 0:
-        return stepper.over(q), stepper.step @ q
+        return stepper.over(q)[signal], stepper.step @ q
     half = powers[j - 1] @ q
     end = powers[j - 1] @ half
-    signals = [stepper.signals(x) for x in (q, half, end)]
-    length = stepper.length * 2.0**j
-    area = _whole([(s[0], s[1]) for s in signals], length, scale[0])
-    travel = _whole([(s[2], s[3]) for s in signals], length, scale[1])
-    if area is not None and travel is not None:
-        return (area, travel), end
-    first, _ = _over_window(stepper, powers, j - 1, q, scale)
-    second, _ = _over_window(stepper, powers, j - 1, half, scale)
-    return (first[0] + second[0], first[1] + second[1]), end
+    points = [stepper.signals(x)[signal] for x in (q, half, end)]
+    stepper.looks += 1
+    whole = _whole(points, stepper.length * 2.0**j, negligible)
+    if whole is None and stepper.looks > MOST_LOOKS:
+        whole = abs(points[2][0] - points[0][0])
+    if whole is not None:
+        return whole, end
+    first, _ = _over_window(stepper, powers, j - 1, q, signal, negligible)
+    second, _ = _over_window(stepper, powers, j - 1, half, signal, negligible)
+    return first + second, end
 
 
 def _whole(points: list[tuple[float, float]], length: float, negligible: float) -> float | None:
