@@ -80,12 +80,13 @@ class Truth:
 def running_set_is_a_committed_one(truth: Truth, now: Ran, holder: int) -> Order:
     """A swapped-in set is, gain for gain, one that somebody committed under this number in this boot epoch.
 
-    When several meant the same, it is that of the lease's holder.
+    When several meant the same, it is that of the lease's holder, and of these the one built on what ran before.
     """
     orders = [order for order in truth.orders.get((now.epoch, now.seq), ()) if order.gains == now.gains]
     if not orders:
         raise ViolationError(f"running_set_is_a_committed_one: {now} was ordered by nobody")
-    return next((order for order in orders if order.owner == holder), orders[0])
+    base = truth.ran[-1].seq
+    return min(orders, key=lambda order: (order.owner != holder, order.base != base))
 
 
 def built_on_what_ran(order: Order, before: Ran) -> None:

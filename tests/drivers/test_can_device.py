@@ -458,3 +458,23 @@ def test_a_device_that_acknowledges_without_effect_is_not_believed(bench, monkey
     (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
     assert failed.running.gains == bench.FIRST
     assert "gave way" in failed.reason
+
+
+def test_no_write_begins_while_the_telemetry_is_wrong(bench) -> None:
+    receive = bench.near.receive_all
+
+    def garbled() -> list:
+        messages = receive()
+        for message in messages:
+            if isinstance(CODEC.decode(message), frames.TelemetryPv):
+                message.data[6] ^= 1
+        return messages
+
+    bench.near.receive_all = garbled
+    assert bench.samples(bench.run(8)) == []
+    with pytest.raises(WriteRefusedError, match="too many of the latest telemetry frames were wrong"):
+        bench.host.begin_write(bench.SECOND, bench.now_s)
+    bench.near.receive_all = receive
+    bench.run(20)
+    bench.host.begin_write(bench.SECOND, bench.now_s)
+    assert any(isinstance(e, WriteDone) for e in bench.run(8))
