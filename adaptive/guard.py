@@ -99,11 +99,20 @@ class Verdict:
 
 
 def corners(log: LogModel, out: float) -> list[LinearProcess]:
-    """The mean and both ends of every principal axis of the covariance, `out` standard deviations out."""
+    """The mean and both ends of every principal axis of the covariance, `out` standard deviations out.
+
+    An axis ends where a parameter has changed by a factor of two: beyond that the covariance says only that the record
+    does not know (a second lag that may be nothing), and its Gaussian has no meaning.
+    """
     values, vectors = np.linalg.eigh(log.p)
-    axes = vectors * np.sqrt(np.maximum(values, 0.0))
-    points = [log.x, *(log.x + s * out * axes[:, j] for j in range(len(log.x)) for s in (1.0, -1.0))]
+    axes = out * vectors * np.sqrt(np.maximum(values, 0.0))
+    axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))
+    points = [log.x, *(log.x + s * axes[:, j] for j in range(len(log.x)) for s in (1.0, -1.0))]
     return [model_at(log.type, x, log.sign).linear() for x in points]
+
+
+MOST_LOG_STEP = math.log(2.0)
+"""Farthest that a corner lies from the mean in any log-parameter."""
 
 
 def worst_ms(processes: list[LinearProcess], gains: PidGains) -> float:

@@ -1,8 +1,14 @@
-"""hypothesis for all tests: no deadline (the machines are shared and noisy), and in CI the same examples every time."""
+"""For all tests: one thread for linear algebra.
+
+And for hypothesis: no deadline (the machines are shared and noisy), and in CI the same examples every time.
+"""
 
 import os
 
-from hypothesis import settings
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_library, "1")  # thousands of small matrices: threads only get in each other's way
+
+from hypothesis import settings  # noqa: E402  the threads are counted when numpy is loaded
 
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)

@@ -20,6 +20,10 @@ class DiagnosisSettings:
         must do better; 1.05 to 1.5, default 1.15 (no limit cycle is as regular).
     stuck_handicap : where it leaves more, a valve may leave so many times as much: its band differs from stop to stop,
         and the scan may miss it; 1 to 2.5, default 1.6.
+    stuck_handicap_triangle : the same where the half waves of co are triangles, which only what moves in jumps makes
+        of them; 1 to 5, default 3.
+    jump_share : share of pv's travel in its largest jumps beyond co's, from which an irregular valve is told where no
+        single band explains the record; 0.02 to 0.3, default 0.04 (real flow loops 0.05 to 0.21, levels below 0.02).
     rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
         rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
@@ -37,6 +41,8 @@ class DiagnosisSettings:
     lead_per_sample: float = 0.02
     tone_explains: float = 1.15
     stuck_handicap: float = 1.6
+    stuck_handicap_triangle: float = 3.0
+    jump_share: float = 0.04
     rival_explains: float = 2.0
     oscillating_residual: float = 1.12
     explained: float = 1.5

@@ -163,6 +163,8 @@ def verify(
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status. Arguments are those of the process unless given."""
+    for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(library, "1")  # fits are thousands of small matrices, which threads only slow down
     if not os.environ.get("RETUNER_TRACEBACK"):
         sys.excepthook = _tell_internal_error
     try:

@@ -1,0 +1,132 @@
+"""Causes named from records whose cause is known by construction; no change of gains for any other than tuning."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.stuck_valve import Family, StuckValve
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.sample import Window
+from retuner.drivers.linear_plant import LinearPlant
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import law, start, step
+
+PROCESS = LinearProcess(1.0, (10.0, 2.0), (), 2.0)
+GOOD = PidGains(1.6, 1.6 / 11.0)
+DT, N = 0.5, 700
+Signal = Callable[[int], float]
+
+
+def zero(_: int) -> float:
+    return 0.0
+
+
+def loop(
+    gains: PidGains = GOOD, sp: Signal = zero, load: Signal = zero, out: Signal = zero, valve: StuckValve | None = None,
+    limits: tuple[float, float] = (-50.0, 50.0), noise: float = 0.01, seed: int = 1, n: int = N,
+    process: LinearProcess = PROCESS,
+) -> Window:  # fmt: skip
+    """PI on two lags and dead time; `out` is added to pv, the valve stands between controller and process."""
+    plant = LinearPlant(process, start_co=0.0, noise=noise, seed=seed, co_min=-1e9, co_max=1e9)
+    rules = law(gains, co_min=limits[0], co_max=limits[1])
+    state = start(rules, 0.0, 0.0, 0.0)
+    co, rows, cos = 0.0, [], [0.0]
+    for i in range(n):
+        moved = co if valve is None else float(valve.position(np.array(cos))[-1])
+        pv = plant.step(moved, load(i), DT) + out(i)
+        state, co = step(rules, state, sp(i), pv, DT)
+        cos.append(co)
+        rows.append((i * DT, sp(i), pv, co))
+    return Window(*np.array(rows).T)
+
+
+def to_and_fro(i: int) -> float:
+    return 1.0 if 80 <= i < 380 else 0.0
+
+
+def times(kp: float, ki: float) -> PidGains:
+    return PidGains(GOOD.kp * kp, GOOD.ki * ki)
+
+
+@pytest.mark.parametrize(
+    ("gains", "cause"),
+    [(GOOD, Cause.OK), (times(2.2, 2.2), Cause.AGGRESSIVE), (times(0.25, 0.2), Cause.SLUGGISH)],
+)
+def test_tuning_is_told_from_setpoint_steps(gains: PidGains, cause: Cause) -> None:
+    found = diagnose_window(loop(gains, sp=to_and_fro), gains)
+    assert found.diagnosis.cause == cause, found.diagnosis.reason
+    assert found.diagnosis.retune == (cause != Cause.OK)
+    assert (found.tuning is not None) == found.diagnosis.retune
+    if found.tuning is not None:
+        assert sensitivity_peak(PROCESS, found.tuning.tuning.gains) < 1.8
+
+
+def test_a_slowly_swinging_level_gets_the_product_of_four() -> None:
+    """k' Kc tau_I = 0.2 swings with zeta 0.22; after the cure it is about 4 (Skogestad 2003, section 3)."""
+    level = LinearProcess(0.1, (), (), 2.0, 1)
+    gains = PidGains(0.25, 0.25 / 8)
+    found = diagnose_window(loop(gains, sp=to_and_fro, process=level), gains)
+    assert found.diagnosis.cause == Cause.SLOW_INTEGRATING, found.diagnosis.reason
+    assert found.tuning is not None
+    after = found.tuning.tuning.gains
+    assert 3.8 < 0.1 * after.kp**2 / after.ki < 4.2
+    assert sensitivity_peak(level, after) < 1.8
+
+
+def test_tuning_is_told_from_load_steps_alone() -> None:
+    gains = times(2.2, 2.2)
+    found = diagnose_window(loop(gains, load=to_and_fro), gains)
+    assert found.diagnosis.cause == Cause.AGGRESSIVE, found.diagnosis.reason
+
+
+@pytest.mark.parametrize("sp", [zero, to_and_fro])
+def test_a_tone_from_outside_is_not_the_tuning(sp: Signal) -> None:
+    window = loop(sp=sp, out=lambda i: 0.3 * np.sin(2 * np.pi * i * DT / 31.0))
+    found = diagnose_window(window, GOOD)
+    assert found.diagnosis.cause == Cause.EXTERNAL, found.diagnosis.reason
+    assert found.tuning is None
+
+
+@pytest.mark.parametrize("family", list(Family))
+def test_a_valve_that_sticks_is_found_with_its_band(family: Family) -> None:
+    valve = StuckValve(family, 1.0, 0.6)
+    window = loop(valve=valve, load=lambda i: 1.5 if i > 30 else 0.0, noise=0.003)
+    found = diagnose_window(window, GOOD)
+    assert found.diagnosis.cause == Cause.STICTION, found.diagnosis.reason
+    assert found.diagnosis.evidence["stick"] == pytest.approx(1.0, rel=0.3)
+    assert found.tuning is None
+
+
+def test_an_output_at_its_limit_is_saturation() -> None:
+    window = loop(sp=lambda i: 3.0 if i > 100 else 0.0, limits=(-2.0, 2.0))
+    assert diagnose_window(window, GOOD, -2.0, 2.0).diagnosis.cause == Cause.SATURATION
+
+
+def test_nothing_but_noise_is_noise() -> None:
+    assert diagnose_window(loop(noise=0.1), GOOD).diagnosis.cause == Cause.NOISE
+
+
+@pytest.mark.parametrize("name", ["pv", "co"])
+def test_a_dead_signal_is_never_tuned(name: str) -> None:
+    window = loop(sp=to_and_fro)
+    parts = {n: getattr(window, n) for n in ("t_s", "sp", "pv", "co")}
+    parts[name] = np.full(N, 7.0)
+    found = diagnose_window(Window(**parts), GOOD).diagnosis
+    assert found.cause == Cause.UNKNOWN
+    assert "does not change" in found.reason
+
+
+def test_a_random_load_changes_no_gains() -> None:
+    walk = np.cumsum(np.random.default_rng(5).standard_normal(N)) * 0.05
+    found = diagnose_window(loop(load=lambda i: float(walk[i])), GOOD).diagnosis
+    assert not found.retune, found.reason
+
+
+def test_without_the_settings_in_force_nothing_is_said_of_the_tuning() -> None:
+    found = diagnose_window(loop(times(2.2, 2.2), sp=to_and_fro), None).diagnosis
+    assert found.cause == Cause.UNKNOWN
+    assert "settings in force" in found.reason
