@@ -54,5 +54,5 @@ class DiagnosisSettings:
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=1000)
     )
-    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.75))
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.75, weak=4.0))
     robust: RobustSettings = field(default_factory=RobustSettings)

@@ -28,13 +28,15 @@ class CauseSettings:
 
     ms_high : Ms above which a loop is not robust enough; 1.5 to 2.2, default 1.8 (design limit).
     gm_large : gain margin above which a high Ms is the integral's fault; 2 to 6, default 3.0 (SIMC's own is 3.14).
-    slack : ratio of SIMC's ki or kp to the one in force from which a loop is sluggish; 1.2 to 3, default 1.3.
+    slack : ratio of SIMC's ki to the one in force from which a loop is sluggish; 1.2 to 3, default 1.3.
+    weak : the same of kp; 1.2 to 10, default 1.3.
     saturated_share : share of limited samples above which nothing is said of the tuning; default 0.5.
     """
 
     ms_high: float = 1.8
     gm_large: float = 3.0
     slack: float = 1.3
+    weak: float = 1.3
     saturated_share: float = 0.5
 
 
@@ -78,7 +80,7 @@ def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) ->
         return Cause.AGGRESSIVE, f"Ms {found.ms:.2f} is over {settings.ms_high:g}, gain margin {found.gm:.2f}"
     if slack > settings.slack:
         return Cause.SLUGGISH, f"loads are rejected {slack:.1f} times slower than Ms {found.ms:.2f} would allow"
-    if weak > settings.slack:
+    if weak > settings.weak:
         cause = Cause.SLOW_INTEGRATING if weak > slack * settings.slack else Cause.SLUGGISH
         return cause, f"the gain could be {weak:.1f} times as large at Ms {found.ms:.2f}"
     return Cause.OK, f"Ms {found.ms:.2f}, loads rejected at {1 / max(slack, 1e-9):.0%} of the attainable speed"
