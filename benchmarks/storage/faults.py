@@ -35,7 +35,8 @@ from retuner.ledger import Ledger
 JOB = Path(__file__).resolve().with_name("job.py")
 ROWS = 6  # per job of the sweep: enough for two replacements of the table
 DURABLE = ("write", "pwrite64", "fsync", "fdatasync", "rename", "unlink", "ftruncate")
-LONGEST_LIFE_S = 0.02  # of a job that is killed at random; the whole of one takes about half of that
+MOST_LINES = 8  # acknowledged by a job before it is killed, however fast the machine is
+LONGEST_LIFE_S = 0.006  # after that; a row takes about a third of it
 MEBIBYTE = 1 << 20
 
 
@@ -120,14 +121,14 @@ def kills(count: int, seed: int) -> dict[str, object]:
         with scratch() as folder:
             promised = Promised()
             for number in range(min(50, count - 50 * folder_number)):
-                ended += kill_one(folder, promised, rng.uniform(0, LONGEST_LIFE_S))
+                ended += kill_one(folder, promised, rng.randrange(MOST_LINES), rng.uniform(0, LONGEST_LIFE_S))
                 wrong += [f"folder {folder_number}, kill {number}: {fault}" for fault in broken(folder, promised)]
             rows += len(promised.rows)
     return {"part": "kills", "seed": seed, "killed": count - ended, "ended before": ended, "rows": rows, "wrong": wrong}
 
 
-def kill_one(folder: Path, promised: Promised, life_s: float) -> bool:
-    """One job in a forked child; whether it ended before it was killed."""
+def kill_one(folder: Path, promised: Promised, lines: int, life_s: float) -> bool:
+    """One job in a forked child, killed life_s after it has acknowledged so much; whether it ended before."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
@@ -137,11 +138,14 @@ def kill_one(folder: Path, promised: Promised, life_s: float) -> bool:
         finally:
             os._exit(0)
     os.close(into)
+    said = b""
+    while said.count(b"\n") < lines and (more := os.read(out, 4096)):
+        said += more
     time.sleep(life_s)
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
-    with os.fdopen(out) as answers:
-        promised.take(answers.read())
+    with os.fdopen(out, "rb") as answers:
+        promised.take((said + answers.read()).decode())
     return os.WIFEXITED(status)
 
 
