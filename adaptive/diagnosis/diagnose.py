@@ -33,6 +33,8 @@ PADDED = 4
 """Zero padding of the spectrum: peaks to a quarter of a line."""
 FEWEST_CYCLES = 2
 """Cycles in the record of a tone that is looked for."""
+SEVERAL_LOADS = 2
+"""Load steps beside setpoint steps from which the rivals are asked as well: a slipping valve looks like loads."""
 SAME_TONE = 0.03
 """Two frequencies closer than this (in logarithms) lead to the same fit."""
 
@@ -93,7 +95,8 @@ def _compared(
     best = found[0]
     fits = {"linear": best}
     evidence = dict(seen.evidence) | {"linear_left": _left(best), "loads": float(best.fit.misfit.loads)}
-    by_loads = best.fit.misfit.loads > 0 and not seen.evidence.get("setpoint_steps")
+    loads = best.fit.misfit.loads
+    by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
     if seen.oscillates or by_loads or _left(best) > settings.oscillating_residual:
         period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
         tone = external(best, _frequencies(best, period_s), settings.fit.choice.most_loads)

@@ -24,13 +24,15 @@ class DiagnosisSettings:
         of them; 1 to 5, default 3.
     jump_share : share of pv's travel in its largest jumps beyond co's, from which an irregular valve is told where no
         single band explains the record; 0.02 to 0.3, default 0.04 (real flow loops 0.05 to 0.21, levels below 0.02).
+    stuck_helps : a valve must leave less than this share of what the loop by itself leaves; 0.5 to 1, default 0.87.
     rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
         rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
     explained : a change of gains needs a remainder within this many times the noise; 1.1 to 3, default 1.5.
     explained_steps : the same where several setpoint steps agree; 1.5 to 10, default 3.
     tone_as_good : a change of gains needs that a tone leaves no less than this share of what the loop by itself
-        leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.97.
+        leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
+    many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
         identification alone would not give settings; 0.2 to 1, default 0.5.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
@@ -43,12 +45,14 @@ class DiagnosisSettings:
     stuck_handicap: float = 1.6
     stuck_handicap_triangle: float = 3.0
     jump_share: float = 0.04
+    stuck_helps: float = 0.87
     rival_explains: float = 2.0
     oscillating_residual: float = 1.12
     explained: float = 1.5
     explained_steps: float = 3.0
     tone_as_good: float = 0.95
-    tone_as_good_loads: float = 0.97
+    tone_as_good_loads: float = 0.98
+    many_loads: int = 5
     spread_limit: float = 0.5
     majority: float = 0.75
     fit: FitSettings = field(

@@ -18,16 +18,16 @@ def rival_verdict(
     """Stiction or external, where one of them explains the record clearly better than the loop by itself."""
     needed = max(settings.least_lead, settings.lead_per_sample * len(best.fit.misfit.record.pv))
     leads = {Cause.EXTERNAL: evidence["external_lead"], Cause.STICTION: evidence["stuck_lead"]}
-    if max(leads.values()) < needed:
-        return None
     tone_left, stuck_left = evidence["external_left"], evidence["stuck_left"]
     allowed = handicap(evidence, settings)
     if tone_left <= settings.tone_explains and tone_left < stuck_left:
         cause = Cause.EXTERNAL
-    elif leads[Cause.STICTION] >= needed and stuck_left < allowed * tone_left:
+    elif stuck_left < settings.stuck_helps * evidence["linear_left"] and stuck_left < allowed * tone_left:
         cause = Cause.STICTION
     else:
         cause = Cause.EXTERNAL
+    if leads[cause] < needed:
+        return None
     if tone_left > settings.rival_explains and cause == Cause.EXTERNAL:
         return _neither(evidence, settings)
     apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else allowed)))
