@@ -16,6 +16,8 @@ from retuner.drivers.virtual_device import VirtualDevice
 NAME = "device"
 COMMIT = 5
 COMMAND = (1 << COMMAND_BITS) - 1
+SEQUENCES = 1 << 16
+LEAP = 64  # numbers by which no honest host goes ahead at once
 BUFFER = 64  # frames that a device which hangs still receives
 SAFE = 1 << 60  # messages until a crash: none
 
@@ -72,7 +74,10 @@ class DeviceEnd:
         if message.arbitration_id & COMMAND == COMMIT and len(message.data) == 8:
             self._holder[int.from_bytes(message.data[:2], "little")] = self.device.lease.owner
         self.fuse -= 1
+        latest = pages.latest
         replies = self.device.receive(message)
+        if (pages.latest - latest) % SEQUENCES > LEAP:
+            self.truth.driven = True
         if pages.running is not self._running:
             raise ViolationError(f"running_set_is_a_committed_one: {pages.running} began between samples")
         if pages.confirmed is not self._confirmed:
@@ -111,7 +116,7 @@ class DeviceEnd:
         running = device.pages.running
         now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
         t.restarted_on_a_confirmed_set(self.truth, now)
-        self.truth.newest_swapped = None
+        t.restarted(self.truth)
         self._running = self._confirmed = running
         self.truth.began(now)
 

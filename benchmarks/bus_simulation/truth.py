@@ -56,6 +56,8 @@ class Truth:
         self.confirmed = {(first.seq, first.gains)}
         self.dead: set[PidGains] = set()
         self.newest_swapped: int | None = None
+        self.swapped: set[int] = set()
+        self.driven = False  # whether somebody has made the device's newest number leap in this epoch
         self.ledgers: dict[str, list[tuple[str, object]]] = {}
         self.counts: Counter[str] = Counter()
 
@@ -119,10 +121,21 @@ def finite_and_inside_the_box(truth: Truth, now: Ran, before: Ran) -> None:
 
 
 def sequence_is_monotonic(truth: Truth, now: Ran) -> None:
-    """Within an epoch every swapped-in number is newer than all before it."""
-    if truth.newest_swapped is not None and not newer(now.seq, truth.newest_swapped):
-        raise ViolationError(f"sequence_is_monotonic: {now} after {truth.newest_swapped}")
+    """Within an epoch every swapped-in number is newer than all before it.
+
+    Not when a forger has driven the numbers round their circle with leaps: then none is used twice all the same.
+    """
+    last, used = truth.newest_swapped, truth.swapped
+    if now.seq in used or not (last is None or truth.driven or newer(now.seq, last)):
+        raise ViolationError(f"sequence_is_monotonic: {now} after {last}")
     truth.newest_swapped = now.seq
+    used.add(now.seq)
+
+
+def restarted(truth: Truth) -> None:
+    """Numbers begin anew in a new epoch."""
+    truth.newest_swapped, truth.driven = None, False
+    truth.swapped.clear()
 
 
 def failed_sets_stay_dead(truth: Truth, now: Ran) -> None:

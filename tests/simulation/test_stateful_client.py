@@ -168,7 +168,7 @@ class ClientMachine(RuleBasedStateMachine):
     def restart_device(self) -> None:
         """Power off and on."""
         self.device.restart()
-        self.truth.newest_swapped = None
+        t.restarted(self.truth)
         self.turn += 1
         self.truth.began(Ran(self.turn, self.device.epoch, *self.device.pages.running))
 
