@@ -33,6 +33,7 @@ class DiagnosisSettings:
     tone_as_good : a change of gains needs that a tone leaves no less than this share of what the loop by itself
         leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
     many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
+        many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
         identification alone would not give settings; 0.2 to 1, default 0.5.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
@@ -53,6 +54,7 @@ class DiagnosisSettings:
     tone_as_good: float = 0.95
     tone_as_good_loads: float = 0.98
     many_loads: int = 5
+    many_loads_beside: int = 4
     spread_limit: float = 0.5
     majority: float = 0.75
     fit: FitSettings = field(

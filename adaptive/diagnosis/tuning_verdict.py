@@ -68,7 +68,9 @@ def _doubt(verdict: Diagnosis, window: Window, settings: DiagnosisSettings) -> t
     if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Cause.UNKNOWN, reason
-    if left > (settings.explained_steps if steps > 1 else settings.explained) or loads >= settings.many_loads:
+    if left > (settings.explained_steps if steps > 1 else settings.explained) or loads >= (
+        settings.many_loads_beside if steps else settings.many_loads
+    ):
         reason = f"an unexplained disturbance: {loads:.0f} load steps and still {left:.1f} times the noise is left"
         return Cause.UNKNOWN, reason
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
