@@ -22,6 +22,8 @@ class RetunerSettings:
     shortest_wait, shortest_quiet : and at least this many samples; defaults 60 and 12.
     history : most samples of one response; default 4000. lead_share, lead_samples : how much of the time before a
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
+    fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
+        change on what is left open, and later records narrow it.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
 
@@ -40,7 +42,7 @@ class RetunerSettings:
     lead_share: float = 0.25
     lead_samples: int = 20
     gap_samples: int = 5
-    fit: FitSettings = field(default_factory=FitSettings)
+    fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     cause: CauseSettings = field(default_factory=CauseSettings)
     guard: GuardSettings = field(default_factory=GuardSettings)
