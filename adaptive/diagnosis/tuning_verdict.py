@@ -55,13 +55,15 @@ def linear_verdict(
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
     verdict = _weighed(estimate, gains, tuning, window.sample_time_s / 2, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | evidence)
-    doubt = _doubt(verdict, window, settings) if verdict.cause in TUNING_CAUSES else None
+    doubt = _doubt(verdict, window, oscillates, settings) if verdict.cause in TUNING_CAUSES else None
     if doubt is not None:
         return Found(replace(verdict, cause=doubt[0], confidence=0.5, reason=doubt[1]), estimate, fits=fits)
     return Found(verdict, estimate, tuning if verdict.retune else None, fits)
 
 
-def _doubt(verdict: Diagnosis, window: Window, settings: DiagnosisSettings) -> tuple[Cause, str] | None:
+def _doubt(
+    verdict: Diagnosis, window: Window, oscillates: bool, settings: DiagnosisSettings
+) -> tuple[Cause, str] | None:
     """Why a verdict may not change gains, if so, and what the cause is then."""
     evidence = verdict.evidence
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
@@ -76,6 +78,8 @@ def _doubt(verdict: Diagnosis, window: Window, settings: DiagnosisSettings) -> t
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     if evidence.get("external_left", math.inf) < as_good * left:
         return Cause.EXTERNAL, "load steps explain the record, but an oscillation from outside does it better"
+    if oscillates and not steps:
+        return Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning"
     if math.isinf(evidence["ms"]) and not _grows(window):
         reason = "the process that fits would be unstable with the gains in force, and the record does not grow"
         return Cause.UNKNOWN, reason
