@@ -56,14 +56,15 @@ class TrackerSettings:
     walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
     scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
         operating point is never quite the same and no structure is quite right; default 0.12 (12 %).
-    gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 5,
-        default 3.09 (99.9 % of chi-square, whatever the number of parameters).
+    gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 6,
+        default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and then, and a
+        gain or delay that has doubled lies far beyond 4.5.
     most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
     """
 
     walk_per_day: float = 0.1
     scatter: float = 0.12
-    gate: float = 3.09
+    gate: float = 4.5
     most_lead: float = 60.0
 
 
@@ -134,7 +135,8 @@ def learn(belief: Belief | None, window: Window, sign: int, settings: TrackerSet
         known = _taken_in(belief.known, means, priors, estimate, settings)
         return Learned(Belief(known, belief.records + 1, t_s), estimate, Surprise.AGREES, innovation)
     if belief.rival is not None:
-        confirmed = _against_rival(belief.rival, found, alone, window, settings, fit)
+        doubted = surprise_of(priors[belief.log.type], alone)
+        confirmed = _against_rival(belief.rival, doubted, found, alone, window, settings, fit)
         if confirmed is not None:
             known, estimate = confirmed
             return Learned(Belief(known, 2, t_s), estimate, Surprise.CHANGED, innovation)
@@ -192,6 +194,7 @@ def _updated(found: list[Candidate], window: Window, priors: Logs, fit: FitSetti
 
 def _against_rival(
     rival: tuple[Known, ...],
+    doubted: float,
     found: list[Candidate],
     alone: ModelEstimate,
     window: Window,
@@ -201,8 +204,9 @@ def _against_rival(
     """The rival updated with the record, and the record's estimate, if the two agree."""
     means = {k.log.type: k.log for k in rival}
     priors = {t: scattered(log, settings) for t, log in means.items()}
-    innovation, _ = update(priors[rival[0].log.type], alone)
-    if innovation > gate(len(rival[0].log.x), settings.gate):
+    prior = priors[rival[0].log.type]
+    innovation, _ = update(prior, alone)
+    if innovation > gate(len(prior.x), settings.gate) or surprise_of(prior, alone) >= doubted:
         return None
     estimate = _updated(found, window, priors, fit)
     return _taken_in(rival, means, priors, estimate, settings), estimate
@@ -246,6 +250,17 @@ def update(prior: LogModel, estimate: ModelEstimate) -> tuple[float, LogModel]:
     statistic = float((y.T @ np.linalg.solve(kf.S, y))[0, 0])
     posterior = replace(prior, x=kf.x[:, 0].copy(), p=proper_covariance(kf.P))
     return statistic if math.isfinite(statistic) else math.inf, posterior
+
+
+def surprise_of(prior: LogModel, alone: ModelEstimate) -> float:
+    """-2 ln of the likelihood of a record under a prior, up to a constant: y' S^-1 y + ln det S + evidence.
+
+    The determinant makes a vague prior pay for agreeing with everything; a rival must predict, not merely allow.
+    """
+    record = alone.of(prior.type)
+    s = record.information @ prior.p @ record.information.T + np.eye(len(prior.x))
+    y = record.score - record.information @ prior.x
+    return float(y @ np.linalg.solve(s, y) + np.linalg.slogdet(s)[1]) + record.evidence
 
 
 def _filter(log: LogModel) -> KalmanFilter:
