@@ -15,7 +15,7 @@ import numpy as np
 
 from retuner.adaptive.crossovers import gain_crossovers, grid, phase_crossovers
 from retuner.adaptive.open_loop import OpenLoop, open_loop
-from retuner.adaptive.process import ComplexArray, LinearProcess
+from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.sample import FloatArray
 from retuner.adaptive.sensitivity import falling_peak
 from retuner.adaptive.stability import FAR, is_stable
@@ -66,12 +66,6 @@ class Margins:
 UNSTABLE = Margins(
     stable=False, ms=math.inf, mt=math.inf, gm=0.0, pm_deg=0.0, delay_margin_s=0.0, w180=math.inf, wc=math.inf
 )
-
-
-def controller_response(gains: PidGains, w: FloatArray, tau_f_s: float = 0.0) -> ComplexArray:
-    """C(jw) of the feedback path, shape of w: kp + ki/s + kd s / (tau_f s + 1)."""
-    s = 1j * w
-    return np.asarray(gains.kp + gains.ki / s + gains.kd * s / (1 + tau_f_s * s), dtype=np.complex128)
 
 
 def margins(process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0) -> Margins:

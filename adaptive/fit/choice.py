@@ -17,7 +17,7 @@ from retuner.adaptive.fit.improve import improved
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.nested import long_lag, with_second_lag
 from retuner.adaptive.fit.record import Record
-from retuner.adaptive.fit.refine import Fit, refine
+from retuner.adaptive.fit.refine import EXACT, Fit, refine
 from retuner.adaptive.fit.remainder import MOST_ORDER
 from retuner.adaptive.fit.search import starts
 from retuner.adaptive.fit.structure import SIZE
@@ -36,8 +36,6 @@ RELATIVE_MOVES = 2
 """Moves with which the other structures may still improve in the winner's clothes."""
 FAR = 1.3
 """A remainder this many times the noise asks for a wider search."""
-EXACT = 1e-10
-"""Relative decrease at which the final fits stop."""
 CLOSE = 12.0
 """Rivals within this of the best criterion are kept (a likelihood ratio of e^-6)."""
 

@@ -37,6 +37,8 @@ LESS, MORE = 0.2, 5.0
 MOST_DAMPING = 1e8
 ENOUGH = 1e-5
 """A relative decrease below this, twice, is the end of a fit that is only compared with others."""
+EXACT = 1e-10
+"""The same for fits whose estimate is used."""
 SMALLEST_STEP = 1e-9
 """In units of the longest step."""
 

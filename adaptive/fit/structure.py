@@ -28,8 +28,6 @@ SIZE = {
     ProcessType.INTEGRATING_LAG: 3,
 }
 """Number of parameters."""
-SIMPLER = {ProcessType.SOPDT: ProcessType.FOPDT, ProcessType.INTEGRATING_LAG: ProcessType.INTEGRATING}
-"""The structure that one with a second lag contains."""
 LEAST_ZETA = 0.35
 """Damping below which nothing is fitted: what rings that long is a disturbance or a loop, not a process with one."""
 

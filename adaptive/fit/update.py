@@ -11,12 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from retuner.adaptive.fit.candidate import Candidate, judged
-from retuner.adaptive.fit.refine import Prior, refine
+from retuner.adaptive.fit.refine import EXACT, Prior, refine
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.process import ProcessType
-
-EXACT = 1e-10
-"""Relative decrease at which these fits stop."""
 
 Priors = Mapping[ProcessType, Prior]
 

@@ -17,8 +17,6 @@ FACTOR = 0.1
 """The printed coefficient; 1/pi^2 = 0.1013 by derivation."""
 SHORTEST_PERIOD = 3.0
 """Smallest P0/tau_I for which the rule holds: f is 0.9 there, so it asks for nothing anyway."""
-CRITICAL_PRODUCT = 4.0
-"""k' Kc tau_I of a loop on an integrating process that just does not oscillate."""
 
 
 @dataclass(frozen=True, slots=True)
