@@ -6,6 +6,7 @@ when the error and du/dt keep their signs and agree with the change of z and u (
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,24 +85,24 @@ def _fastest(loop: CutLoop) -> float:
     return 1 / largest if largest > 1e-12 else math.inf
 
 
-class Stepper:
+class Stepper(ABC):
     """A response by steps: q, the matrix of one step, and what is gained over one step or between two q."""
 
     step: FloatArray
     length: float
     looks = 0
 
+    @abstractmethod
     def first(self) -> tuple[FloatArray, float, float]:
         """q after the first 2^FIRST_STEPS_LOG2 steps, and the variation of z and u until then."""
-        raise NotImplementedError
 
+    @abstractmethod
     def over(self, q: FloatArray) -> tuple[float, float]:
         """Variation of z and u over the one step from q."""
-        raise NotImplementedError
 
+    @abstractmethod
     def signals(self, q: FloatArray) -> tuple[Point, Point]:
         """z with its rate e, and u with its rate, at q."""
-        raise NotImplementedError
 
 
 class _DelayStepper(Stepper):
