@@ -5,7 +5,7 @@ A ledger keeps it, and a replay is compared with it byte for byte.
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
@@ -18,10 +18,15 @@ from retuner.schedule.gains import PidGains
 
 
 class Mode(StrEnum):
-    """What the retuner may do."""
+    """What the retuner may do in a region.
+
+    off : only watch. advise : propose; what a person approves is written and on trial. trial : write one change, watch
+    it, restore the old set when worse, then wait for a person. auto : the same, and go on by itself.
+    """
 
     OFF = "off"
     ADVISE = "advise"
+    TRIAL = "trial"
     AUTO = "auto"
 
 
@@ -31,6 +36,17 @@ class Action(StrEnum):
     NONE = "none"
     ADVISE = "advise"
     COMMIT = "commit"
+    RESTORE = "restore"
+
+
+class Basis(StrEnum):
+    """What a proposal rests on."""
+
+    MODEL = "model"
+    SLOW_OSCILLATION = "slow_oscillation"
+    PATTERN = "pattern"
+    BORROWED = "borrowed"
+    PRETUNE = "pretune"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +54,19 @@ class Decision:
     """One decision on one response.
 
     number : counts up from 1 per loop. t_s : time of the sample that completed the response. region : name.
-    The stages that were not reached are None; `reason` is the sentence of the one that decided.
-    gains_before : in force; gains_after : what shall be written (action COMMIT) or is advised.
-    records : how many records the region's model rests on.
+    mode : of the region at the time. The stages that were not reached are None; `reason` is the sentence of the one
+    that decided, `code` its name for machines, `numbers` what it weighed.
+    gains_before : in force; gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
+    records : how many records the region's model rests on. basis : what the proposal rests on.
     """
 
     number: int
     t_s: float
     loop: str
     region: str
+    mode: Mode
     action: Action
+    code: str
     reason: str
     gains_before: PidGains
     gains_after: PidGains | None = None
@@ -56,8 +75,10 @@ class Decision:
     surprise: Surprise | None = None
     records: int = 0
     diagnosis: Diagnosis | None = None
+    basis: Basis | None = None
     proposal: Tuning | None = None
     verdict: Verdict | None = None
+    numbers: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps."""
@@ -66,8 +87,11 @@ class Decision:
             "t_s": self.t_s,
             "loop": self.loop,
             "region": self.region,
+            "mode": str(self.mode),
             "action": str(self.action),
+            "code": self.code,
             "reason": self.reason,
+            "numbers": self.numbers,
             "gains_before": gains_dict(self.gains_before),
             "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
             "response": self.response.to_dict() if self.response else None,
@@ -75,6 +99,7 @@ class Decision:
             "surprise": self.surprise.name.lower() if self.surprise else None,
             "records": self.records,
             "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
+            "basis": str(self.basis) if self.basis else None,
             "proposal": self.proposal.to_dict() if self.proposal else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }

@@ -8,34 +8,33 @@ byte as the one that was never stopped.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.belief import Belief, Known
 from retuner.adaptive.noise import NoiseState
-from retuner.adaptive.process import ProcessType
 from retuner.adaptive.recogniser import RecogniserState
 from retuner.adaptive.retuner import Retuner, RetunerState
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
-from retuner.adaptive.tracker import Belief, Known
+from retuner.adaptive.watcher import WatcherState
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
 
-VERSION = 2
+VERSION = 3
 """Of this layout; newer ones are refused."""
 
 
 def remember(retuner: Retuner) -> dict[str, object]:
     """The memory as a dict of plain JSON values (infinities as the string "inf")."""
     state = retuner.state()
+    watcher = state.watcher
     return {
         "version": VERSION,
         "table": to_toml(retuner.table),
-        "beliefs": {str(region): _belief_out(belief) for region, belief in retuner.beliefs.items()},
-        "region": _numbers_out(state.region),
-        "recogniser": _numbers_out(state.recogniser),
-        "noise": _numbers_out(state.noise),
-        "samples": [_numbers_out(sample) for sample in state.samples],
+        "beliefs": {str(region): belief_out(belief) for region, belief in retuner.beliefs.items()},
+        "commissioned": to_toml(retuner.commissioned),
+        "region": _numbers_out(watcher.region),
+        "recogniser": _numbers_out(watcher.recogniser),
+        "noise": _numbers_out(watcher.noise),
+        "samples": [_numbers_out(sample) for sample in watcher.samples],
         "decisions": state.decisions,
     }
 
@@ -53,17 +52,15 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             f"memory version {memory.get('version')!r} is not {VERSION}; it was written by another release"
         )
     try:
-        retuner = Retuner(from_toml(memory["table"]), settings)
-        retuner.beliefs = {int(region): _belief_in(body) for region, body in memory["beliefs"].items()}
-        retuner.resume(
-            RetunerState(
-                region=_region_in(memory["region"]),
-                recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
-                noise=NoiseState(*_numbers_in(memory["noise"])),
-                samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
-                decisions=int(memory["decisions"]),
-            )
+        retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
+        retuner.beliefs = {int(region): belief_in(body) for region, body in memory["beliefs"].items()}
+        watcher = WatcherState(
+            region=_region_in(memory["region"]),
+            recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
+            noise=NoiseState(*_numbers_in(memory["noise"])),
+            samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
         )
+        retuner.resume(RetunerState(watcher, int(memory["decisions"])))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
     return retuner
@@ -82,50 +79,3 @@ def _numbers_in(values: Sequence[Any]) -> list[Any]:
 def _region_in(values: Sequence[Any] | None) -> RegionState | None:
     """A region state, if there was one."""
     return None if values is None else RegionState(*_numbers_in(values))
-
-
-def _known_out(known: tuple[Known, ...] | None) -> list[dict[str, object]] | None:
-    """What is known by structure: parameters with their covariance, and the evidence."""
-    if known is None:
-        return None
-    return [
-        {"type": str(k.log.type), "x": k.log.x.tolist(), "p": k.log.p.tolist(), "sign": k.log.sign,
-         "evidence": k.evidence}
-        for k in known
-    ]  # fmt: skip
-
-
-def _known_in(bodies: Sequence[Mapping[str, Any]] | None) -> tuple[Known, ...] | None:
-    """And back; checked on the way in."""
-    if bodies is None:
-        return None
-    return tuple(
-        Known(
-            LogModel(
-                np.array(body["x"], dtype=np.float64),
-                np.array(body["p"], dtype=np.float64),
-                int(body["sign"]),
-                ProcessType(body["type"]),
-            ),
-            float(body["evidence"]),
-        )
-        for body in bodies
-    )
-
-
-def _belief_out(belief: Belief) -> dict[str, object]:
-    """What is known of a region."""
-    return {
-        "known": _known_out(belief.known),
-        "records": belief.records,
-        "t_s": belief.t_s,
-        "rival": _known_out(belief.rival),
-    }
-
-
-def _belief_in(body: Mapping[str, Any]) -> Belief:
-    """And back."""
-    known = _known_in(body["known"])
-    if not known:
-        raise TypeError("a belief without a model")
-    return Belief(known, int(body["records"]), float(body["t_s"]), _known_in(body["rival"]))

@@ -13,7 +13,8 @@ from retuner.adaptive.tracker import TrackerSettings
 class RetunerSettings:
     """Settings of one loop's retuner.
 
-    sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band. mode : what it may do.
+    sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band.
+    mode : what it may do; region_modes : in single regions by index, None or missing for `mode`.
     band : noise band in pv units; None estimates it from the data.
     band_sigmas : noise standard deviations in the estimated band; 2 to 6, default 4.
     band_min_share : smallest band as a share of pv_span; default 0.001.
@@ -30,6 +31,7 @@ class RetunerSettings:
     sample_time_s: float
     pv_span: float
     mode: Mode = Mode.ADVISE
+    region_modes: tuple[Mode | None, ...] = ()
     band: float | None = None
     band_sigmas: float = 4.0
     band_min_share: float = 0.001
@@ -46,3 +48,8 @@ class RetunerSettings:
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     cause: CauseSettings = field(default_factory=CauseSettings)
     guard: GuardSettings = field(default_factory=GuardSettings)
+
+    def mode_of(self, region: int) -> Mode:
+        """What may be done in a region, by index."""
+        own = self.region_modes[region] if region < len(self.region_modes) else None
+        return own or self.mode

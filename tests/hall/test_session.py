@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from retuner.adaptive.decision import Action, Decision
+from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
@@ -113,7 +113,7 @@ class DecidingRetuner(Retuner):
             return found
         wish, self.wish = self.wish, None
         name = self.table.regions.names[self.region]
-        return Decision(1, sample.t_s, "loop", name, Action.COMMIT, "because", self.table.gains_of(self.region), wish)
+        return Decision(1, sample.t_s, "loop", name, Mode.AUTO, Action.COMMIT, "accepted", "because", self.table.gains_of(self.region), wish)
 
 
 class Stage:

@@ -1,0 +1,190 @@
+"""The watcher: one sample in, now and then a completed response out.
+
+    sample -> region -> noise band -> recogniser -> response with its samples
+
+`take` is the per-sample path; at rest it returns after a handful of comparisons. What a response means is not its
+business: see pipeline.py.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import islice
+from typing import NamedTuple
+
+from retuner.adaptive.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
+from retuner.adaptive.recogniser import Phase, RecogniserLaw, RecogniserState, begin, step, take
+from retuner.adaptive.response import Response
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.sample import LoopMode, LoopSample, Window, finite
+from retuner.schedule.regions import RegionState, choose, enter
+from retuner.schedule.table import GainTable
+
+
+class WatcherState(NamedTuple):
+    """Where a watcher stands in its record; with the table, all that its later responses depend on."""
+
+    region: RegionState | None
+    recogniser: RecogniserState | None
+    noise: NoiseState
+    samples: tuple[LoopSample, ...]
+
+
+class Completed(NamedTuple):
+    """A response that ended in the region in which it began."""
+
+    region: int
+    response: Response
+
+
+class Left(NamedTuple):
+    """The loop crossed into another region; under_way: a response was cut off by it. region : the one that was left."""
+
+    region: int
+    under_way: bool
+
+
+class Watcher:
+    """Watches one loop.
+
+    Parameters
+    ----------
+    table : regions, and the gains in force in each (their integral time sets the waiting times).
+    settings : see RetunerSettings.
+    """
+
+    def __init__(self, table: GainTable, settings: RetunerSettings) -> None:
+        self.table = table
+        self.settings = settings
+        self._regions = table.regions.law()
+        self._samples: deque[LoopSample] = deque(maxlen=settings.history)
+        self._region: RegionState | None = None
+        self._state: RecogniserState | None = None
+        self._noise = NoiseState(0.0, 0.0, 0.0)
+        self._law = RecogniserLaw(1.0, 1.0)
+        self._floor = settings.band or settings.band_min_share * settings.pv_span
+        self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
+        self._gap_s = settings.gap_samples * settings.sample_time_s
+
+    @property
+    def region(self) -> int | None:
+        """Index of the region that the loop is in, None before the first sample."""
+        return self._region.region if self._region else None
+
+    @property
+    def phase(self) -> Phase | None:
+        """Where the recogniser stands."""
+        return Phase(self._state.phase) if self._state else None
+
+    @property
+    def band(self) -> float:
+        """Noise band in pv units."""
+        return max(self._floor, self._per_median * self._noise.median)
+
+    @property
+    def samples(self) -> Sequence[LoopSample]:
+        """The samples that are kept, the newest last."""
+        return self._samples
+
+    def state(self) -> WatcherState:
+        """Where it stands: see memory.py, which turns it into plain values."""
+        return WatcherState(self._region, self._state, self._noise, tuple(self._samples))
+
+    def resume(self, state: WatcherState) -> None:
+        """Go on from there."""
+        self._region, self._state, self._noise, samples = state
+        self._samples.clear()
+        self._samples.extend(samples)
+        self._adopt_time_scale()
+
+    def take(self, sample: LoopSample) -> Completed | Left | None:
+        """Take one sample; what is told comes with the sample that completes it.
+
+        Raises
+        ------
+        ValueError
+            A number of the sample is not finite or its time does not increase; nothing is changed then.
+        """
+        state, region = self._state, self._region
+        if state is None or region is None:
+            self._restart(sample)
+            return None
+        t_s, sp, pv = sample[0], sample[1], sample[2]
+        elapsed = t_s - self._samples[-1][0]
+        if not 0.0 < elapsed <= self._gap_s or sample[4] != LoopMode.AUTO:
+            self._restart(sample)
+            return None
+        x = sample[6]
+        if not (pv - pv == 0.0 and sp - sp == 0.0 and sample[3] - sample[3] == 0.0 and x - x == 0.0):
+            raise ValueError(f"the sample at {t_s} s is not finite: {sample}")
+        now = choose(self._regions, region, x, t_s)
+        if now is not region and now.region != region.region:
+            return self._leave(sample, now)
+        self._noise = noise = noise_step(self._noise, pv)
+        band = self._per_median * noise[0]
+        self._samples.append(sample)
+        new = step(self._law, state, t_s, sp, sp - pv, band if band > self._floor else self._floor)
+        if new is state:
+            return None
+        self._state = new
+        return self._complete(new) if new[0] == Phase.ADAPT else None
+
+    def gains_changed(self, table: GainTable) -> None:
+        """Another revision is in force: what is under way was another loop's; wait until it is at rest."""
+        self.table = table
+        self._adopt_time_scale()
+        if self._state and self._samples:
+            self._state = begin(self._samples[-1].t_s, self._samples[-1].sp)
+
+    def window(self, response: Response) -> Window:
+        """The response with some of the time before it."""
+        s = self.settings
+        lead = s.lead_share * (response.t_end_s - response.t_start_s) + s.lead_samples * s.sample_time_s
+        first = response.t_start_s - lead
+        skip = next((i for i, sample in enumerate(self._samples) if sample.t_s >= first), 0)
+        return Window.of(list(islice(self._samples, skip, None)))
+
+    def _restart(self, sample: LoopSample) -> None:
+        """Begin anew: the first sample, after a gap, or in manual. What is known of the regions stays."""
+        if not finite(sample):
+            raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
+        if self._samples and sample.t_s <= self._samples[-1].t_s:
+            raise ValueError(f"time does not increase: {sample.t_s} s after {self._samples[-1].t_s} s")
+        if self._state is None:
+            self._noise = noise_start(sample.pv, self._floor / self.settings.band_sigmas)
+        self._noise = NoiseState(self._noise.median, sample.pv, sample.pv)
+        self._region = enter(self._regions, sample.x, sample.t_s)
+        self._forget(sample)
+
+    def _leave(self, sample: LoopSample, now: RegionState) -> Left:
+        """The loop crossed into another region: a response under way belongs to neither."""
+        state, old = self._state, self._region
+        assert state is not None
+        assert old is not None
+        self._region = now
+        self._noise = noise_step(self._noise, sample.pv)
+        self._forget(sample)
+        return Left(old.region, state.started and state.phase < Phase.ADAPT)
+
+    def _forget(self, sample: LoopSample) -> None:
+        """Drop the samples and let the recogniser settle."""
+        self._samples.clear()
+        self._samples.append(sample)
+        self._state = begin(sample.t_s, sample.sp)
+        self._adopt_time_scale()
+
+    def _adopt_time_scale(self) -> None:
+        """Waiting times that suit the integral time in force."""
+        if self._region is None:
+            return
+        s = self.settings
+        gains = self.table.gains_of(self._region.region)
+        tau_i = gains.kp / gains.ki if gains.ki else 0.0
+        wait = s.wait_s or max(s.wait_tau_i * tau_i, s.shortest_wait * s.sample_time_s)
+        self._law = RecogniserLaw(wait, min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait))
+
+    def _complete(self, state: RecogniserState) -> Completed:
+        """A response is complete."""
+        response = take(state, self.band)
+        assert response is not None
+        assert self._region is not None
+        return Completed(self._region.region, response)
