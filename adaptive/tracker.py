@@ -31,6 +31,7 @@ from enum import StrEnum
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
+from retuner.adaptive.belief import Belief, Known, RecordPoint, remembered
 from retuner.adaptive.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.fit.candidate import Candidate
 from retuner.adaptive.fit.refine import Prior
@@ -69,37 +70,6 @@ class TrackerSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better)."""
-
-    log: LogModel
-    evidence: float
-
-
-@dataclass(frozen=True, slots=True)
-class Belief:
-    """What is known of a region.
-
-    known : by structure, the leading one first. records : how many records are in it. t_s : when it was last updated.
-    rival : what the odd record alone said, if the last one was odd.
-    """
-
-    known: tuple[Known, ...]
-    records: int
-    t_s: float
-    rival: tuple[Known, ...] | None = None
-
-    @property
-    def log(self) -> LogModel:
-        """The leading structure's."""
-        return self.known[0].log
-
-    def logs(self) -> dict[ProcessType, LogModel]:
-        """By structure."""
-        return {k.log.type: k.log for k in self.known}
-
-
-@dataclass(frozen=True, slots=True)
 class Learned:
     """Outcome of one record: the belief now, the estimate that the record gave, how it stood to the old belief."""
 
@@ -114,33 +84,44 @@ SECONDS_PER_DAY = 86400.0
 Logs = Mapping[ProcessType, LogModel]
 
 
-def learn(belief: Belief | None, window: Window, sign: int, settings: TrackerSettings, fit: FitSettings) -> Learned:
+def learn(
+    belief: Belief | None,
+    window: Window,
+    sign: int,
+    settings: TrackerSettings,
+    fit: FitSettings,
+    at: tuple[float, float] = (0.0, 0.0),
+) -> Learned:
     """Take one record of a region into what is known of it.
 
     Parameters
     ----------
     belief : what was known, None at first.
     window : the record. sign : of the process gain, from the controller's direction.
+    at : where the record lay, in the table's scheduling variables.
     """
     t_s = float(window.t_s[-1])
     if belief is None or belief.log.sign != sign:
-        return _first(identify_window(window, sign, None, fit), t_s, settings)
+        return _first(identify_window(window, sign, None, fit), t_s, settings, at)
     means = {t: grown(log, t_s - belief.t_s, settings) for t, log in belief.logs().items()}
     priors = {t: scattered(log, settings) for t, log in means.items()}
     found = fitted(window, (sign,), fit)
     alone = estimate_of(found, float(window.t_s[0]), {}, fit)
     innovation, _ = update(priors[belief.log.type], alone)
+    points = remembered(belief.points, RecordPoint(t_s, *at, alone.log, innovation))
     if innovation <= gate(len(belief.log.x), settings.gate):
         estimate = _updated(found, window, priors, fit)
         known = _taken_in(belief.known, means, priors, estimate, settings)
-        return Learned(Belief(known, belief.records + 1, t_s), estimate, Surprise.AGREES, innovation)
+        taken = Belief(known, belief.records + 1, t_s, None, points, estimate.plausible)
+        return Learned(taken, estimate, Surprise.AGREES, innovation)
     if belief.rival is not None:
         doubted = surprise_of(priors[belief.log.type], alone)
         confirmed = _against_rival(belief.rival, doubted, found, alone, window, settings, fit)
         if confirmed is not None:
             known, estimate = confirmed
-            return Learned(Belief(known, 2, t_s), estimate, Surprise.CHANGED, innovation)
-    kept = replace(belief, rival=_believed(alone, settings) if alone.identifiable else None)
+            changed = Belief(known, 2, t_s, None, points[-2:], estimate.plausible)
+            return Learned(changed, estimate, Surprise.CHANGED, innovation)
+    kept = replace(belief, rival=_believed(alone, settings) if alone.identifiable else None, points=points)
     return Learned(kept, alone, Surprise.ODD, innovation)
 
 
@@ -150,9 +131,12 @@ def gate(freedom: int, deviate: float) -> float:
     return float(freedom * (1 - share + deviate * math.sqrt(share)) ** 3)
 
 
-def _first(estimate: ModelEstimate, t_s: float, settings: TrackerSettings) -> Learned:
+def _first(estimate: ModelEstimate, t_s: float, settings: TrackerSettings, at: tuple[float, float]) -> Learned:
     """The first record of a region: believed when it is identifiable."""
-    belief = Belief(_believed(estimate, settings), 1, t_s) if estimate.identifiable else None
+    belief = None
+    if estimate.identifiable:
+        points = (RecordPoint(t_s, *at, estimate.log, 0.0),)
+        belief = Belief(_believed(estimate, settings), 1, t_s, None, points, estimate.plausible)
     return Learned(belief, estimate, Surprise.FIRST, 0.0)
 
 

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from retuner.adaptive.belief import Belief
 from retuner.adaptive.identify import FitSettings, identify_window
 from retuner.adaptive.process import ProcessType
-from retuner.adaptive.tracker import Belief, Surprise, TrackerSettings, learn, predicted, update
+from retuner.adaptive.tracker import Surprise, TrackerSettings, learn, predicted, update
 
 STILL = TrackerSettings(walk_per_day=0.0, scatter=0.0)
 FIT = FitSettings()
