@@ -1,0 +1,147 @@
+"""Which responses may teach a region: every ground is reached, by its own fault and no other."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.admission import Admission, AdmissionSettings, Ground, admit
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.response import Ending, Peak, Response
+from retuner.adaptive.sample import LoopMode, LoopSample, Window
+
+N, AT, BAND = 120, 30, 0.02
+Samples = list[LoopSample]
+
+
+def swing(sp_step: float = 1.0, noise: float = 0.0) -> Samples:
+    """A decaying swing about a new setpoint from sample AT on; co goes along."""
+    rows = []
+    for i in range(N):
+        since = i - AT
+        e = sp_step * math.exp(-since / 15) * math.cos(since / 6) if since >= 0 else 0.0
+        sp = sp_step if since >= 0 else 0.0
+        rows.append(LoopSample(float(i), sp, sp - e + noise * (-1) ** i, 40 + 3 * e + 0.01 * i, x=sp))
+    return rows
+
+
+def found(samples: Samples, t_start_s: float = float(AT)) -> Response:
+    return Response(t_start_s, samples[-1].t_s, (Peak(30.0, 1.0), Peak(48.0, -0.3)), Ending.QUIET, True, BAND)
+
+
+def judged(samples: Samples, settings: AdmissionSettings | None = None, response: Response | None = None) -> Admission:
+    return admit(Window.of(samples), samples, response or found(samples), settings or AdmissionSettings())
+
+
+def changed(samples: Samples, where: range, **values: float) -> Samples:
+    return [s._replace(**values) if i in where else s for i, s in enumerate(samples)]
+
+
+def led(samples: Samples, every: int) -> Samples:
+    return [s._replace(sp=s.sp + 0.05 * (i // every % 2)) for i, s in enumerate(samples)]
+
+
+def stuck(samples: Samples) -> Samples:
+    """Telemetry that repeats one sample from the upset on."""
+    return [s if i < AT + 2 else samples[AT + 2]._replace(t_s=s.t_s) for i, s in enumerate(samples)]
+
+
+FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
+    Ground.ADMITTED: lambda s: s,
+    Ground.TOO_LONG: lambda s: s[AT + 10 :],
+    Ground.MANUAL: lambda s: changed(s, range(60, 61), mode=LoopMode.MANUAL),
+    Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6],
+    Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.4 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
+    Ground.REPEATED: stuck,
+    Ground.LEFT_REGION: lambda s: changed(s, range(70, 73), x=9.0),
+    Ground.GAINS_CHANGED: lambda s: changed(s, range(70, N), revision=1),
+    Ground.SETPOINT_LED: lambda s: led(s, 3),
+    Ground.SATURATED: lambda s: changed(s, range(AT, AT + 60), limited=1),
+    Ground.CO_FROZEN: lambda s: changed(s, range(N), co=40.0),
+    Ground.PV_FROZEN: lambda s: changed(s, range(N), pv=0.5),
+    Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.045 * x.sp, pv=0.045 * x.pv) for x in s],
+}
+
+
+@pytest.mark.parametrize("ground", Ground)
+def test_every_ground_is_reached_by_its_fault(ground: Ground) -> None:
+    samples = FAULTS[ground](swing())
+    response = found(samples)
+    admission = admit(Window.of(samples), samples, response, AdmissionSettings(), lambda sample: sample.x < 5)
+    assert admission.ground is ground
+    assert admission.admitted == (ground is Ground.ADMITTED)
+    assert "{" not in admission.sentence
+    assert all(math.isfinite(value) for value in admission.numbers.values())
+    document = admission.to_dict()
+    assert document["ground"] == ground.name.lower()
+    assert document["reason"] == admission.sentence
+
+
+def test_refusals_name_a_cause_that_changes_nothing() -> None:
+    for ground, fault in FAULTS.items():
+        if ground is not Ground.ADMITTED:
+            samples = fault(swing())
+            diagnosis = admit(
+                Window.of(samples), samples, found(samples), AdmissionSettings(), lambda s: s.x < 5
+            ).diagnosis()
+            assert not diagnosis.retune
+    limited = judged(FAULTS[Ground.SATURATED](swing()))
+    assert limited.diagnosis().cause is Cause.SATURATION
+
+
+def test_what_happened_before_the_response_is_no_fault_of_it() -> None:
+    before = changed(changed(swing(), range(10), revision=3), range(10), limited=1)
+    assert judged(before).admitted
+
+
+def test_gains_that_follow_an_interpolated_table_may_be_allowed() -> None:
+    samples = [s._replace(revision=i // 10) for i, s in enumerate(swing())]
+    assert judged(samples).ground is Ground.GAINS_CHANGED
+    assert judged(samples, AdmissionSettings(changes_most=100)).admitted
+
+
+def test_a_ramp_and_two_steps_of_the_setpoint_are_a_persons() -> None:
+    ramp = [s._replace(sp=min(max(i - AT, 0), 20) / 20) for i, s in enumerate(swing())]
+    assert judged(ramp).admitted
+    twice = [s._replace(sp=s.sp * (1 + (i > 80))) for i, s in enumerate(swing())]
+    assert judged(twice).admitted
+
+
+def test_a_setpoint_that_trembles_less_than_the_noise_stands_still() -> None:
+    samples = [s._replace(sp=s.sp + 1e-5 * (-1) ** i) for i, s in enumerate(swing())]
+    assert judged(samples).admitted
+
+
+def test_a_coarse_measurement_is_no_repetition_as_long_as_co_moves() -> None:
+    samples = [s._replace(pv=round(s.pv * 5) / 5) for s in swing()]
+    assert judged(samples).admitted
+
+
+def test_a_window_that_was_not_made_of_these_samples_is_refused() -> None:
+    samples = swing()
+    with pytest.raises(ValueError, match="cannot have been made"):
+        admit(Window.of(samples), samples[:50], found(samples), AdmissionSettings())
+
+
+@given(first=st.integers(0, N - 1), length=st.integers(1, N), limit=st.floats(0.05, 0.9))
+def test_saturation_counts_by_its_share_of_the_response(first: int, length: int, limit: float) -> None:
+    samples = changed(swing(), range(first, first + length), limited=-1)
+    share = sum(1 for s in samples[AT:] if s.limited) / (N - AT)
+    admission = judged(samples, AdmissionSettings(limited_share=limit))
+    assert (admission.ground is Ground.SATURATED) == (share > limit)
+    assert admission.numbers["limited_share"] == pytest.approx(share)
+
+
+@given(size=st.floats(0.001, 100), shift=st.floats(-1e3, 1e3))
+def test_height_counts_in_noise_bands_whatever_the_unit(size: float, shift: float) -> None:
+    samples = [s._replace(sp=s.sp * size + shift, pv=s.pv * size + shift) for s in swing()]
+    response = replace(found(samples), band=0.3 * size)
+    assert judged(samples, response=response).numbers["peak_bands"] == pytest.approx(1 / 0.3, rel=1e-6)
+
+
+@given(at=st.integers(0, N - 1))
+def test_one_sample_in_manual_is_enough(at: int) -> None:
+    assert judged(changed(swing(), range(at, at + 1), mode=LoopMode.MANUAL)).ground is Ground.MANUAL
