@@ -135,6 +135,7 @@ class Session:
         self._write: Write | None = None
         self._pending: tuple[int, PidGains, Decision] | None = None
         self.frozen = ""
+        self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._t_s = 0.0
         self._retry_at_s = self._hold_until_s = 0.0
         self._holding = ""
@@ -186,6 +187,7 @@ class Session:
     def _sample(self, sample: LoopSample, now_s: float) -> None:
         """One sample of the loop: play the scenario, watch, decide."""
         self._t_s = sample.t_s
+        self.samples += 1
         for step in self.scenario.due(sample.t_s):
             if step.sp is not None:
                 self.device.send_setpoint(step.sp, now_s)
