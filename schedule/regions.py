@@ -1,53 +1,69 @@
-"""Operating regions along one scheduling variable: which region a loop is in, without chatter.
+"""Operating regions along one or two scheduling variables: which region a loop is in, without chatter.
 
-Borders b_1 < ... < b_(n-1) divide low..high into n regions; a value on a border belongs to the region above it, values
-outside low..high belong to the end regions. A loop leaves its region only when x has passed a border by more than the
-hysteresis h and the minimum stay is over; it then goes to the region that contains x, be it a neighbour or not. So x
-must travel 2 h to go out and come back, and noise of less than that cannot make it chatter.
+One axis makes a row of regions from low to high. Two axes (temperature and load, say) make a map of cells, one region
+a cell, counted row by row: region = i n_2 + j, i along the first axis and j along the second, both from 0. Each axis
+chooses its place by itself (axis.py: filter, hysteresis, minimum stay), and the region is where both stand; when the
+value of one is not finite, the other goes on. Regions are neighbours when they share a border; those that meet only in
+a corner are not.
 
-`choose` runs at every sample: the common case, x still inside the region's widened borders, is one comparison.
+`choose` runs at every sample. Its common case, one axis without a filter and x still inside the region's widened
+borders, is one comparison; a law that needs more has floors that no x reaches, so that nobody else pays for it.
 """
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field
+from itertools import product
 from typing import NamedTuple
 
-VARIABLES = ("sp", "pv", "co")
+from retuner.schedule.axis import VARIABLES, Axis, AxisLaw, filtered, place
+
+__all__ = ["VARIABLES", "Axis", "Border", "RegionLaw", "RegionState", "Regions", "choose", "enter", "values"]
 
 
 class RegionState(NamedTuple):
-    """Where a loop is. region : index of the region, 0 is the lowest. since_s : when it was entered, seconds."""
+    """Where a loop is. Plain scalars only: it is kept in the memory and travels per sample.
+
+    region : index of the region. since_s : when its place on the first axis was entered, seconds; since2_s : the same
+    on the second. y, y2 : filtered values in force, t_s : of which time (used where an axis is not plain, else 0).
+    """
 
     region: int
     since_s: float
+    since2_s: float = 0.0
+    y: float = 0.0
+    y2: float = 0.0
+    t_s: float = 0.0
+
+
+class Border(NamedTuple):
+    """Between two neighbours: axis 0 or 1, and where on it, in that axis' unit."""
+
+    axis: int
+    value: float
 
 
 @dataclass(frozen=True, slots=True)
 class RegionLaw:
-    """What `choose` needs, made by Regions.law(): floors[i], ceilings[i] are region i's borders widened by h."""
+    """What `choose` needs, made by Regions.law(). axes : empty when there is one and it is plain (see the head)."""
 
     bounds: tuple[float, ...]
     floors: tuple[float, ...]
     ceilings: tuple[float, ...]
     min_stay_s: float
+    axes: tuple[AxisLaw, ...] = ()
+    columns: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """Operating regions along a named scheduling variable.
+    """Operating regions along one or two named scheduling variables.
 
     Parameters
     ----------
-    variable : what the regions are along: "sp", "pv" or "co".
-    unit : its unit, for people ("degC", "%").
-    names : names of the regions from low to high, n of them, different, not empty.
-    low, high : range of the variable; values outside count as the end regions.
-    bounds : the n - 1 borders, increasing strictly, between low and high.
-    hysteresis : how far x must pass a border before the region changes, in unit, each way; 0 or more and at most half
-        of the narrowest region's width, so that every region can be entered from both sides.
-    min_stay_s : shortest time in a region, seconds, 0 or more.
+    variable, unit, low, bounds, high, hysteresis, min_stay_s, filter_s, signal : the first axis, as Axis says.
+    names : one a region, row by row (see the head of this file), different, not empty.
+    second : the second axis, None for none.
 
     Raises
     ------
@@ -63,31 +79,31 @@ class Regions:
     high: float
     hysteresis: float = 0.0
     min_stay_s: float = 0.0
+    filter_s: float = 0.0
+    signal: str = ""
+    second: Axis | None = None
+    axes: tuple[Axis, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.variable not in VARIABLES:
-            raise ValueError(f"variable = {self.variable!r} is unknown; use one of {', '.join(VARIABLES)}")
+        parts = self.names if self.second is None else ()
+        first = Axis(self.variable, self.unit, self.low, self.bounds, self.high, self.hysteresis, self.min_stay_s,
+                     self.filter_s, self.signal, parts)  # fmt: skip
+        axes = (first,) if self.second is None else (first, self.second)
+        object.__setattr__(self, "axes", axes)
         self._check_names()
-        edges = (self.low, *self.bounds, self.high)
-        for edge in (*edges, self.high - self.low):
-            if not math.isfinite(edge):
-                raise ValueError(f"low, bounds, high = {edges}: {edge} is not a finite number")
-        for i, (below, above) in enumerate(pairwise(edges)):
-            if not below < above:
-                raise ValueError(f"low, bounds, high = {edges} must increase; {above} after {below} does not")
-            if not 0 <= 2 * self.hysteresis <= above - below:
-                raise ValueError(
-                    f"hysteresis = {self.hysteresis} must be 0 to half of every region's width;"
-                    f" region {self.names[i]!r} is {above - below:g} wide"
-                )
-        if not 0 <= self.min_stay_s < math.inf:
-            raise ValueError(f"min_stay_s = {self.min_stay_s} must be a finite number, 0 or more")
+
+    @classmethod
+    def along(cls, names: tuple[str, ...], first: Axis, second: Axis | None = None) -> "Regions":
+        """Regions along one or two axes; errors as the class."""
+        return cls(first.variable, first.unit, names, first.low, first.bounds, first.high, first.hysteresis,
+                   first.min_stay_s, first.filter_s, first.signal, second)  # fmt: skip
 
     def _check_names(self) -> None:
         """One printable name a region, all different."""
-        if len(self.names) != len(self.bounds) + 1:
-            raise ValueError(f"{len(self.bounds)} bounds make {len(self.bounds) + 1} regions, not {len(self.names)}")
-        for name in (*self.names, self.unit):
+        if len(self.names) != math.prod(self.shape):
+            bounds = " and ".join(str(len(axis.bounds)) for axis in self.axes)
+            raise ValueError(f"{bounds} bounds make {math.prod(self.shape)} regions, not {len(self.names)}")
+        for name in self.names:
             if not name.isprintable():
                 raise ValueError(f"{name!r} has characters that cannot be printed on one line")
         if not all(name.strip() for name in self.names) or len(set(self.names)) < len(self.names):
@@ -96,14 +112,23 @@ class Regions:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of parts along each axis."""
+        return tuple(len(axis) for axis in self.axes)
+
     def law(self) -> RegionLaw:
         """The numbers that `choose` works with."""
-        floors = (-math.inf, *(bound - self.hysteresis for bound in self.bounds))
-        ceilings = (*(bound + self.hysteresis for bound in self.bounds), math.inf)
-        return RegionLaw(self.bounds, floors, ceilings, self.min_stay_s)
+        laws = tuple(axis.law() for axis in self.axes)
+        first = laws[0]
+        if len(laws) == 1 and self.axes[0].is_plain:
+            return RegionLaw(first.bounds, first.floors, first.ceilings, first.min_stay_s)
+        n = len(self)
+        never = (math.inf,) * n, (-math.inf,) * n
+        return RegionLaw(first.bounds, *never, first.min_stay_s, laws, self.shape[1] if len(laws) > 1 else 1)
 
-    def span(self, region: int) -> tuple[float, float]:
-        """Lower and upper border of a region, in unit.
+    def cell(self, region: int) -> tuple[int, ...]:
+        """Place of a region on each axis, from 0.
 
         Raises
         ------
@@ -112,37 +137,125 @@ class Regions:
         """
         if not 0 <= region < len(self.names):
             raise ValueError(f"region {region} does not exist; there are {len(self.names)}, counted from 0")
-        edges = (self.low, *self.bounds, self.high)
-        return edges[region], edges[region + 1]
+        return (region,) if self.second is None else divmod(region, len(self.second))
 
-    def centre(self, region: int) -> float:
-        """Middle of a region, in unit; errors as `span`."""
-        low, high = self.span(region)
-        return low + (high - low) / 2.0
+    def region_at(self, cell: tuple[int, ...]) -> int:
+        """The region of a cell, which counts from 0.
+
+        Raises
+        ------
+        ValueError
+            There is no such cell.
+        """
+        shape = self.shape
+        if len(cell) != len(shape) or not all(0 <= i < n for i, n in zip(cell, shape, strict=True)):
+            raise ValueError(f"cell {cell} does not exist; the regions are {' x '.join(map(str, shape))}")
+        return cell[0] if self.second is None else cell[0] * len(self.second) + cell[1]
+
+    def span(self, region: int, axis: int = 0) -> tuple[float, float]:
+        """Lower and upper border of a region along an axis (0 or 1), in its unit; errors as `cell`."""
+        return self.axes[axis].span(self.cell(region)[axis])
+
+    def centre(self, region: int, axis: int = 0) -> float:
+        """Middle of a region along an axis (0 or 1), in its unit; errors as `cell`."""
+        return self.axes[axis].centre(self.cell(region)[axis])
+
+    def text(self, region: int) -> str:
+        """Where a region lies, in words: "20 to 80 degC", "20 to 80 degC, flow 30 to 60 %"; errors as `cell`."""
+        return ", ".join(axis.text(part) for axis, part in zip(self.axes, self.cell(region), strict=True))
+
+    def neighbours(self, region: int) -> tuple[int, ...]:
+        """The regions that share a border with this one, in order; errors as `cell`."""
+        return tuple(other for other in range(len(self)) if self.distance(region, other) == 1)
+
+    def distance(self, a: int, b: int) -> int:
+        """The least number of borders on the way from one region to another; errors as `cell`."""
+        return sum(abs(i - j) for i, j in zip(self.cell(a), self.cell(b), strict=True))
+
+    def border(self, a: int, b: int) -> Border:
+        """The border between two neighbours.
+
+        Raises
+        ------
+        ValueError
+            A region does not exist, or they share no border.
+        """
+        if self.distance(a, b) != 1:
+            raise ValueError(f"regions {self.names[a]!r} and {self.names[b]!r} share no border")
+        one, two = self.cell(a), self.cell(b)
+        axis = 0 if one[0] != two[0] else 1
+        return Border(axis, self.axes[axis].bounds[min(one[axis], two[axis])])
+
+    def centres(self) -> tuple[tuple[float, ...], ...]:
+        """The middle of every region, a number an axis, in the order of the regions."""
+        return tuple(product(*(tuple(axis.centre(i) for i in range(len(axis))) for axis in self.axes)))
 
 
-def enter(law: RegionLaw, x: float, t_s: float) -> RegionState:
-    """The region of x at the first sample, without hysteresis. x in the variable's unit, t_s in seconds.
+def enter(law: RegionLaw, x: float, t_s: float, x2: float = 0.0, last: RegionState | None = None) -> RegionState:
+    """The region of x (and x2) without hysteresis: at the first sample, and again after a gap.
+
+    x, x2 : scheduling variables in their units (x2 counts only where there are two). t_s : time in seconds.
+    last : where the loop was; an axis whose value is not finite now keeps its place of then.
 
     Raises
     ------
     ValueError
-        x or t_s is not finite.
+        t_s is not finite, or x or x2 is not and there is no `last`.
     """
-    if not math.isfinite(x) or not math.isfinite(t_s):
-        raise ValueError(f"x = {x} at t_s = {t_s} s: both must be finite to choose a first region")
-    return RegionState(bisect_right(law.bounds, x), t_s)
+    xs = (x, x2)[: max(len(law.axes), 1)]
+    if not math.isfinite(t_s) or (last is None and not all(map(math.isfinite, xs))):
+        raise ValueError(f"x = {', '.join(map(str, xs))} at t_s = {t_s} s: all must be finite to choose a first region")
+    if not law.axes:
+        return RegionState(bisect_right(law.bounds, x), t_s) if math.isfinite(x) or last is None else last
+    was = last or RegionState(0, t_s)
+    y, y2 = (new if math.isfinite(new) else old for new, old in ((x, was.y), (x2, was.y2)))
+    places = [
+        bisect_right(axis.bounds, new) if math.isfinite(new) else old
+        for axis, new, old in zip(law.axes, (x, x2), divmod(was.region, law.columns), strict=False)
+    ]
+    return RegionState(places[0] * law.columns + sum(places[1:]), t_s, t_s, y, y2, t_s)
 
 
-def choose(law: RegionLaw, state: RegionState, x: float, t_s: float) -> RegionState:
+def choose(law: RegionLaw, state: RegionState, x: float, t_s: float, x2: float = 0.0) -> RegionState:
     """The region at this sample; the same object as long as nothing changes.
 
-    x : scheduling variable in its unit; when it is not finite (a failed sensor), the region stays.
+    x, x2 : scheduling variables in their units; when one is not finite (a failed sensor), its axis keeps its place.
     t_s : time of the sample in seconds; when it is not finite or runs backwards, the region stays.
     """
     region = state[0]
     if law.floors[region] <= x <= law.ceilings[region]:
         return state
+    if law.axes:
+        return _choose_filtered(law, state, x, x2, t_s)
     if not math.isfinite(x) or not law.min_stay_s <= t_s - state.since_s < math.inf:
         return state
     return RegionState(bisect_right(law.bounds, x), t_s)
+
+
+def _choose_filtered(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:
+    """The same on filtered values, axis by axis."""
+    region, since_s, since2_s, y, y2, last_s = state
+    dt_s = t_s - last_s
+    if not 0.0 <= dt_s < math.inf:
+        return state
+    i, j = divmod(region, law.columns)
+    first = law.axes[0]
+    y = filtered(first, y, x, dt_s)
+    i_now = place(first, i, since_s, y, t_s)
+    if i_now != i:
+        since_s = t_s
+    if len(law.axes) > 1:
+        second = law.axes[1]
+        y2 = filtered(second, y2, x2, dt_s)
+        j_now = place(second, j, since2_s, y2, t_s)
+        if j_now != j:
+            j, since2_s = j_now, t_s
+    return RegionState(i_now * law.columns + j, since_s, since2_s, y, y2, t_s)
+
+
+def values(law: RegionLaw, state: RegionState, x: float, x2: float = 0.0) -> tuple[float, float]:
+    """The scheduling values in force: filtered, and the last good ones where x or x2 is not finite.
+
+    Where the only axis is plain they are the sample's own (x must be finite then: it comes with every sample).
+    """
+    return (state.y, state.y2) if law.axes else (x, x2)
