@@ -2,11 +2,11 @@
 
     python benchmarks/experiments.py [--seed 1] [--runs 20] [--noise 0.02]
 
-Each run draws a process of families P1 to P6 (online.py), hangs it behind the virtual controller on a virtual CAN bus,
-and conducts a step, a relay and a setpoint experiment on it, with noise as a share of what 10 % of output move pv by
-within a dead time. Counted are experiments that ended by themselves, that left the old state behind, that gave
-settings, and those settings that are in spec on the true process (online.py says how). Ku and Pu are compared with the
-true ones.
+Each run draws a process of families P1 to P6 of the Astrom-Hagglund batch, hangs it behind the virtual controller on a
+virtual CAN bus, and conducts a step, a relay and a setpoint experiment on it, with noise as a share of what 10 % of
+output move pv by within a dead time. Counted are experiments that ended by themselves, that left the old state behind,
+that gave settings, and those settings that are in spec on the true process (online/judge.py says how). Ku and Pu are
+compared with the true ones.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import statistics
 from collections import Counter
 from itertools import count
 
-from online import draw, in_spec
+from online.judge import Judge
 
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
@@ -43,6 +43,19 @@ AMPLITUDE = 10.0
 OVERSHOOT_GAIN = 1.6
 """kc0 over SIMC's Kc: about 30 % overshoot on first-order processes."""
 CHANNELS = count()
+
+
+def draw(rng: random.Random) -> LinearProcess:
+    """A process of one of the families, with time constants drawn anew, k of either sign, a scale over four decades."""
+    family, scale = rng.randint(1, 6), 10 ** rng.uniform(-1, 3)
+    k = rng.choice([-1, 1]) * 10 ** rng.uniform(-1, 1)
+    t = 10 ** rng.uniform(-1, 2)
+    lags, theta, integrators = {
+        1: ((t,), 1.0, 0), 2: ((t, t), 1.0, 0), 3: ((1.0, t, t), 0.0, 0), 4: ((1.0,) * rng.randint(3, 8), 0.0, 0),
+        5: (tuple(rng.uniform(0.2, 0.9) ** i for i in range(4)), 0.0, 0),
+        6: ((1 - (length := rng.uniform(0.05, 0.95)),), length, 1),
+    }[family]  # fmt: skip
+    return LinearProcess(k, tuple(x * scale for x in lags), (), theta * scale, integrators)
 
 
 class Job:
@@ -135,7 +148,7 @@ def main() -> None:
             if found.chosen is not None:
                 gains = found.chosen.tuning.gains
                 tally["gave settings"] += 1
-                tally["in spec"] += in_spec(job.process, gains, job.best, job.dt)
+                tally["in spec"] += Judge(job.process, job.dt).of(gains).in_spec
                 ratios[f"Kc {kind}"].append(gains.kp / job.best.kp)
     print(f"{options.runs} processes, seed {options.seed}, noise {options.noise:.0%}")
     for kind, tally in counts.items():

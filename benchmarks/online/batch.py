@@ -1,0 +1,177 @@
+"""The standard batch: gains off, setpoint and load steps in turn, 1 % noise; in spec after every disturbance?
+
+Each run is a process of the batch with its gains off by one of START's pairs of factors on Kc and tau_I. The load is as
+large as moves pv by one under SIMC with perfect knowledge, as the setpoint step does; noise is 1 % of it. Samples are
+an eighth of the effective dead time apart, disturbances 60 effective dead times (longer for sluggish starts).
+"""
+
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from cases.plant import HeldPlant
+
+from online.astrom_hagglund import Member, batch
+from online.counting import counted
+from online.judge import Judge, Judgement
+from online.loop import LostLoop, WatchedLoop
+from online.supervisors import Watching, one_region, settings
+from retuner.adaptive.decision import Decision
+from retuner.schedule.gains import PidGains
+
+SAMPLES_PER_THETA = 8
+DISTURBANCES = 6
+STARTS = tuple((kc, tau_i) for kc in (4.0, 0.25, 2.0) for tau_i in (4.0, 0.25, 1.0))
+"""Factors on Kc and tau_I of the right settings at the start."""
+REST_SAMPLES = 60
+LENGTH_THETA = 60.0
+NOISE = 0.01
+PV_SPAN = 10.0
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One run. opened : limits of a change at x8 instead of the defaults. verbose : tell what was decided."""
+
+    member: Member
+    start: tuple[float, float]
+    seed: int
+    opened: bool
+    noise: float = NOISE
+    verbose: bool = False
+
+
+def tasks(seed: int, *, opened: bool, every: int, only: str, noise: float, verbose: bool, starts: int) -> list[Task]:
+    """The runs of a table: `starts` of STARTS (in a drawn order) for each process, or for every n-th."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for member in batch():
+        order = rng.permutation(len(STARTS))[:starts]
+        found += [
+            Task(member, STARTS[i], zlib.crc32(f"{seed} {member.name} {i}".encode()), opened, noise, verbose)
+            for i in order
+        ]
+    return [task for task in found if task.member.name.startswith(only)][::every]
+
+
+def run(task: Task) -> Row:
+    """One run; keys spec, ms, j (a value a disturbance), changes, and where verbose the story."""
+    dt_s = Judge.theta(task.member.process) / SAMPLES_PER_THETA
+    judge = Judge(task.member.process, dt_s)
+    kc, tau_i = task.start
+    gains = PidGains(judge.best.kp * kc, judge.best.ki * kc / tau_i)
+    story: list[str] = []
+    watching = Watching(one_region(gains), settings(dt_s, PV_SPAN, opened=task.opened), _teller(judge, story))
+    loop = WatchedLoop(HeldPlant(task.member.process, dt_s), watching.retuner.table, dt_s, watching)
+    judged = disturbed(loop, judge, task, story)
+    first = judge.of(gains)
+    return {
+        "part": "batch", "process": task.member.name, "family": task.member.family, "kc": kc, "tau_i": tau_i,
+        "seed": task.seed, "opened": task.opened, "changes": loop.changes,
+        "ms0": first.ms, "j0": first.j, "ms_limit": judge.ms_limit,
+        "spec": [found.in_spec for found in judged], "ms": [found.ms for found in judged],
+        "j": [found.j for found in judged], "kc_now": loop.gains.kp / judge.best.kp,
+        "ki_now": loop.gains.ki / judge.best.ki, "story": story if task.verbose else [],
+    }  # fmt: skip
+
+
+def disturbed(loop: WatchedLoop, judge: Judge, task: Task, story: list[str]) -> list[Judgement]:
+    """What is in force after each disturbance; a lost loop counts as unstable from then on."""
+    rng = np.random.default_rng(task.seed)
+    n = int(LENGTH_THETA * SAMPLES_PER_THETA * max(1.0, 1 / task.start[0]))
+    judged: list[Judgement] = []
+    load_size = judge.load_like_setpoint()
+    sp = load = 0.0
+    try:
+        loop.run(sp, load, _noise(rng, task.noise, REST_SAMPLES))
+        for i in range(DISTURBANCES):
+            sp, load = (1.0 - sp, load) if i % 2 == 0 else (sp, load_size - load)
+            story.append(f"{i + 1}. {'setpoint' if i % 2 == 0 else 'load'} at {loop.t_s:.4g} s")
+            loop.run(sp, load, _noise(rng, task.noise, n))
+            judged.append(judge.of(loop.table.gains_of(0)))
+            story.append(f"   now {_words(judged[-1])}")
+    except LostLoop:
+        story.append(f"   lost at {loop.t_s:.4g} s")
+        judged += [Judgement(float("inf"), float("inf"), in_spec=False)] * (DISTURBANCES - len(judged))
+    return judged
+
+
+def _noise(rng: np.random.Generator, size: float, n: int) -> list[float]:
+    return [float(x) for x in size * rng.standard_normal(n)]
+
+
+def _teller(judge: Judge, story: list[str]) -> Callable[[Decision], None]:
+    """Writes down each decision in one line."""
+
+    def tell(decision: Decision) -> None:
+        story.append("   " + told(decision, judge))
+
+    return tell
+
+
+def told(d: Decision, judge: Judge) -> str:
+    """A decision in one line: what was recognised, cause, ruling, and what is true of the gains that follow."""
+    seen = "-"
+    if d.response:
+        damping = "" if d.response.damping is None else f" damping {d.response.damping:.2f}"
+        upset, peaks = "sp" if d.response.sp_changed else "load", len(d.response.peaks)
+        seen = f"{upset} {peaks} peaks{damping} {d.response.ending.name}"
+    model = f"{d.estimate.to_dict()['model']}" if d.estimate and d.estimate.identifiable else "no model"
+    after = f"-> {_words(judge.of(d.gains_after))}" if d.gains_after else ""
+    cause = str(d.diagnosis.cause) if d.diagnosis else "-"
+    ruling = d.verdict.ruling.name if d.verdict else "-"
+    return f"t {d.t_s:.4g}: {seen}; {cause}; {ruling}; {d.action} {after}; {model}; {d.reason}"
+
+
+def _words(found: Judgement) -> str:
+    return f"Ms {found.ms:.2f} J {found.j:.2f} {'in spec' if found.in_spec else 'OUT'}"
+
+
+def staying(row: Row, after: int) -> bool:
+    """In spec after that many disturbances and after every later one."""
+    return all(row["spec"][after - 1 :])
+
+
+def line(row: Row) -> str:
+    """A run for people."""
+    spec = "".join("+" if ok else "." for ok in row["spec"])
+    head = (
+        f"{row['process']:<14} kc x{row['kc']:<5g}tau_i x{row['tau_i']:<5g}{spec}  Ms {row['ms'][-1]:5.2f} "
+        f"J {row['j'][-1]:5.2f} kc/best {row['kc_now']:5.2f} ki/best {row['ki_now']:5.2f} changes {row['changes']}"
+    )
+    return "\n".join([head, *(f"    {text}" for text in row["story"])])
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Shares in spec after each number of disturbances, by family, and what is left at the end."""
+    lines = [f"{len(rows)} runs; {sum(row['changes'] for row in rows) / len(rows):.1f} changes a run"]
+    lines += [
+        f"in spec after {n} disturbances, and staying  {counted(sum(staying(r, n) for r in rows), len(rows))}"
+        f"   (at that moment {sum(r['spec'][n - 1] for r in rows)})"
+        for n in range(1, DISTURBANCES + 1)
+    ]
+    at_end = Counter(_fault(row) for row in rows)
+    lines.append("at the end: " + ", ".join(f"{name} {number}" for name, number in at_end.most_common()))
+    for key in ("family", "kc", "tau_i"):
+        lines.append(f"{key:<8} runs  staying after 1 / 3 / 6")
+        for value in sorted({row[key] for row in rows}):
+            of = [row for row in rows if row[key] == value]
+            lines.append(
+                f"  {value!s:<6} {len(of):4d}  "
+                + " / ".join(f"{sum(staying(r, n) for r in of) / len(of):4.0%}" for n in (1, 3, 6))
+            )
+    return lines
+
+
+def _fault(row: Row) -> str:
+    """What is wrong after the last disturbance."""
+    if row["spec"][-1]:
+        return "in spec"
+    if row["ms"][-1] == float("inf"):
+        return "unstable"
+    return "Ms too large" if row["ms"][-1] > row["ms_limit"] else "J too large"

@@ -1,0 +1,61 @@
+"""How good is retuning on line? One part of the measurement per command; docs/online.md has the tables.
+
+Examples
+--------
+  python benchmarks/online batch --seed 1 --every 10 --jobs 2
+  python benchmarks/online batch --opened --only P6 --verbose
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from online import batch
+from online.runner import collect
+
+
+def main() -> int:
+    """Run one part and print its table."""
+    options = _parser().parse_args()
+    rows, whole = PARTS[options.part](options)
+    return 0 if rows and whole else 1
+
+
+def _batch(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
+    tasks = batch.tasks(
+        options.seed, opened=options.opened, every=options.every, only=options.only, noise=options.noise,
+        verbose=options.verbose, starts=options.starts,
+    )  # fmt: skip
+    rows, whole = collect(batch.run, tasks, options.jobs, options.out, batch.line if options.verbose else None)
+    if not options.verbose:
+        _say([batch.line(row) for row in rows if not all(row["spec"][2:])])
+    limits = "x8" if options.opened else "defaults"
+    _say([f"batch, seed {options.seed}, noise {options.noise:g}, limits of a change: {limits}"])
+    _say(batch.table(rows) if rows else ["no runs"])
+    return rows, whole
+
+
+def _say(lines: list[str]) -> None:
+    sys.stdout.write("\n".join(lines) + "\n" if lines else "")
+
+
+PARTS = {"batch": _batch}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="benchmarks/online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--seed", type=int, default=1, help="2028 and above are for final tables only")
+    common.add_argument("--jobs", type=int, default=1)
+    common.add_argument("--every", type=int, default=1, help="only every n-th run")
+    common.add_argument("--out", type=Path, metavar="FILE", help="every run as a line of JSON")
+    common.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
+    parts = parser.add_subparsers(dest="part", required=True)
+    one = parts.add_parser("batch", parents=[common], help="the standard batch of 134 processes, gains off")
+    one.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+    one.add_argument("--only", default="", help='processes whose name begins so: "P6", "P1 T=0.02"')
+    one.add_argument("--noise", type=float, default=batch.NOISE, help="share of a setpoint step")
+    one.add_argument("--starts", type=int, default=1, help=f"wrong starts per process, of {len(batch.STARTS)}")
+    return parser

@@ -1,0 +1,132 @@
+"""A simulated loop with somebody who watches it: plant, valve, controller, supervisor, a sample at a time.
+
+The order within a sample is a controller's: read pv, compute co, report the sample. Gains that the supervisor asks for
+are in force from the next sample on, taken over without a bump. No rounding by a device is modelled.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from cases.loop import FAR, Sensor, Valve
+
+from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
+from retuner.schedule.regions import RegionState, choose, enter
+from retuner.schedule.table import GainTable
+
+LOST = 1e4
+"""A loop whose pv is further from rest than this many setpoint steps has been lost."""
+
+
+class Moved(Protocol):
+    """A process about its resting point."""
+
+    def move(self, u: float) -> float:
+        """Hold the input u for one sample; the output at its end."""
+
+
+class Supervisor(Protocol):
+    """Whoever may change the gains of a loop."""
+
+    def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
+        """Take a sample; a region and the gains to write there, or nothing."""
+
+    def written(self, region: int, gains: PidGains) -> None:
+        """The controller runs them now."""
+
+
+class FixedGains:
+    """Nobody changes anything."""
+
+    def observe(self, sample: LoopSample) -> None:
+        """Nothing ever follows."""
+
+    def written(self, region: int, gains: PidGains) -> None:
+        """Never asked for."""
+
+
+class LostLoop(Exception):  # noqa: N818  it is no error of the program
+    """pv went out of all bounds: the loop was unstable for too long."""
+
+
+class WatchedLoop:
+    """The loop from rest.
+
+    plant : about rest. table : regions and gains at the start; regions are along sp. dt_s : sampling interval.
+    co0, sp0 : resting output and setpoint. low, high : range of the output. lost : |pv - sp0| at which it is lost.
+    """
+
+    def __init__(
+        self, plant: Moved, table: GainTable, dt_s: float, supervisor: Supervisor, *, co0: float = 0.0,
+        sp0: float = 0.0, low: float = -FAR, high: float = FAR, valve: Valve | None = None,
+        sensor: Sensor | None = None, lost: float = LOST, hidden: bool = False,
+    ) -> None:  # fmt: skip
+        self.plant, self.table, self.dt_s, self.supervisor = plant, table, dt_s, supervisor
+        self.co, self.sp0, self.co0, self.low, self.high, self.lost = co0, sp0, co0, low, high, lost
+        self.valve, self.sensor, self.hidden = valve, sensor, hidden
+        self._rest = valve(co0) if valve else co0
+        self._regions = table.regions.law()
+        self.region: RegionState = enter(self._regions, sp0, 0.0)
+        self._law = law(table.gains_of(self.region.region), co_min=low, co_max=high)
+        self._state: tuple[float, float, float, float, int] = tuple(start(self._law, sp0, sp0, co0))
+        self.i, self.y, self.changes, self.revision = 0, 0.0, 0, 0
+
+    @property
+    def gains(self) -> PidGains:
+        """In force now."""
+        return self._law.gains
+
+    @property
+    def t_s(self) -> float:
+        """Time of the last sample."""
+        return self.i * self.dt_s
+
+    def run(self, sp: float, load: float | Sequence[float], noise: Sequence[float]) -> list[tuple[float, float]]:
+        """As many samples as there is noise, at this setpoint and load (one value, or one a sample); (pv, co) of each.
+
+        Raises
+        ------
+        LostLoop
+            pv went out of all bounds.
+        """
+        trace, loads = [], [load] * len(noise) if isinstance(load, (int, float)) else load
+        dt_s, plant, valve, sensor, supervisor = self.dt_s, self.plant, self.valve, self.sensor, self.supervisor
+        sp0, rest, lost, watched = self.sp0, self._rest, self.lost, not self.hidden
+        for more, upset in zip(noise, loads, strict=True):
+            self.i += 1
+            t_s = self.i * dt_s
+            now = choose(self._regions, self.region, sp, t_s)
+            if now is not self.region:
+                self.region = now
+                self._adopt(self.table.gains_of(now.region), sp, self._state[1])
+            pv = sp0 + self.y + more
+            if sensor:
+                pv = sensor(pv)
+            self._state, co = step(self._law, self._state, sp, pv, dt_s)
+            self.co = co
+            self.y = y = plant.move((valve(co) if valve else co) - rest + upset)
+            trace.append((pv, co))
+            if not -lost < y < lost:
+                raise LostLoop
+            if not watched:
+                continue
+            limited = self._state[LIMITED]
+            wish = supervisor.observe(LoopSample(t_s, sp, pv, co, LoopMode.AUTO, limited, sp, self.revision))
+            if wish is not None:
+                self.write(*wish, sp, pv)
+        return trace
+
+    def write(self, region: int, gains: PidGains, sp: float, pv: float) -> None:
+        """Put gains in force, without a bump, and tell the supervisor."""
+        self.table = self.table.with_gains(region, gains)
+        self.changes += 1
+        self.revision += 1
+        if region == self.region.region:
+            self._adopt(gains, sp, pv)
+        self.supervisor.written(region, gains)
+
+    def _adopt(self, gains: PidGains, sp: float, pv: float) -> None:
+        new = law(gains, co_min=self.low, co_max=self.high)
+        state: PidState = change(self._law, new, self._state, sp, pv)
+        self._state, self._law = tuple(state), new

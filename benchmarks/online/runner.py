@@ -1,0 +1,66 @@
+"""Runs spread over processes, every result a line of JSON as soon as it is there, a table at the end or at Ctrl-C."""
+
+import json
+import math
+import multiprocessing
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, TypeVar
+
+Row = dict[str, Any]
+T = TypeVar("T")
+REPORTS = 10
+"""Lines of progress where standard error is no terminal."""
+
+
+def results(work: Callable[[T], Row], tasks: Sequence[T], jobs: int) -> Iterator[Row]:
+    """The results in the order of the tasks."""
+    if jobs == 1:
+        yield from map(work, tasks)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        yield from pool.imap(work, tasks)
+
+
+def collect(
+    work: Callable[[T], Row], tasks: Sequence[T], jobs: int, out: Path | None, shown: Callable[[Row], str] | None
+) -> tuple[list[Row], bool]:
+    """All rows, and whether every task was done (not, after Ctrl-C). shown : what to print of a row at once."""
+    rows: list[Row] = []
+    begun = time.monotonic()
+    with out.open("w", encoding="utf-8") if out else nullcontext() as file:
+        try:
+            for row in results(work, tasks, jobs):
+                rows.append(row)
+                if file:
+                    file.write(json.dumps(finite(row)) + "\n")
+                    file.flush()
+                if shown and (text := shown(row)):
+                    sys.stdout.write(text + "\n")
+                    sys.stdout.flush()
+                _progress(len(rows), len(tasks), time.monotonic() - begun)
+        except KeyboardInterrupt:
+            sys.stderr.write(f"\nstopped after {len(rows)} of {len(tasks)}\n")
+            return rows, False
+    return rows, True
+
+
+def finite(value: Any) -> Any:  # noqa: ANN401  whatever a row may hold
+    """The same with null for what JSON has no number for."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: finite(x) for key, x in value.items()}
+    return [finite(x) for x in value] if isinstance(value, (list, tuple)) else value
+
+
+def _progress(done: int, of: int, seconds: float) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{done} of {of}, {seconds:.0f} s" + ("\n" if done == of else ""))
+        sys.stderr.flush()
+    elif done * REPORTS // of > (done - 1) * REPORTS // of:
+        sys.stderr.write(f"{done} of {of}, {seconds:.0f} s\n")
