@@ -14,6 +14,7 @@ change gains must hold on the models that the record allows, weighted by their l
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,26 +92,46 @@ def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:
 def _compared(
     window: Window, gains: PidGains | None, found: list[Candidate], seen: Screening, settings: DiagnosisSettings
 ) -> Found:
-    """The linear explanation against its rivals."""
-    best = found[0]
-    fits = {"linear": best}
-    evidence = dict(seen.evidence) | {"linear_left": _left(best), "loads": float(best.fit.misfit.loads)}
-    loads = best.fit.misfit.loads
+    """The linear explanation against its rivals, where they are worth asking."""
+    evidence = dict(seen.evidence) | {"linear_left": _left(found[0]), "loads": float(found[0].fit.misfit.loads)}
+    fits = {"linear": found[0]}
+    loads = found[0].fit.misfit.loads
     by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
-    if seen.oscillates or by_loads or _left(best) > settings.oscillating_residual:
-        period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
-        tone = external(best, _frequencies(best, period_s), settings.fit.choice.most_loads)
-        valve = sticking(best, period_s, settings.fit.choice.most_loads)
-        fits |= {"external": tone, "stuck": valve.fit}
-        evidence |= {"external_left": _left(tone), "stuck_left": _left(valve.fit)}
-        evidence |= {
-            "external_lead": best.criterion - tone.criterion,
-            "stuck_lead": best.criterion - valve.fit.criterion,
-        }
-        verdict = rival_verdict(best, tone, valve, evidence, settings)
-        if verdict is not None:
-            return Found(verdict, fits=fits)
+    if seen.oscillates or by_loads or _left(found[0]) > settings.oscillating_residual:
+        against = against_rivals(found[0], seen, settings)
+        evidence, fits = against.evidence, against.fits
+        if against.verdict is not None:
+            return Found(against.verdict, fits=fits)
     return linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
+
+
+@dataclass(frozen=True, slots=True)
+class Against:
+    """The linear explanation beside its rivals. verdict : when a rival wins. fits : explanations by name."""
+
+    verdict: Diagnosis | None
+    evidence: dict[str, float]
+    fits: dict[str, Candidate]
+
+
+def against_rivals(best: Candidate, seen: Screening, settings: DiagnosisSettings) -> Against:
+    """Does a tone from outside, or a valve that sticks, explain a record better than the loop by itself?
+
+    best : the linear explanation. seen : the record's screening.
+    """
+    period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
+    tone = external(best, _frequencies(best, period_s), settings.fit.choice.most_loads)
+    valve = sticking(best, period_s, settings.fit.choice.most_loads)
+    evidence = dict(seen.evidence) | {
+        "linear_left": _left(best),
+        "loads": float(best.fit.misfit.loads),
+        "external_left": _left(tone),
+        "stuck_left": _left(valve.fit),
+        "external_lead": best.criterion - tone.criterion,
+        "stuck_lead": best.criterion - valve.fit.criterion,
+    }
+    fits = {"linear": best, "external": tone, "stuck": valve.fit}
+    return Against(rival_verdict(best, tone, valve, evidence, settings), evidence, fits)
 
 
 def _left(candidate: Candidate) -> float:
