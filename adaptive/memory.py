@@ -8,7 +8,9 @@ byte as the one that was never stopped.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from retuner.adaptive.belief import Belief, Known
+from retuner.adaptive.belief_memory import belief_in, belief_out
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.online import Standing
 from retuner.adaptive.noise import NoiseState
 from retuner.adaptive.recogniser import RecogniserState
 from retuner.adaptive.retuner import Retuner, RetunerState
@@ -36,6 +38,9 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "noise": _numbers_out(watcher.noise),
         "samples": [_numbers_out(sample) for sample in watcher.samples],
         "decisions": state.decisions,
+        "standing": {
+            str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
+        },
     }
 
 
@@ -54,6 +59,10 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     try:
         retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
         retuner.beliefs = {int(region): belief_in(body) for region, body in memory["beliefs"].items()}
+        retuner.standing = {
+            int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
+            for region, (cause, period_s, t_s, reason) in memory["standing"].items()
+        }
         watcher = WatcherState(
             region=_region_in(memory["region"]),
             recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,

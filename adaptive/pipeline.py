@@ -1,19 +1,20 @@
 """What a completed response leads to, a line a stage; each stage may end it with its reason.
 
-    response -> admission -> learning -> cause -> proposal -> proof -> outcome
+    response -> admission -> swing? -> learning -> hidden cause? -> tuning? -> proposal -> proof -> outcome
 
 Pure functions over one `Case`: everything that the outcome depends on is in it. The Retuner keeps what was learned.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
 
+from retuner.adaptive.admission import Admission, admit, inside_region
 from retuner.adaptive.belief import Belief
 from retuner.adaptive.decision import Basis
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.online import Standing, hidden_cause, swing_cause, swings
 from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
 from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.guard import Verdict, prove
@@ -25,7 +26,7 @@ from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.tracker import Learned, learn, predicted
 from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,7 @@ class Case:
 
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
     table : gains in force in every region; commissioned : as they were at first. beliefs : what is known, by region.
+    standing : an oscillation of this region that was explained before.
     """
 
     region: int
@@ -43,6 +45,7 @@ class Case:
     table: GainTable
     commissioned: GainTable
     beliefs: Mapping[int, Belief]
+    standing: Standing | None = None
 
     @property
     def in_force(self) -> PidGains:
@@ -52,56 +55,82 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the stages found; those that were not reached are None. code : name of the reason, for machines."""
+    """What the stages found; those that were not reached are None.
+
+    code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
+    standing : an oscillation that is explained, to be remembered.
+    """
 
     code: str
     reason: str
     learned: Learned | None = None
+    belief: Belief | None = None
     diagnosis: Diagnosis | None = None
     proposal: Tuning | None = None
     basis: Basis | None = None
     verdict: Verdict | None = None
+    standing: Standing | None = None
     numbers: dict[str, float] = field(default_factory=dict)
 
 
 def decide(case: Case, settings: RetunerSettings) -> Outcome:
     """The pipeline."""
-    refusal = _inadmissible(case, settings)
-    if refusal is not None:
-        return Outcome(f"not_admitted_{refusal.cause}", refusal.reason, diagnosis=refusal)
-    try:
-        learned = learn(
-            case.beliefs.get(case.region), case.window, case.in_force.direction, settings.tracker, settings.fit
+    admission = _admission(case, settings)
+    if not admission.admitted:
+        return Outcome(
+            admission.ground.name.lower(), admission.sentence, diagnosis=admission.diagnosis(),
+            numbers=admission.numbers,
+        )  # fmt: skip
+    if swings(case.response, settings.swing):
+        cause, standing = swing_cause(
+            case.samples, case.response, case.in_force, case.standing, settings.swing, settings.diagnosis
         )
+        if cause is not None:
+            return Outcome(str(cause.cause), cause.reason, diagnosis=cause, standing=standing)
+    return _learned(case, settings)
+
+
+def _learned(case: Case, settings: RetunerSettings) -> Outcome:
+    """Learning, unless something else hides under the response; then what is known decides."""
+    try:
+        known = case.beliefs.get(case.region)
+        learned = learn(known, case.window, case.in_force.direction, settings.tracker, settings.fit)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         return Outcome("fit_failed", f"the fit failed: {error}")
+    left = learned.estimate.residual_std / learned.estimate.noise_std
+    if left > settings.swing.unexplained:
+        hidden = hidden_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
+        if hidden is not None:
+            return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden)
     if learned.belief is None:
         return Outcome("not_identifiable", learned.estimate.reason, learned)
-    log = predicted(learned.belief, float(case.window.t_s[-1]), settings.tracker)
+    return replace(_tuned(case, learned, learned.belief, settings), belief=learned.belief)
+
+
+def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettings) -> Outcome:
+    """Whether the tuning is the cause, what the rule would give, and the proof."""
+    log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
     tuning, diagnosis = _diagnose(log, case.in_force, settings)
     if not diagnosis.retune:
-        return Outcome(str(diagnosis.cause), diagnosis.reason, learned, diagnosis)
+        return Outcome(str(diagnosis.cause), diagnosis.reason, learned, diagnosis=diagnosis)
     verdict = prove(tuning, log, settings.sample_time_s / 2, case.in_force, settings.guard)
-    reason = diagnosis.reason if verdict.accepted else str(verdict.ruling)
-    return Outcome(verdict.ruling.name.lower(), reason, learned, diagnosis, tuning, Basis.MODEL, verdict)
+    return Outcome(
+        verdict.ruling.name.lower(),
+        diagnosis.reason if verdict.accepted else str(verdict.ruling),
+        learned,
+        diagnosis=diagnosis,
+        proposal=tuning,
+        basis=Basis.MODEL,
+        verdict=verdict,
+    )
 
 
-def _inadmissible(case: Case, settings: RetunerSettings) -> Diagnosis | None:
-    """Why a record may not teach anything, if so."""
-    window, response = case.window, case.response
-    recent = islice(reversed(case.samples), len(window.t_s))
-    share = sum(1 for sample in recent if sample.limited) / len(window.t_s)
-    evidence = {"limited_share": share, "peaks": float(len(response.peaks))}
-    if response.t_start_s < case.samples[0].t_s:
-        reason = f"the response is longer than the {settings.history} samples kept: its beginning is missing"
-        return Diagnosis(Cause.UNKNOWN, 1.0, evidence, reason)
-    if share > settings.cause.saturated_share:
-        reason = f"the controller output stood at a limit for {share:.0%} of the response"
-        return Diagnosis(Cause.SATURATION, 1.0, evidence, reason)
-    for name, values in (("co", window.co), ("pv", window.pv)):
-        if values.max() == values.min():
-            return Diagnosis(Cause.UNKNOWN, 1.0, evidence, f"{name} does not move: nothing to learn from")
-    return None
+def _admission(case: Case, settings: RetunerSettings) -> Admission:
+    """Whether the response may teach its region. The gains of an interpolated table move with it; the fit allows it."""
+    rules = settings.admission
+    if case.table.lookup == Lookup.INTERPOLATED:
+        rules = replace(rules, changes_most=len(case.samples))
+    return admit(case.window, case.samples, case.response, rules, inside_region(case.table.regions, case.region))
 
 
 def _diagnose(log: LogModel, in_force: PidGains, settings: RetunerSettings) -> tuple[Tuning, Diagnosis]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from retuner.adaptive.belief import Belief
 from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.diagnosis.online import Standing
 from retuner.adaptive.pipeline import Case, Outcome, decide
 from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.response import Response
@@ -18,6 +19,13 @@ from retuner.adaptive.sample import LoopSample
 from retuner.adaptive.watcher import Completed, Left, Watcher, WatcherState
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
+
+LEFT = {
+    False: Outcome("left_region", "the response left its region; it teaches nothing of either"),
+    True: Outcome("variable_unknown", "the scheduling variable is not known any more: nobody can say to which region "
+                  "the response belongs; it teaches nothing"),
+}  # fmt: skip
+"""What follows from a response that was cut off, by whether a scheduling variable was unknown."""
 
 
 class RetunerState(NamedTuple):
@@ -41,6 +49,7 @@ class Retuner:
         self.settings = settings
         self.commissioned = commissioned or table
         self.beliefs: dict[int, Belief] = {}
+        self.standing: dict[int, Standing] = {}
         self._watcher = Watcher(table, settings)
         self._observe = self._watcher.take
         self._decisions = 0
@@ -96,20 +105,29 @@ class Retuner:
     def _seen(self, seen: Completed | Left) -> Decision | None:
         """Something came to an end: decide on it."""
         if isinstance(seen, Left):
-            reason = "the response left its region; it teaches nothing of either"
-            return self._decision(seen.region, Outcome("left_region", reason)) if seen.under_way else None
+            return self._decision(seen.region, LEFT[seen.unknown]) if seen.under_way else None
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return None
         outcome = decide(self._case(seen), self.settings)
-        if outcome.learned is not None and outcome.learned.belief is not None:
-            self.beliefs[seen.region] = outcome.learned.belief
+        if outcome.belief is not None:
+            self.beliefs[seen.region] = outcome.belief
+        if outcome.standing is not None:
+            self.standing[seen.region] = outcome.standing
         return self._decision(seen.region, outcome, seen.response)
 
     def _case(self, seen: Completed) -> Case:
         """Everything that the decision depends on."""
         w = self._watcher
-        window = w.window(seen.response)
-        return Case(seen.region, seen.response, window, w.samples, w.table, self.commissioned, self.beliefs)
+        return Case(
+            seen.region,
+            seen.response,
+            w.window(seen.response),
+            w.samples,
+            w.table,
+            self.commissioned,
+            self.beliefs,
+            self.standing.get(seen.region),
+        )
 
     def _decision(self, region: int, outcome: Outcome, response: Response | None = None) -> Decision:
         """Put the record together."""

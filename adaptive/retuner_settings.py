@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass, field
 
+from retuner.adaptive.admission import AdmissionSettings
 from retuner.adaptive.decision import Mode
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.online import SwingSettings
 from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identify import FitSettings
@@ -25,6 +28,7 @@ class RetunerSettings:
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
+    swing : when something else than the tuning is asked for; diagnosis : how.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
 
@@ -46,6 +50,9 @@ class RetunerSettings:
     gap_samples: int = 5
     fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    admission: AdmissionSettings = field(default_factory=AdmissionSettings)
+    swing: SwingSettings = field(default_factory=SwingSettings)
+    diagnosis: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     cause: CauseSettings = field(default_factory=CauseSettings)
     guard: GuardSettings = field(default_factory=GuardSettings)
 

@@ -1,0 +1,123 @@
+"""On line: is it the tuning at all? What swings, or what the loop by itself does not explain, is put to its rivals.
+
+    swings on without a setpoint step, too few cycles yet     wait: one and a half cycles fit anything
+    the oscillation that was explained before goes on         the same cause, without new fits
+    swings on, cycles enough                                  the whole diagnosis (diagnose.py) of the stretch
+    a response of which the linear fit leaves too much        rivals alone: stiction or a tone under the response
+    otherwise                                                 the model may learn, and its margins decide
+
+A response of three peaks is one and a half cycles; a stretch is everything since the gains last changed. Cause before
+cure: what a rival explains teaches the model nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.indexes.screening import screen
+from retuner.adaptive.diagnosis.rivals import linear
+from retuner.adaptive.response import Response
+from retuner.adaptive.sample import LoopSample, Window
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class SwingSettings:
+    """Settings.
+
+    damping : (E3 - E2)/(E1 - E2) from which a load response of three peaks swings on; 0.3 to 0.9, default 0.5 (a
+        quarter of the amplitude after a period; what is left of a well-tuned loop is far less).
+    cycles : cycles of a swing that are waited for before anything is said; 3 to 10, default 4.
+    most_cycles : cycles of the stretch that are looked at; 5 to 30, default 12.
+    alike : periods within this factor are the same oscillation; 1.05 to 1.5, default 1.25.
+    remembered_cycles : cycles for which an explained oscillation need not be explained again; default 40.
+    unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
+        default 1.5.
+    lookback : lengths of a response that are looked at with it when its rivals are asked; default 3.
+    """
+
+    damping: float = 0.5
+    cycles: float = 4.0
+    most_cycles: float = 12.0
+    alike: float = 1.25
+    remembered_cycles: float = 40.0
+    unexplained: float = 1.5
+    lookback: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """An oscillation with a cause that is none of tuning: which, with what period, and when it was explained."""
+
+    cause: Cause
+    period_s: float
+    t_s: float
+    reason: str
+
+
+def swings(response: Response, settings: SwingSettings) -> bool:
+    """Whether a response that no setpoint step began hardly decays."""
+    damping = response.damping
+    return not response.sp_changed and damping is not None and damping > settings.damping
+
+
+def stretch(samples: Sequence[LoopSample], from_s: float) -> list[LoopSample]:
+    """The newest samples that ran the same set of gains, from a time on."""
+    revision = samples[-1].revision
+    kept = []
+    for sample in reversed(samples):
+        if sample.revision != revision or sample.t_s < from_s:
+            break
+        kept.append(sample)
+    return kept[::-1]
+
+
+def swing_cause(
+    samples: Sequence[LoopSample],
+    response: Response,
+    gains: PidGains,
+    standing: Standing | None,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> tuple[Diagnosis | None, Standing | None]:
+    """Why a loop swings on without a setpoint step: a cause that may not change gains, or None; and what to remember.
+
+    samples : kept, the newest last. response : it swings (see swings). gains : in force.
+    """
+    period_s, now_s = response.period_s, response.t_end_s
+    assert period_s is not None
+    if standing is not None and _goes_on(standing, period_s, now_s, swing):
+        again = f"the oscillation of {standing.period_s:.3g} s goes on: {standing.reason}"
+        return Diagnosis(standing.cause, 0.8, {"period_s": period_s}, again), standing
+    seen = stretch(samples, now_s - swing.most_cycles * period_s)
+    cycles = (now_s - seen[0].t_s) / period_s
+    if cycles < swing.cycles:
+        reason = f"it swings on without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles seen that tell a cause"
+        return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason), None
+    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
+    if found.cause in TUNING_CAUSES or found.cause == Cause.OK:
+        return None, None
+    return found, Standing(found.cause, period_s, now_s, found.reason)
+
+
+def _goes_on(standing: Standing, period_s: float, now_s: float, settings: SwingSettings) -> bool:
+    """Whether this is still the oscillation that was explained."""
+    ratio = period_s / standing.period_s
+    recent = now_s - standing.t_s < settings.remembered_cycles * standing.period_s
+    return recent and 1 / settings.alike < ratio < settings.alike
+
+
+def hidden_cause(
+    samples: Sequence[LoopSample],
+    response: Response,
+    gains: PidGains,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> Diagnosis | None:
+    """What hides under a response that the linear fit does not explain: stiction or a tone, or None."""
+    length_s = response.t_end_s - response.t_start_s
+    window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s))
+    found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
+    return against_rivals(found[0], screen(window, gains), settings).verdict
