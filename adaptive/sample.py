@@ -26,8 +26,9 @@ class LoopSample(NamedTuple):
     co : controller output applied from this instant on (held until the next sample).
     mode : MANUAL or AUTO.
     limited : -1 when co stands at its lower limit, +1 at the upper, 0 between.
-    x : value of the scheduling variable (whatever the table is scheduled by).
+    x : value of the scheduling variable (whatever the table is scheduled by); NaN while a signal on the bus is stale.
     revision : sequence number of the gain set that the controller ran in this sample, as it reports it.
+    x2 : value of the second scheduling variable, where there are two; as x.
     """
 
     t_s: float
@@ -38,11 +39,12 @@ class LoopSample(NamedTuple):
     limited: int = 0
     x: float = 0.0
     revision: int = 0
+    x2: float = 0.0
 
 
 def finite(sample: LoopSample) -> bool:
-    """Whether every number of the sample is finite (NaN passes min/max, so every door asks)."""
-    total = sample.t_s + sample.sp + sample.pv + sample.co + sample.x
+    """Whether the loop's own numbers are all finite (NaN passes min/max, so every door asks); x and x2 may be NaN."""
+    total = sample.t_s + sample.sp + sample.pv + sample.co
     return math.isfinite(total)
 
 

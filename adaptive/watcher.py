@@ -3,9 +3,11 @@
     sample -> region -> noise band -> recogniser -> response with its samples
 
 `take` is the per-sample path; at rest it returns after a handful of comparisons. What a response means is not its
-business: see pipeline.py.
+business: see pipeline.py. While a scheduling variable is not known (a signal on the bus is stale), the region stays and
+no response is taken: nobody could say where it belongs.
 """
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice
@@ -16,7 +18,9 @@ from retuner.adaptive.recogniser import Phase, RecogniserLaw, RecogniserState, b
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode, LoopSample, Window, finite
-from retuner.schedule.regions import RegionState, choose, enter
+from retuner.schedule.axis import CAN
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import RegionState, choose, enter, values
 from retuner.schedule.table import GainTable
 
 
@@ -37,10 +41,14 @@ class Completed(NamedTuple):
 
 
 class Left(NamedTuple):
-    """The loop crossed into another region; under_way: a response was cut off by it. region : the one that was left."""
+    """The loop crossed into another region, or it is not known where it is. region : the one that was left, or stays.
+
+    under_way : a response was cut off by it. unknown : a scheduling variable is not known.
+    """
 
     region: int
     under_way: bool
+    unknown: bool = False
 
 
 class Watcher:
@@ -69,6 +77,19 @@ class Watcher:
     def region(self) -> int | None:
         """Index of the region that the loop is in, None before the first sample."""
         return self._region.region if self._region else None
+
+    @property
+    def scheduled(self) -> tuple[float, float]:
+        """The scheduling values in force, filtered and the last good ones; 0 before the first sample."""
+        if self._region is None or not self._samples:
+            return 0.0, 0.0
+        newest = self._samples[-1]
+        return values(self._regions, self._region, newest.x, newest.x2)
+
+    @property
+    def in_force(self) -> PidGains | None:
+        """What the table says shall run now, None before the first sample."""
+        return self.table.at(self._region.region, *self.scheduled) if self._region else None
 
     @property
     def phase(self) -> Phase | None:
@@ -106,19 +127,22 @@ class Watcher:
         """
         state, region = self._state, self._region
         if state is None or region is None:
-            self._restart(sample)
+            if self._is_placed(sample):
+                self._restart(sample)
             return None
         t_s, sp, pv = sample[0], sample[1], sample[2]
         elapsed = t_s - self._samples[-1][0]
         if not 0.0 < elapsed <= self._gap_s or sample[4] != LoopMode.AUTO:
             self._restart(sample)
             return None
-        x = sample[6]
-        if not (pv - pv == 0.0 and sp - sp == 0.0 and sample[3] - sample[3] == 0.0 and x - x == 0.0):
-            raise ValueError(f"the sample at {t_s} s is not finite: {sample}")
-        now = choose(self._regions, region, x, t_s)
-        if now is not region and now.region != region.region:
-            return self._leave(sample, now)
+        x, x2 = sample[6], sample[8]
+        if not (pv - pv == 0.0 and sp - sp == 0.0 and sample[3] - sample[3] == 0.0 and x - x == x2 - x2 == 0.0):
+            return self._unknown(sample)
+        now = choose(self._regions, region, x, t_s, x2)
+        if now is not region:
+            if now.region != region.region:
+                return self._leave(sample, now)
+            self._region = now
         self._noise = noise = noise_step(self._noise, pv)
         band = self._per_median * noise[0]
         self._samples.append(sample)
@@ -145,15 +169,46 @@ class Watcher:
 
     def _restart(self, sample: LoopSample) -> None:
         """Begin anew: the first sample, after a gap, or in manual. What is known of the regions stays."""
-        if not finite(sample):
-            raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
+        self._is_placed(sample)
         if self._samples and sample.t_s <= self._samples[-1].t_s:
             raise ValueError(f"time does not increase: {sample.t_s} s after {self._samples[-1].t_s} s")
         if self._state is None:
             self._noise = noise_start(sample.pv, self._floor / self.settings.band_sigmas)
         self._noise = NoiseState(self._noise.median, sample.pv, sample.pv)
-        self._region = enter(self._regions, sample.x, sample.t_s)
+        region = self._region
+        if region is not None and sample.t_s - self._samples[-1].t_s <= self._gap_s:
+            self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
+        else:
+            self._region = enter(self._regions, sample.x, sample.t_s, sample.x2, region)
         self._forget(sample)
+
+    def _is_placed(self, sample: LoopSample) -> bool:
+        """Whether it is known where the sample lies; only a signal on the bus may be unknown.
+
+        Raises
+        ------
+        ValueError
+            Another number of the sample is not finite.
+        """
+        if not finite(sample):
+            raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
+        for axis, value in zip(self.table.regions.axes, (sample.x, sample.x2), strict=False):
+            if not math.isfinite(value):
+                if axis.variable != CAN:
+                    raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
+                return False
+        return True
+
+    def _unknown(self, sample: LoopSample) -> Left:
+        """A scheduling variable is not known: the region stays, and nothing is learned."""
+        self._is_placed(sample)
+        state, region = self._state, self._region
+        assert state is not None
+        assert region is not None
+        self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
+        self._noise = noise_step(self._noise, sample.pv)
+        self._forget(sample)
+        return Left(region.region, state.started and state.phase < Phase.ADAPT, unknown=True)
 
     def _leave(self, sample: LoopSample, now: RegionState) -> Left:
         """The loop crossed into another region: a response under way belongs to neither."""
@@ -177,7 +232,7 @@ class Watcher:
         if self._region is None:
             return
         s = self.settings
-        gains = self.table.gains_of(self._region.region)
+        gains = self.table.at(self._region.region, *self.scheduled)
         tau_i = gains.kp / gains.ki if gains.ki else 0.0
         wait = s.wait_s or max(s.wait_tau_i * tau_i, s.shortest_wait * s.sample_time_s)
         self._law = RecogniserLaw(wait, min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait))
