@@ -20,6 +20,7 @@ import numpy.typing as npt
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.response import Response
 from retuner.adaptive.sample import LoopMode, LoopSample, Window
+from retuner.schedule.regions import Regions
 
 
 class Ground(StrEnum):
@@ -31,7 +32,9 @@ class Ground(StrEnum):
     LOST_SAMPLES = "{lost_share:.0%} of the samples were lost (limit {limit:.0%})"
     IRREGULAR = "{uneven_share:.0%} of the samples came at uneven times (limit {limit:.0%})"
     REPEATED = "{repeated_share:.0%} of the samples repeat the one before them exactly (limit {limit:.0%})"
-    LEFT_REGION = "the scheduling variable left the region for {outside:.0f} samples"
+    LEFT_REGION = (
+        "the scheduling variable was outside the region for {outside_share:.0%} of the samples (limit {limit:.0%})"
+    )
     GAINS_CHANGED = "the gains changed {changes:.0f} times during the response (limit {limit:.0f})"
     SETPOINT_LED = (
         "the setpoint moved {moves:.0f} times, at {moving_share:.0%} of the samples: another loop or a ramp leads it "
@@ -55,11 +58,13 @@ class AdmissionSettings:
     uneven_share : largest share of uneven intervals; default 0.1.
     repeated_share : largest share of samples that repeat sp, pv and co of the one before while the error is outside the
         band and the output free: integral action always moves co there; 0 to 1, default 0.2.
+    outside_share : largest share of samples beyond the region's borders widened by their hysteresis; 0 to 0.5, default
+        0.05 (the noise of a measured variable; a region's filter, minimum stay or sensor may hide a longer absence).
     moves_most : separate movements of the setpoint that are still a person's; 1 to 20, default 4.
     moving_share : largest share of samples at which the setpoint moves; 0 to 1, default 0.3 (a ramp is one movement).
     still_share : a setpoint that moves by less than this share of the noise band stands still; default 0.01.
     changes_most : most changes of the gains in force during a response; default 0.
-    excitation_bands : least height of a response in noise bands; 2 (where the recogniser starts) to 10, default 2.5.
+    excitation_bands : least height of a response in noise bands; 2 (where the recogniser starts) to 10, default 2.2.
     """
 
     limited_share: float = 0.5
@@ -67,11 +72,12 @@ class AdmissionSettings:
     uneven: float = 0.25
     uneven_share: float = 0.1
     repeated_share: float = 0.2
+    outside_share: float = 0.05
     moves_most: int = 4
     moving_share: float = 0.3
     still_share: float = 0.01
     changes_most: int = 0
-    excitation_bands: float = 2.5
+    excitation_bands: float = 2.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +110,21 @@ class Admission:
             "numbers": dict(self.numbers),
             "reason": self.sentence,
         }
+
+
+def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]:
+    """A test whether a sample lies in a region: between its borders widened by their hysteresis.
+
+    A scheduling variable that is not finite (a failed sensor) leaves the loop where it is, so it counts as inside.
+
+    Raises
+    ------
+    ValueError
+        There is no such region.
+    """
+    law, part = regions.axes[0].law(), regions.cell(region)[0]
+    low, high = law.floors[part], law.ceilings[part]
+    return lambda sample: not (sample.x < low or sample.x > high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +223,12 @@ def _repeated(seen: _Seen) -> float:
 def _in_region(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
     """It stayed inside."""
     inside = seen.inside
-    numbers["outside"] = float(sum(inside is not None and not inside(sample) for sample in seen.samples))
-    return Ground.LEFT_REGION if numbers["outside"] else None
+    outside = sum(inside is not None and not inside(sample) for sample in seen.samples)
+    numbers["outside_share"] = outside / len(seen.samples)
+    if numbers["outside_share"] <= seen.settings.outside_share:
+        return None
+    numbers["limit"] = seen.settings.outside_share
+    return Ground.LEFT_REGION
 
 
 def _same_gains(seen: _Seen, numbers: dict[str, float]) -> Ground | None:

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.admission import Admission, AdmissionSettings, Ground, admit
+from retuner.adaptive.admission import Admission, AdmissionSettings, Ground, admit, inside_region
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.response import Ending, Peak, Response
 from retuner.adaptive.sample import LoopMode, LoopSample, Window
+from retuner.schedule.regions import Regions
 
 N, AT, BAND = 120, 30, 0.02
 Samples = list[LoopSample]
@@ -56,7 +57,7 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6],
     Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.4 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
     Ground.REPEATED: stuck,
-    Ground.LEFT_REGION: lambda s: changed(s, range(70, 73), x=9.0),
+    Ground.LEFT_REGION: lambda s: changed(s, range(70, 90), x=9.0),
     Ground.GAINS_CHANGED: lambda s: changed(s, range(70, N), revision=1),
     Ground.SETPOINT_LED: lambda s: led(s, 3),
     Ground.SATURATED: lambda s: changed(s, range(AT, AT + 60), limited=1),
@@ -101,6 +102,21 @@ def test_gains_that_follow_an_interpolated_table_may_be_allowed() -> None:
     samples = [s._replace(revision=i // 10) for i, s in enumerate(swing())]
     assert judged(samples).ground is Ground.GAINS_CHANGED
     assert judged(samples, AdmissionSettings(changes_most=100)).admitted
+
+
+def test_a_region_ends_at_its_borders_widened_by_the_hysteresis() -> None:
+    regions = Regions("pv", "-", ("low", "middle", "high"), 0.0, (10.0, 20.0), 30.0, 2.0)
+    sample = swing()[0]
+    for region, inside, outside in ((0, (-50, 0, 12), (12.1,)), (1, (8, 15, 22), (7.9, 22.1)), (2, (18, 99), (17.9,))):
+        test = inside_region(regions, region)
+        assert all(test(sample._replace(x=x)) for x in inside)
+        assert not any(test(sample._replace(x=x)) for x in outside)
+        assert test(sample._replace(x=math.nan))
+
+
+def test_noise_on_the_scheduling_variable_is_no_absence() -> None:
+    samples = changed(swing(), range(70, 73), x=9.0)
+    assert admit(Window.of(samples), samples, found(samples), AdmissionSettings(), lambda s: s.x < 5).admitted
 
 
 def test_a_ramp_and_two_steps_of_the_setpoint_are_a_persons() -> None:
