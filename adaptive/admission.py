@@ -122,9 +122,13 @@ def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]
     ValueError
         There is no such region.
     """
-    law, part = regions.axes[0].law(), regions.cell(region)[0]
-    low, high = law.floors[part], law.ceilings[part]
-    return lambda sample: not (sample.x < low or sample.x > high)
+    laws = [(axis.law(), part) for axis, part in zip(regions.axes, regions.cell(region), strict=True)]
+    limits = [(law.floors[part], law.ceilings[part]) for law, part in laws]
+
+    def inside(sample: LoopSample) -> bool:
+        return not any(x < low or x > high for x, (low, high) in zip((sample.x, sample.x2), limits, strict=False))
+
+    return inside
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from retuner.adaptive.admission import Admission, AdmissionSettings, Ground, adm
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.response import Ending, Peak, Response
 from retuner.adaptive.sample import LoopMode, LoopSample, Window
+from retuner.schedule.axis import Axis
 from retuner.schedule.regions import Regions
 
 N, AT, BAND = 120, 30, 0.02
@@ -63,7 +64,7 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.SATURATED: lambda s: changed(s, range(AT, AT + 60), limited=1),
     Ground.CO_FROZEN: lambda s: changed(s, range(N), co=40.0),
     Ground.PV_FROZEN: lambda s: changed(s, range(N), pv=0.5),
-    Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.045 * x.sp, pv=0.045 * x.pv) for x in s],
+    Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.042 * x.sp, pv=0.042 * x.pv) for x in s],
 }
 
 
@@ -112,6 +113,15 @@ def test_a_region_ends_at_its_borders_widened_by_the_hysteresis() -> None:
         assert all(test(sample._replace(x=x)) for x in inside)
         assert not any(test(sample._replace(x=x)) for x in outside)
         assert test(sample._replace(x=math.nan))
+
+
+def test_a_cell_ends_on_both_axes() -> None:
+    first, second = Axis("pv", "-", 0.0, (10.0,), 30.0, 2.0), Axis("co", "%", 0.0, (50.0,), 100.0, 5.0)
+    test = inside_region(Regions.along(("a", "b", "c", "d"), first, second), 1)
+    sample = swing()[0]
+    assert test(sample._replace(x=11.9, x2=45.1))
+    assert not test(sample._replace(x=11.9, x2=44.9))
+    assert not test(sample._replace(x=12.1, x2=60.0))
 
 
 def test_noise_on_the_scheduling_variable_is_no_absence() -> None:
