@@ -1,0 +1,199 @@
+"""The judge: one response against the promise of the gains that it ran under.
+
+A response is WORSE when one of two numbers lies beyond all that was promised, by more than noise and the models'
+inexactness can do, and is no improvement on the gains before either:
+
+    decay - level s(decay)  >  max(greatest promised + decay_slack, harmless_decay)   and  > before
+    (IAE - its noise)/unit  >  greatest promised x iae_slack                          and  > before
+
+(before: the old gains on the best model. shape.py has the numbers; s from the noise of the peaks.) It is judged only if
+the upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but undoes nothing:
+
+    cut short by the next setpoint change; first peak within seen_bands of noise; no rest before the setpoint's step;
+    a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
+    IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
+
+The travel of the output is told, and not judged: in a recorded output it is mostly noise times kp.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from retuner.adaptive.response import Ending, Response
+from retuner.adaptive.sample import FloatArray, Window
+from retuner.adaptive.trial.promise import Expected, Promise
+from retuner.adaptive.trial.shape import swing
+from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.schedule.gains import PidGains
+
+STEP_LIKE = 0.5
+"""Integrated error over IAE from which a load's response is one of a load that stayed."""
+MEAN_OF_NOISE = 0.8
+"""Mean of |n| over the standard deviation of normal noise n."""
+NOISE_RISES = 4.0
+"""Standard deviations in a noise band by default: a band that the user set counts as so many as well."""
+LIMITED = 0.05
+"""Share of limited samples from which the IAE is not the tuning's alone."""
+
+
+class Finding(StrEnum):
+    """Outcome of a judgement."""
+
+    BETTER = "better than promised"
+    AS_PROMISED = "as promised"
+    WORSE = "worse than promised"
+    INCONCLUSIVE = "inconclusive"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """finding : outcome. reason : the sentence. numbers : what was weighed (measured, promised, before)."""
+
+    finding: Finding
+    reason: str
+    numbers: dict[str, float]
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        return {"finding": self.finding.name.lower(), "reason": self.reason, "numbers": dict(self.numbers)}
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the judge looks at.
+
+    response, window : the response and its samples, with some of the time before it.
+    limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
+    tuning that was found behind the response, empty when none was.
+    """
+
+    response: Response
+    window: Window
+    limited_share: float = 0.0
+    outside: str = ""
+
+
+def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
+    """Judge a response that ran under `gains`."""
+    doubt = _doubt(seen, settings)
+    if doubt:
+        return Judgement(Finding.INCONCLUSIVE, doubt, {"peaks": float(len(seen.response.peaks))})
+    setpoint = seen.response.sp_changed
+    now, then = (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load, promised.load_before)
+    numbers: dict[str, float] = {}
+    swings = _swings(seen.response, now, then, settings, numbers)
+    costs = _costs(seen, gains, now, then, settings, numbers)
+    if swings or costs:
+        return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs))), numbers)
+    told = _told(numbers)
+    better = numbers.get("iae", math.inf) < now.iae.low and numbers["decay"] <= max(now.decay.best, now.decay.low)
+    if better:
+        return Judgement(Finding.BETTER, f"better than promised: {told}", numbers)
+    return Judgement(Finding.AS_PROMISED, f"as promised: {told}", numbers)
+
+
+def _doubt(seen: Seen, settings: TrialSettings) -> str:
+    """Why the response says nothing, if so."""
+    response = seen.response
+    if seen.outside:
+        return f"not judged: {seen.outside}"
+    if response.ending == Ending.SETPOINT:
+        return f"not judged: {response.ending}"
+    least = settings.seen_bands * response.band
+    if not response.peaks or abs(response.peaks[0].e) < least:
+        return f"not judged: its first peak is below {least:.3g}, {settings.seen_bands:g} noise bands"
+    return _unlike_a_step(seen) if response.sp_changed else ""
+
+
+def _unlike_a_step(seen: Seen) -> str:
+    """Why a setpoint's response is not one of a step from rest, if so."""
+    window, response = seen.window, seen.response
+    before = window.t_s < response.t_start_s
+    during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
+    later = window.sp[during]
+    if later.size and float(np.ptp(later)) > response.band:
+        return "not judged: the setpoint went on moving during the response"
+    error = (window.sp - window.pv)[before]
+    if error.size and abs(float(np.mean(error[-max(len(error) // 4, 1) :]))) > response.band:
+        return "not judged: the loop was not at rest when the setpoint changed"
+    return ""
+
+
+def _swings(
+    response: Response, now: Expected, then: Expected, settings: TrialSettings, numbers: dict[str, float]
+) -> str:
+    """What speaks against the swing, if anything; its numbers are put down."""
+    peaks = [peak.e for peak in response.peaks]
+    overshoot, damping, decay = swing(peaks, response.band)
+    numbers |= {"overshoot": overshoot, "damping": damping, "decay": decay}
+    limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
+    numbers |= {"decay_limit": limit, "decay_promised": now.decay.best, "decay_before": _finite(then.decay.best)}
+    if len(peaks) < 2:
+        return ""
+    sigma = response.band / NOISE_RISES
+    sure = decay - settings.level * sigma / min(map(abs, peaks[:2])) * math.hypot(1.0, decay)
+    numbers["decay_sure"] = sure
+    if sure <= limit or sure <= then.decay.best:
+        return ""
+    return (
+        f"worse than promised: successive peaks in the ratio {decay:.2f}, surely over {sure:.2f}; promised at most "
+        f"{now.decay.high:.2f}, the gains before have {then.decay.best:.2f}"
+    )
+
+
+def _costs(
+    seen: Seen, gains: PidGains, now: Expected, then: Expected, settings: TrialSettings, numbers: dict[str, float]
+) -> str:
+    """What speaks against the IAE, if anything; its numbers are put down."""
+    response, window = seen.response, seen.window
+    during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
+    e, t = (window.sp - window.pv)[during], window.t_s[during]
+    if len(t) < 3 or seen.limited_share > LIMITED:
+        return ""
+    noise = MEAN_OF_NOISE * response.band / NOISE_RISES * float(t[-1] - t[0])
+    iae = max(_area(np.abs(e), t) - noise, 0.0)
+    unit = _unit(seen, gains, e, t, iae)
+    if unit <= 0:
+        return ""
+    measured, limit = iae / unit, now.iae.high * settings.iae_slack
+    travel = float(np.sum(np.abs(np.diff(window.co[during])))) / unit
+    numbers |= {"iae": measured, "iae_promised": _finite(now.iae.best), "iae_before": _finite(then.iae.best),
+                "iae_limit": _finite(limit), "travel": travel, "travel_promised": _finite(now.travel.best)}  # fmt: skip
+    if measured <= limit or measured <= then.iae.best:
+        return ""
+    kind = "setpoint step" if response.sp_changed else "load"
+    return (
+        f"worse than promised: IAE {measured:.3g} per unit of the {kind}; promised at most {now.iae.high:.3g}, "
+        f"the gains before have {then.iae.best:.3g}"
+    )
+
+
+def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, iae: float) -> float:
+    """Size of the upset: of the setpoint's step, or of the load that the integral took over; 0 when it is not known."""
+    if seen.response.sp_changed:
+        before = seen.window.sp[seen.window.t_s < seen.response.t_start_s]
+        after = float(np.median(seen.window.sp[seen.window.t_s >= seen.response.t_start_s]))
+        return abs(after - float(before[-1])) if before.size else 0.0
+    taken_over = abs(_area(e, t))
+    return abs(gains.ki) * taken_over if taken_over >= STEP_LIKE * iae else 0.0
+
+
+def _area(values: FloatArray, t: FloatArray) -> float:
+    """Integral by the trapezoidal rule."""
+    return float(np.trapezoid(values, t))
+
+
+def _finite(value: float) -> float:
+    """A number that JSON can hold: -1 stands for "never comes to rest"."""
+    return value if math.isfinite(value) else -1.0
+
+
+def _told(numbers: dict[str, float]) -> str:
+    """The numbers in words."""
+    words = f"successive peaks {numbers['decay']:.2f} (limit {numbers['decay_limit']:.2f})"
+    if "iae" in numbers and numbers["iae_limit"] >= 0:
+        words += f", IAE {numbers['iae']:.3g} per unit (promised {numbers['iae_promised']:.3g})"
+    return words

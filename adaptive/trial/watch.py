@@ -1,0 +1,108 @@
+"""The watch over a trial, sample by sample: a set that makes the loop run away is undone in mid-response.
+
+Half waves of the error beyond twice the noise band are followed; r is the ratio of one's extreme to the last one's.
+
+    r >= grows twice in a row          RUNAWAY   three half waves, each larger than the last (the third one need not
+                                                 have reached its extreme)
+    r >= stays, stays_for in a row     RUNAWAY   a swing that does not die out
+    limit to limit, limit_swings times RUNAWAY   the output goes back and forth between its limits
+    at one limit for limited_s         SATURATED the trial shows nothing of the gains
+
+All counts begin anew with a setpoint change. `grows` and `stays` are never below what was promised, nor below what
+the gains before did on the best model: then undoing would be no cure. Six comparisons a sample.
+"""
+
+import math
+from typing import NamedTuple
+
+from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.adaptive.trial.promise import Promise
+from retuner.adaptive.trial.trial_settings import TrialSettings
+
+SEEN_BANDS = 2.0
+"""A half wave counts from this many noise bands."""
+MOST_GROWTH = 2.0
+"""Growth per half wave from which a loop runs away whatever was before."""
+TWICE = 2
+"""So many growing half waves after the first are a runaway."""
+
+
+class WatchLaw(NamedTuple):
+    """Thresholds (see the head of this file); limited_s in seconds."""
+
+    grows: float
+    stays: float
+    stays_for: int
+    limit_swings: int
+    limited_s: float
+
+
+class WatchState(NamedTuple):
+    """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
+    how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
+    output stands at one (infinite when it does not).
+    """
+
+    sp: float
+    extreme: float
+    last: float
+    grown: int
+    stayed: int
+    limit: int
+    swings: int
+    since_s: float
+
+
+def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> WatchLaw:
+    """The thresholds for one trial. shortest_s : least time at a limit that counts, s."""
+    high = max(promised.setpoint.decay.high, promised.load.decay.high) + settings.decay_slack
+    before = min(max(promised.setpoint_before.decay.best, promised.load_before.decay.best), MOST_GROWTH)
+    least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
+    patience = promised.patience_s if math.isfinite(promised.patience_s) else 0.0
+    return WatchLaw(
+        max(settings.grows, least), max(settings.stays, least), settings.stays_for, settings.limit_swings,
+        max(settings.limited_settles * patience, shortest_s),
+    )  # fmt: skip
+
+
+def watch_begin(sp: float) -> WatchState:
+    """Nothing seen yet."""
+    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf)
+
+
+def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> tuple[WatchState, TrialEvent | None]:
+    """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
+    if abs(sample.sp - state.sp) > band:
+        state = watch_begin(sample.sp)
+    state = _at_limits(state, sample)
+    if state.swings >= law.limit_swings:
+        return state, TrialEvent.RUNAWAY
+    if sample.t_s - state.since_s >= law.limited_s:
+        return state, TrialEvent.SATURATED
+    e = sample.sp - sample.pv
+    if abs(e) <= SEEN_BANDS * band:
+        return state, None
+    state = _follow(law, state, e)
+    growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))
+    runs = growing >= TWICE or state.stayed >= law.stays_for
+    return state, TrialEvent.RUNAWAY if runs else None
+
+
+def _at_limits(state: WatchState, sample: LoopSample) -> WatchState:
+    """Which limit the output touches, and since when."""
+    if not sample.limited:
+        return state if math.isinf(state.since_s) else state._replace(since_s=math.inf)
+    if sample.limited == state.limit:
+        return state._replace(since_s=min(state.since_s, sample.t_s))
+    return state._replace(limit=sample.limited, swings=state.swings + (state.limit != 0), since_s=sample.t_s)
+
+
+def _follow(law: WatchLaw, state: WatchState, e: float) -> WatchState:
+    """The half wave under way goes on, or a new one begins on the other side."""
+    if e * state.extreme >= 0:
+        return state._replace(extreme=e) if abs(e) > abs(state.extreme) else state
+    ratio = abs(state.extreme / state.last) if state.last else 0.0
+    grown = state.grown + 1 if ratio >= law.grows else 0
+    stayed = state.stayed + 1 if ratio >= law.stays else 0
+    return state._replace(extreme=e, last=state.extreme, grown=grown, stayed=stayed)
