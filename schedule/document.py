@@ -1,13 +1,16 @@
 """Gain table to TOML text and back: what a person reads, diffs and keeps under version control.
 
-The text is versioned (`schema`), lists the regions from low to high, names the form of every set (always parallel) and
+The text is versioned (`schema`), lists the regions in their order, names the form of every set (always parallel) and
 adds the ideal form as a comment, which is not read. Floats are written as repr does: the round trip is exact.
+One axis without a filter is written as [schedule]. What needs more is written with an [[axis]] for each of one or two,
+and with two in each [[region]] its cell, counted from 1 along each axis; the sets may then stand in any order.
 Reading is strict: what is unknown, missing or out of range is refused with one line that says where. No file is
 touched here.
 """
 
 from collections.abc import Iterator
 
+from retuner.schedule.axis import CAN, Axis
 from retuner.schedule.forms import Form, to_ideal
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -16,6 +19,7 @@ from retuner.schedule.toml_section import Section, read_toml
 
 SCHEMA = 1
 """Version of this document. Older ones will be read, newer ones are refused."""
+MOST_AXES = 2
 
 HEAD = """\
 # Gain table of retuner. Gains are in parallel form, co in percent of the output range, times in seconds:
@@ -27,31 +31,41 @@ HEAD = """\
 def to_toml(table: GainTable) -> str:
     """The document of a table: UTF-8 text that ends with a line end; `from_toml` gives the same table back."""
     regions = table.regions
+    simple = len(regions.axes) == 1 and regions.axes[0].is_plain
     lines = [
         f"schema = {SCHEMA}",
         f"loop = {_quoted(table.loop)}",
         f"revision = {table.revision}",
         f"lookup = {_quoted(table.lookup)}  # {' or '.join(Lookup)}",
-        "",
-        "[schedule]",
-        f"variable = {_quoted(regions.variable)}",
-        f"unit = {_quoted(regions.unit)}",
-        f"low = {_number(regions.low)}",
-        f"bounds = [{', '.join(_number(bound) for bound in regions.bounds)}]",
-        f"high = {_number(regions.high)}",
-        f"hysteresis = {_number(regions.hysteresis)}  # each way, in unit",
-        f"min_stay_s = {_number(regions.min_stay_s)}",
     ]
+    for axis in regions.axes:
+        lines += ["", "[schedule]" if simple else "[[axis]]", *_axis_lines(axis, simple=simple)]
     for i, gains in enumerate(table.gains):
         lines += ["", *_region_lines(regions, i, gains)]
     return HEAD + "\n".join(lines) + "\n"
 
 
+def _axis_lines(axis: Axis, *, simple: bool) -> Iterator[str]:
+    """One axis; simple: as [schedule]."""
+    yield f"variable = {_quoted(axis.variable)}"
+    if axis.variable == CAN:
+        yield f"signal = {_quoted(axis.signal)}"
+    yield f"unit = {_quoted(axis.unit)}"
+    yield f"low = {_number(axis.low)}"
+    yield f"bounds = [{', '.join(_number(bound) for bound in axis.bounds)}]"
+    yield f"high = {_number(axis.high)}"
+    yield f"hysteresis = {_number(axis.hysteresis)}  # each way, in unit"
+    yield f"min_stay_s = {_number(axis.min_stay_s)}"
+    if not simple:
+        yield f"filter_s = {_number(axis.filter_s)}"
+
+
 def _region_lines(regions: Regions, i: int, gains: PidGains) -> Iterator[str]:
     """One set of gains."""
-    low, high = regions.span(i)
-    yield f"[[region]]  # {low:g} to {high:g} {regions.unit}".rstrip()
+    yield f"[[region]]  # {regions.text(i)}"
     yield f"name = {_quoted(regions.names[i])}"
+    if len(regions.axes) > 1:
+        yield f"cell = [{', '.join(str(place + 1) for place in regions.cell(i))}]"
     for key in ("kp", "ki", "kd"):
         yield f"{key} = {_number(getattr(gains, key))}"
     yield f"form = {_quoted(Form.PARALLEL)}"  # last, because it must be there: a file cut within a number is refused
@@ -91,10 +105,17 @@ def from_toml(text: str) -> GainTable:
     schema = top.whole("schema")
     if schema != SCHEMA:
         raise top.error(f"schema = {schema} is unknown; this version reads schema = {SCHEMA}", "schema")
-    top.only("schema", "loop", "revision", "lookup", "schedule", "region")
+    with_axes = top.has("axis")
+    top.only("schema", "loop", "revision", "lookup", "axis" if with_axes else "schedule", "region")
     sets = top.sections("region")
-    gains = tuple(_gains(entry) for entry in sets)
-    regions = _regions(top.section("schedule"), tuple(entry.text("name") for entry in sets))
+    axes = [_axis(entry, simple=False) for entry in top.sections("axis")] if with_axes else []
+    if len(axes) > MOST_AXES:
+        raise top.error(f"{len(axes)} sections [[axis]]; a table has one or {MOST_AXES}")
+    if len(axes) == MOST_AXES:
+        sets = _by_cell(top, sets, axes)
+    gains = tuple(_gains(entry, with_cell=len(axes) == MOST_AXES) for entry in sets)
+    names = tuple(entry.text("name") for entry in sets)
+    regions = Regions.along(names, *axes) if with_axes else _regions(top.section("schedule"), names)
     loop, lookup, revision = top.text("loop"), top.text("lookup"), top.whole("revision")
     if lookup not in tuple(Lookup):
         raise top.error(f"lookup = {lookup!r} is unknown; use {' or '.join(Lookup)}", "lookup")
@@ -103,18 +124,57 @@ def from_toml(text: str) -> GainTable:
 
 def _regions(schedule: Section, names: tuple[str, ...]) -> Regions:
     """The regions of section [schedule] with the names of the sets."""
-    schedule.only("variable", "unit", "low", "bounds", "high", "hysteresis", "min_stay_s")
-    variable, unit, bounds = schedule.text("variable"), schedule.text("unit"), schedule.numbers("bounds")
-    low, high, hysteresis, min_stay_s = map(schedule.number, ("low", "high", "hysteresis", "min_stay_s"))
+    axis = _axis(schedule, simple=True, names=names)
     try:
-        return Regions(variable, unit, names, low, bounds, high, hysteresis, min_stay_s)
+        return Regions.along(names, axis)
     except ValueError as error:
         raise schedule.error(str(error)) from None
 
 
-def _gains(entry: Section) -> PidGains:
+def _axis(section: Section, *, simple: bool, names: tuple[str, ...] = ()) -> Axis:
+    """The axis of section [schedule], or of one [[axis]]."""
+    known = ["variable", "unit", "low", "bounds", "high", "hysteresis", "min_stay_s"]
+    variable, unit = section.text("variable"), section.text("unit")
+    of_can = [] if simple or variable != CAN else ["signal"]
+    section.only(*known, *of_can, *([] if simple else ["filter_s"]))
+    bounds = section.numbers("bounds")
+    low, high, hysteresis, min_stay_s = map(section.number, ("low", "high", "hysteresis", "min_stay_s"))
+    filter_s = 0.0 if simple else section.number("filter_s")
+    signal = section.text("signal") if of_can else ""
+    try:
+        return Axis(variable, unit, low, bounds, high, hysteresis, min_stay_s, filter_s, signal, names)
+    except ValueError as error:
+        raise section.error(str(error)) from None
+
+
+def _by_cell(top: Section, sets: list[Section], axes: list[Axis]) -> list[Section]:
+    """The sets in the order of the regions, by their cells."""
+    found: dict[tuple[float, ...], Section] = {}
+    for entry in sets:
+        cell = entry.numbers("cell")
+        if len(cell) != len(axes) or not all(
+            i == int(i) and 1 <= i <= len(axis) for i, axis in zip(cell, axes, strict=False)
+        ):
+            most = ", ".join(str(len(axis)) for axis in axes)
+            raise entry.error(f"cell = {_shown(cell)} must be a place on each axis, counted from 1 to {most}", "cell")
+        if cell in found:
+            raise entry.error(f"cell = {_shown(cell)} is given twice", "cell")
+        found[cell] = entry
+    cells = [(float(i), float(j)) for i in range(1, len(axes[0]) + 1) for j in range(1, len(axes[1]) + 1)]
+    missing = [cell for cell in cells if cell not in found]
+    if missing:
+        raise top.error(f"no [[region]] with cell = {_shown(missing[0])}; each cell needs one")
+    return [found[cell] for cell in cells]
+
+
+def _shown(cell: tuple[float, ...]) -> str:
+    """A cell as it is written."""
+    return f"[{', '.join(f'{i:g}' for i in cell)}]"
+
+
+def _gains(entry: Section, *, with_cell: bool) -> PidGains:
     """The gains of one [[region]]."""
-    entry.only("name", "form", "kp", "ki", "kd")
+    entry.only("name", "form", "kp", "ki", "kd", *(["cell"] if with_cell else []))
     form = entry.text("form")
     if form != Form.PARALLEL:
         raise entry.error(f"form = {form!r}: a gain table holds {str(Form.PARALLEL)!r} gains kp, ki, kd", "form")

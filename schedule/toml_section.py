@@ -69,6 +69,10 @@ class Section:
         place = ", ".join(part for part in (f"line {line}" if line else "", self._name) if part)
         return ValueError(f"{place}: {message}" if place else message)
 
+    def has(self, key: str) -> bool:
+        """Whether the key is there."""
+        return key in self._values
+
     def only(self, *known: str) -> None:
         """Refuse keys that nobody would read."""
         for key in self._values:
