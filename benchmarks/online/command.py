@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from online import batch
+from online import batch, harm
 from online.runner import collect
 
 
@@ -39,7 +39,16 @@ def _say(lines: list[str]) -> None:
     sys.stdout.write("\n".join(lines) + "\n" if lines else "")
 
 
-PARTS = {"batch": _batch}
+def _harm(options: argparse.Namespace) -> tuple[list[harm.Row], bool]:
+    kinds = harm.KINDS if options.kind == "all" else (options.kind,)
+    count = {kind: options.hours if kind == "quiet" else options.loops for kind in kinds}
+    tasks = [task for kind in kinds for task in harm.tasks(options.seed, kind, count[kind])][:: options.every]
+    rows, whole = collect(harm.run, tasks, options.jobs, options.out, harm.line)
+    _say([f"do no harm, seed {options.seed}", *harm.table(rows)])
+    return rows, whole
+
+
+PARTS = {"batch": _batch, "harm": _harm}
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -58,4 +67,8 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--only", default="", help='processes whose name begins so: "P6", "P1 T=0.02"')
     one.add_argument("--noise", type=float, default=batch.NOISE, help="share of a setpoint step")
     one.add_argument("--starts", type=int, default=1, help=f"wrong starts per process, of {len(batch.STARTS)}")
+    two = parts.add_parser("harm", parents=[common], help="quiet hours, stiction, outside oscillations, saturation")
+    two.add_argument("--kind", choices=("all", *harm.KINDS), default="all")
+    two.add_argument("--hours", type=int, default=100, help="quiet hours")
+    two.add_argument("--loops", type=int, default=40, help="loops of each other kind")
     return parser

@@ -34,14 +34,14 @@ class Judgement:
 
 
 class Judge:
-    """Of one process sampled at dt_s. best : SIMC with perfect knowledge. ms_limit : what it allows."""
+    """Of one process sampled at dt_s. best : SIMC with perfect knowledge. ms_limit : what it allows.
 
-    def __init__(self, process: LinearProcess, dt_s: float) -> None:
+    known : best settings and effective dead time from elsewhere, for processes that the half rule does not reduce.
+    """
+
+    def __init__(self, process: LinearProcess, dt_s: float, known: tuple[PidGains, float] | None = None) -> None:
         self.process, self.dt_s = process, dt_s
-        model = half_rule(process)
-        self.model = replace(model, theta_s=model.theta_s + dt_s / 2)
-        self.theta_s = model.theta_s
-        self.best = simc(self.model).gains
+        self.best, self.theta_s = known or perfect(process, dt_s)
         self._sampled = replace(process, theta_s=process.theta_s + dt_s / 2)
         self.ms_best = robustness(self._sampled, self.best).ms
         self.ms_limit = max(MS_LIMIT, MS_OVER_BEST * self.ms_best)
@@ -78,6 +78,43 @@ class Judge:
         n = self._steps(gains)
         setpoint, load = (iae(self.process, gains, self.dt_s, n, setpoint=which) for which in (True, False))
         return setpoint, load
+
+
+def perfect(process: LinearProcess, dt_s: float) -> tuple[PidGains, float]:
+    """SIMC with perfect knowledge, and the effective dead time in seconds."""
+    model = half_rule(process)
+    return simc(replace(model, theta_s=model.theta_s + dt_s / 2)).gains, model.theta_s
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What a change did on the true process. ms_worse : Ms grew and is over its limit. iae_worse : J grew, and no
+    Ms over its limit was lowered by it. restored : it put back what was there before.
+    """
+
+    t_s: float
+    before: Judgement
+    after: Judgement
+    ms_worse: bool
+    iae_worse: bool
+    restored: bool
+
+    @property
+    def worse(self) -> bool:
+        """Either."""
+        return self.ms_worse or self.iae_worse
+
+
+NOTICED = 1.01
+"""Growth by less than this factor is no harm."""
+
+
+def effect(judge: Judge, t_s: float, before: PidGains, after: PidGains, *, restored: bool = False) -> Effect:
+    """Of one change of gains."""
+    old, new = judge.of(before), judge.of(after)
+    ms_worse = new.ms > NOTICED * old.ms and new.ms > judge.ms_limit
+    rescued = old.ms > judge.ms_limit and new.ms < old.ms
+    return Effect(t_s, old, new, ms_worse, new.j > NOTICED * old.j and not rescued, restored)
 
 
 def peak_after_load(process: LinearProcess, gains: PidGains, dt_s: float, n: int) -> float:

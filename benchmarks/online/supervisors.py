@@ -42,8 +42,8 @@ class Watching:
     ) -> None:
         self.retuner = Retuner(table, wanted)
         self.decisions: list[Decision] = []
+        self.writes: list[Decision] = []
         self._told = told
-        self._due: Decision | None = None
 
     def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
         """A decision now and then; those that ask for a write are written."""
@@ -55,7 +55,7 @@ class Watching:
             self._told(decision)
         if decision.action not in WRITTEN or decision.gains_after is None:
             return None
-        self._due = decision
+        self.writes.append(decision)
         return self.retuner.table.index(decision.region), decision.gains_after
 
     def written(self, region: int, gains: PidGains) -> None:

@@ -1,0 +1,279 @@
+"""Do no harm: what is changed where nothing should be.
+
+Four kinds of loops, drawn from the families of benchmarks/cases with gains of either sign and outputs of many ranges:
+
+quiet       one hour with nothing but measurement noise (white, or coloured over up to an effective dead time), in every
+            second one a load that wanders, in every fourth a quantised sensor. Gains in spec in three hours of five,
+            sluggish (a third) in one, aggressive (1.6 times) in one: at rest there is nothing to learn from either way.
+stiction    a valve that sticks (Kano 2004, He 2007) and makes a limit cycle; gains in spec.
+external    an oscillation from outside, at 0.35 to 8 times the loop's own period, in the load or on pv; gains in spec.
+saturation  setpoint and load steps of which every second one is beyond what the output can do; gains in spec.
+
+In every second loop of the last three there are setpoint steps as well. An hour is a real hour of a loop sampled every
+0.1 to 5 s (every factor alike), with 5 to 40 samples to an effective dead time: 720 to 36,000 samples, 9,000 in the
+mean. The other kinds run 40 cycles, or 24 steps, with at most MOST_SAMPLES.
+
+A change of gains is worse where it raises Ms above its limit, or raises J without lowering an Ms that was above its
+limit, on the true process without valve and disturbance (judge.py).
+"""
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from cases.case import FloatArray
+from cases.cycling import LONGEST_PERIOD, limit_cycle, sticking
+from cases.making import own_period_s, quantiser
+from cases.plant import HeldPlant
+from cases.processes import FAMILIES, INTEGRATING, log_uniform
+from cases.setting import Loop, draw_loop, resampled, scaled
+from cases.signals import coloured, oscillation, random_walk
+from cases.valves import Valve
+
+from online.counting import at_most
+from online.judge import Effect, Judge, effect
+from online.loop import LostLoop, WatchedLoop
+from online.supervisors import Watching, one_region, settings
+from retuner.adaptive.decision import Action
+from retuner.adaptive.process import LinearProcess
+from retuner.schedule.gains import PidGains
+
+Row = dict[str, Any]
+KINDS = ("quiet", "stiction", "external", "saturation")
+HOUR_S = 3600.0
+SAMPLE_TIMES_S = (0.1, 5.0)
+MOST_SAMPLES = 12000
+CYCLES, STEPS = 40, 24
+SELF_REGULATING = tuple(x for x in FAMILIES if x not in INTEGRATING)
+TRIES = 200
+SPAN_OVER_SWING = 20.0
+"""Range of pv over the size of what happens in a loop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One loop."""
+
+    kind: str
+    seed: int
+    index: int
+
+
+@dataclass(slots=True)
+class Scene:
+    """What happens in a loop: loads and additions to pv a sample, setpoint steps as (first sample, sp)."""
+
+    loop: Loop
+    gains: PidGains
+    load: FloatArray
+    out: FloatArray
+    sps: list[tuple[int, float]]
+    pv_span: float
+    valve: Valve | None = None
+    quantum: float = 0.0
+    bounded: bool = False
+
+
+def tasks(seed: int, kind: str, count: int) -> list[Task]:
+    """The first `count` loops of a kind."""
+    return [Task(kind, seed, index) for index in range(count)]
+
+
+def run(task: Task) -> Row:
+    """One loop; keys effects (one a change), samples, records (responses decided on), lost."""
+    rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 28])
+    scene = scene_of(task.kind, rng)
+    loop = scene.loop
+    watching = Watching(one_region(scene.gains), settings(loop.dt_s, scene.pv_span))
+    low, high = (loop.low, loop.high) if scene.bounded else (-1e15, 1e15)
+    watched = WatchedLoop(
+        HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching, co0=loop.co0, low=low,
+        high=high, valve=scene.valve, sensor=quantiser(scene.quantum), lost=1e4 * scene.pv_span,
+    )  # fmt: skip
+    lost = False
+    try:
+        for (first, sp), (end, _) in zip(scene.sps, [*scene.sps[1:], (len(scene.load), 0.0)], strict=True):
+            watched.run(sp, scene.load[first:end].tolist(), scene.out[first:end].tolist())
+    except LostLoop:
+        lost = True
+    judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+    return {
+        "part": "harm", "kind": task.kind, "seed": task.seed, "index": task.index, "family": loop.family,
+        "dt_s": loop.dt_s, "samples": watched.i, "records": len(watching.decisions), "lost": lost,
+        "hours": watched.t_s / HOUR_S, "first": asdict(judge.of(scene.gains)), "ms_limit": judge.ms_limit,
+        "effects": [asdict(x) | {"worse": x.worse} for x in effects(judge, watching)],
+        "causes": dict(Counter(str(d.diagnosis.cause) if d.diagnosis else "none" for d in watching.decisions)),
+        "said": [d.reason for d in watching.writes],
+    }  # fmt: skip
+
+
+def effects(judge: Judge, watching: Watching) -> list[Effect]:
+    """Of every change that was written, in order."""
+    return [
+        effect(judge, d.t_s, d.gains_before, d.gains_after, restored=d.action != Action.COMMIT)
+        for d in watching.writes
+        if d.gains_after is not None
+    ]
+
+
+def scene_of(kind: str, rng: np.random.Generator) -> Scene:
+    """The first draw that can be had."""
+    for _ in range(TRIES):
+        found = MAKERS[kind](rng)
+        if found is not None:
+            return found
+    raise RuntimeError(f"no loop fits {kind} in {TRIES} draws")
+
+
+def in_spec_gains(rng: np.random.Generator, loop: Loop) -> PidGains | None:
+    """Settings near the best that are in spec, as the judge sees it; None when the draw is not."""
+    gains = scaled(loop.best, log_uniform(rng, 0.8, 1.1), log_uniform(rng, 0.9, 1.2))
+    judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+    return gains if judge.of(gains).in_spec else None
+
+
+def quiet(rng: np.random.Generator) -> Scene | None:
+    """An hour at rest."""
+    loop = rescaled(draw_loop(rng, str(rng.choice(FAMILIES))), log_uniform(rng, *SAMPLE_TIMES_S))
+    state = rng.uniform()
+    gains = in_spec_gains(rng, loop) if state < 0.6 else scaled(loop.best, 1 / 3 if state < 0.8 else 1.6, 1.0)
+    if gains is None or not loop.margins(gains).stable:
+        return None
+    n = int(HOUR_S / loop.dt_s)
+    shaped = rng.standard_normal(n)
+    if rng.uniform() < 0.5:
+        shaped = coloured(rng, n, log_uniform(rng, 0.5, 1.0 * loop.theta_s / loop.dt_s))
+    noise = log_uniform(rng, 0.0005, 0.01)
+    load = np.zeros(n)
+    if rng.uniform() < 0.5:  # a wandering load that moves pv, uncontrolled, by about ten times the noise in the hour
+        load = random_walk(rng, n) / np.sqrt(n) * 10 * noise / judge_gain(loop)
+    quantum = noise * log_uniform(rng, 0.5, 5.0) if rng.uniform() < 0.25 else 0.0
+    return Scene(loop, gains, load, noise * shaped, [(0, 0.0)], 1.0, None, quantum)
+
+
+def judge_gain(loop: Loop) -> float:
+    """pv per unit of load after an effective dead time or lag, whichever says more."""
+    lag = max((*loop.process.lags_s, loop.theta_s))
+    return abs(loop.process.k) * (lag if loop.process.integrators else 1.0)
+
+
+def rescaled(loop: Loop, dt_s: float) -> Loop:
+    """The same loop with all times in proportion, so that it is sampled every dt_s."""
+    p, f = loop.process, dt_s / loop.dt_s
+    slower = LinearProcess(
+        p.k / f**p.integrators, tuple(x * f for x in p.lags_s), tuple(x * f for x in p.leads_s), p.theta_s * f,
+        p.integrators, tuple((c1 * f, c2 * f * f) for c1, c2 in p.quadratics),
+    )  # fmt: skip
+    whole = Loop(loop.family, slower, loop.theta_s * f, dt_s, loop.low, loop.high, loop.co0, loop.best, loop.best_pid)
+    return resampled(whole, dt_s)
+
+
+def stuck(rng: np.random.Generator) -> Scene | None:
+    """A limit cycle by a valve that sticks."""
+    loop = draw_loop(rng, str(rng.choice(SELF_REGULATING)), (5.0, 20.0))
+    gains = in_spec_gains(rng, loop)
+    if gains is None:
+        return None
+    size = loop.room * log_uniform(rng, 0.03, 0.25)
+    make, jump = sticking(rng, str(rng.choice(["kano", "he", "irregular"])), size)
+    found = limit_cycle(loop, gains, make, 2 * size)
+    if found is None or found[1] < 0.02 * abs(loop.process.k) * jump or found[0] > LONGEST_PERIOD * loop.dt_s:
+        return None
+    period, swing = found
+    n = int(min(CYCLES * period / loop.dt_s, MOST_SAMPLES))
+    noise = min(log_uniform(rng, 0.003, 0.04) * swing, 0.1 * size / abs(gains.kp))
+    load = np.zeros(n)
+    load[: int(period / loop.dt_s)] = 2 * size
+    sps = steps_of(rng, n, swing * float(rng.uniform(0.5, 3.0)))
+    span = SPAN_OVER_SWING * swing
+    return Scene(loop, gains, load, noise * rng.standard_normal(n), sps, span, make(loop.co0), bounded=True)
+
+
+def steps_of(rng: np.random.Generator, n: int, size: float) -> list[tuple[int, float]]:
+    """Setpoint steps to and fro at random times in every second loop, else none."""
+    if rng.uniform() < 0.5:
+        return [(0, 0.0)]
+    places = sorted(int(x) for x in rng.uniform(0.1, 0.95, int(rng.integers(2, 7))) * n)
+    return [(0, 0.0), *((place, size * ((i + 1) % 2)) for i, place in enumerate(places))]
+
+
+def toned(rng: np.random.Generator) -> Scene | None:
+    """An oscillation from outside."""
+    loop = draw_loop(rng, str(rng.choice(FAMILIES)), (5.0, 20.0))
+    gains = in_spec_gains(rng, loop)
+    if gains is None:
+        return None
+    period = log_uniform(rng, 0.35, 8.0) * own_period_s(loop, gains)
+    if not 6 < period / loop.dt_s < LONGEST_PERIOD:
+        return None
+    n = int(min(CYCLES * period / loop.dt_s, MOST_SAMPLES))
+    shape = "sine" if rng.uniform() < 0.7 else str(rng.choice(["triangle", "saw", "filtered-square", "pulses"]))
+    wave = oscillation(rng, n, period / loop.dt_s, shape, float(rng.choice([0.0, 0.05])))
+    out = log_uniform(rng, 0.01, 0.05) * rng.standard_normal(n)
+    load = np.zeros(n)
+    if rng.uniform() < 0.6:
+        load = wave * abs(loop.best.kp) * 2
+    else:
+        out = out + wave
+    return Scene(loop, gains, load, out, steps_of(rng, n, float(rng.uniform(0.5, 5.0))), SPAN_OVER_SWING)
+
+
+def limited(rng: np.random.Generator) -> Scene | None:
+    """Steps beyond what the output can do, and steps that it can."""
+    loop = draw_loop(rng, str(rng.choice(SELF_REGULATING)), (5.0, 20.0))
+    gains = in_spec_gains(rng, loop)
+    if gains is None:
+        return None
+    length = int(log_uniform(rng, 25.0, 80.0) * loop.theta_s / loop.dt_s)
+    n = min(STEPS * length, MOST_SAMPLES)
+    reach = loop.room * abs(loop.process.k)
+    sps, load, high = [(0, 0.0)], np.zeros(n), False
+    for first in range(length // 2, n, length):
+        high = not high
+        beyond = rng.uniform() < 0.5
+        size = float(rng.uniform(1.1, 2.5) if beyond else rng.uniform(0.2, 0.7))
+        if rng.uniform() < 0.7:
+            sps.append((first, size * reach if high else 0.0))
+        else:
+            load[first : first + length // 2] = size * loop.room
+    noise = log_uniform(rng, 0.003, 0.02) * reach
+    return Scene(loop, gains, load, noise * rng.standard_normal(n), sps, 4 * reach, None, 0.0, bounded=True)
+
+
+MAKERS = {"quiet": quiet, "stiction": stuck, "external": toned, "saturation": limited}
+
+
+def line(row: Row) -> str:
+    """A loop in which something was changed, for people."""
+    if not row["effects"] and not row["lost"]:
+        return ""
+    told = "; ".join(
+        f"t {x['t_s']:.4g} Ms {x['before']['ms']:.2f} -> {x['after']['ms']:.2f} J {x['before']['j']:.2f} -> "
+        f"{x['after']['j']:.2f}{' WORSE' if x['worse'] else ''}{' (put back)' if x['restored'] else ''}: {said}"
+        for x, said in zip(row["effects"], row["said"], strict=True)
+    )
+    return f"{row['kind']} {row['index']} {row['family']}{' LOST' if row['lost'] else ''}: {told}"
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Changes and harm a kind, with the upper end of the exact 95 % interval of the share of loops harmed."""
+    lines = [f"{'kind':<12}{'loops':>6}{'samples':>10}{'responses':>10}{'changes':>9}{'loops changed':>15}"
+             f"{'worse Ms':>10}{'worse IAE':>11}{'put back':>10}{'lost':>6}   loops harmed"]  # fmt: skip
+    for kind in KINDS:
+        of = [row for row in rows if row["kind"] == kind]
+        if not of:
+            continue
+        found = [x for row in of for x in row["effects"]]
+        harmed = sum(any(x["worse"] for x in row["effects"]) for row in of)
+        lines.append(
+            f"{kind:<12}{len(of):>6}{sum(r['samples'] for r in of):>10}{sum(r['records'] for r in of):>10}"
+            f"{len(found):>9}{sum(bool(r['effects']) for r in of):>15}{sum(x['ms_worse'] for x in found):>10}"
+            f"{sum(x['iae_worse'] for x in found):>11}{sum(x['restored'] for x in found):>10}"
+            f"{sum(r['lost'] for r in of):>6}   {harmed} of {len(of)}, at most {at_most(harmed, len(of)):.2%}"
+        )
+    causes: Counter[str] = Counter()
+    for row in rows:
+        causes.update(row["causes"])
+    lines.append("causes named: " + ", ".join(f"{name} {number}" for name, number in causes.most_common()))
+    return lines
