@@ -55,6 +55,10 @@ class PageReader:
         self._asked[page] = _Question(self._token, {}, [])
         return Read(page, self._token)
 
+    def overheard(self, read: Read) -> None:
+        """A question that another reader has asked: answers to it count from here on."""
+        self._asked[read.page] = _Question(read.token, {}, [])
+
     def take(self, frame: PageItem | PageEnd) -> ReadBack | None:
         """Note an answer; the page once it is whole."""
         question = self._asked.get(frame.page)

@@ -124,13 +124,27 @@ def read_recording(path: Path, columns: Mapping[str, str] | None = None) -> Reco
     for role in named:
         if role not in ROLES:
             raise RecordingError(f'columns: no role "{role}"; roles are {", ".join(ROLES)}, as in pv=temperature')
-    _check_file(path)
     names = {role: named.get(role, role) for role in ROLES}
     wanted = [names[role] for role in ROLES if role in REQUIRED or role in named]
-    read = _read_parquet if path.suffix == ".parquet" else _read_csv
-    table = read(path, list(names.values()), wanted)
+    table = read_columns(path, list(names.values()), wanted)
     arrays = {role: table[name] for role, name in names.items() if name in table}
     return Recording(str(path), arrays["t"], arrays["pv"], arrays["co"], arrays.get("sp"))
+
+
+def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
+    """Columns of a CSV or Parquet file by their names in it, shape (n,) each; the first one is the time.
+
+    Parameters
+    ----------
+    names : columns to read where they are there. wanted : those of them that must be there.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read or is malformed: see the head of this file.
+    """
+    _check_file(path)
+    return (_read_parquet if path.suffix == ".parquet" else _read_csv)(path, names, wanted)
 
 
 def _check_file(path: Path) -> None:

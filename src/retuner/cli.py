@@ -16,6 +16,7 @@ from typer.main import get_command
 
 from retuner.cli_experiment import app as experiment
 from retuner.cli_records import diagnose, identify
+from retuner.cli_session import ledger, replay
 from retuner.cli_tune import tune
 from retuner.errors import UserError, one_line
 
@@ -82,7 +83,7 @@ def run(
     speed: Annotated[
         str, typer.Option(help="max: simulated time; a number: how much faster than real time the device runs.")
     ] = "max",
-    mode: Annotated[str | None, typer.Option(help="off, advise or auto; overrides the configuration.")] = None,
+    mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None,
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True,
     json: Json = False,
@@ -108,6 +109,9 @@ def device(
     return work(config, interface=interface, channel=channel, speed=speed, duration_s=duration)
 
 
+app.command(epilog="Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp")(
+    replay
+)
 app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")(tune)
 
 
@@ -139,26 +143,8 @@ def reduce(
     return work(ReduceOptions(k, num_t or [], den_t or [], integrators, delay, order, leads), as_json=json)
 
 
-ledger = typer.Typer(
-    no_args_is_help=True, help="What was seen, decided and written: look whether it can be believed.",
-    epilog="Example: retuner ledger verify runs/demo/ledger.sqlite",
-)  # fmt: skip
 app.add_typer(ledger, name="ledger")
 app.add_typer(experiment, name="experiment")
-
-
-@ledger.command(epilog="Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")
-def verify(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="ledger.sqlite of a run.")],
-    head: Annotated[
-        str | None, typer.Option(help="Hash that was noted when it was written; cut-off rows show.")
-    ] = None,
-    json: Json = False,
-) -> int:
-    """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where."""
-    from retuner.commands.ledger import verify as work
-
-    return work(file, head=head, as_json=json)
 
 
 def main(arguments: list[str] | None = None) -> int:

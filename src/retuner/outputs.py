@@ -1,4 +1,5 @@
-"""What a run leaves in its folder: report.html, ledger.sqlite, trend, bus.blf, gains.toml and summary.json.
+"""What a run leaves in its folder: config.toml (as it was run), ledger.sqlite, bus.blf, trend, gains.toml,
+summary.json and report.html; and orders/, into which people's orders to it are put (orders.py).
 
 A folder that holds an earlier run is moved aside under a number, never written over: a ledger is evidence.
 """
@@ -12,10 +13,11 @@ from retuner.errors import LedgerError, UserError
 from retuner.files import sync_folder, write_whole
 from retuner.ledger.lock import WriterLock
 
-LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND = (
-    "ledger.sqlite", "report.html", "summary.json", "gains.toml", "bus.blf", "trend",
+LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
+    "ledger.sqlite", "report.html", "summary.json", "gains.toml", "bus.blf", "trend", "config.toml",
 )  # fmt: skip
-OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG}
+ORDERS = "orders"
+OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG}
 
 
 class FreshFolder(NamedTuple):
@@ -38,7 +40,7 @@ def fresh_folder(folder: Path) -> FreshFolder:
         raise UserError(f"{folder}: is a file; give a folder for the run with --out")
     moved = None
     if folder.is_dir() and any(folder.iterdir()):
-        if not any((folder / name).exists() for name in OURS):
+        if not any((folder / name).exists() for name in OURS - {CONFIG}):
             raise UserError(f"{folder}: is not empty and holds no earlier run; give another folder with --out")
         if (folder / LEDGER).exists():
             WriterLock(folder / LEDGER).close()  # nobody writes there, or this refuses

@@ -161,7 +161,7 @@ def test_an_earlier_run_is_moved_aside_and_foreign_folders_are_left_alone(tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--mode", "trial"], "trial"),
+        (["--mode", "sometimes"], "sometimes"),
         (["--speed", "fast"], "--speed fast"),
         (["--speed", "10"], "simulated time"),
         (["-i", "nosuchbus", "--speed", "1"], "nosuchbus"),

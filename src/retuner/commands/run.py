@@ -14,18 +14,21 @@ from retuner.adaptive.decision import Mode, gains_dict
 from retuner.adaptive.sample import LoopSample
 from retuner.assembly import make_plant
 from retuner.commands.check import summary
-from retuner.config import Config, load_config
+from retuner.config.as_run import text_as_run
+from retuner.config.loading import load_with_text
+from retuner.config.model import Config
 from retuner.console import RunScreen, scores_table
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
 from retuner.ledger import Ledger
-from retuner.outputs import BUS_LOG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, give_back, write_json
+from retuner.outputs import BUS_LOG, CONFIG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, give_back, write_json
 from retuner.report import ReportData, render
 from retuner.running import Run, nothing
 from retuner.schedule.document import to_toml
 from retuner.scores import RegionScore, region_scores
 from retuner.session import Recorder, Session
+from retuner.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 from retuner.trend import require_writer, write_trend
 
@@ -51,7 +54,8 @@ def run(path: Path, options: RunOptions) -> int:
     ConfigError, UserError, DeviceError
         The configuration, the options, the folder or the bus cannot be used, one line each.
     """
-    config = overridden(load_config(path), options)
+    read, text = load_with_text(path)
+    config = overridden(read, options)
     if options.mode is not None and options.mode not in set(Mode):
         raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
     mode = Mode(options.mode) if options.mode else None
@@ -70,7 +74,7 @@ def run(path: Path, options: RunOptions) -> int:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
             if fresh.moved:
                 screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
-            return _run(_Job(config, mode, speed, folder, options, simulated), ledger, screen)
+            return _run(_Job(config, text, mode, speed, folder, options, simulated), ledger, screen)
     except NothingHappenedError as nothing_happened:
         give_back(fresh)
         raise nothing_happened.cause from None
@@ -89,9 +93,10 @@ class NothingHappenedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Everything that is settled before a run begins."""
+    """Everything that is settled before a run begins. text : the configuration as its author wrote it."""
 
     config: Config
+    text: str
     mode: Mode | None
     speed: float
     folder: Path
@@ -102,10 +107,7 @@ class _Job:
 def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
     config = job.config
-    try:
-        ledger.append("session", {"config": summary(config), "retuner": version("retuner")}, 0.0)
-    except LedgerError as error:
-        raise NothingHappenedError(error) from error
+    _open_session(job, ledger)
 
     def on_sample(session: Session, sample: LoopSample) -> None:
         region = session.retuner.region or 0
@@ -115,7 +117,7 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample)
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
     session, interrupted = _play(job, job_run)
-    end = {"interrupted": interrupted, "samples": len(session.trend.rows)}
+    end = {"interrupted": interrupted, "bus_log": BUS_LOG, "bus_log_sha256": file_sha256(job.folder / BUS_LOG)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
         fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
@@ -128,13 +130,38 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     return 130 if interrupted else 0
 
 
+def _open_session(job: _Job, ledger: Ledger) -> None:
+    """Put the configuration as run into the folder, and what the run is made with into the ledger's first row.
+
+    Raises
+    ------
+    NothingHappenedError
+        One of them cannot be written.
+    """
+    options = job.options
+    named = {("adaptation", "mode"): options.mode, ("bus", "interface"): options.interface,
+             ("bus", "channel"): options.channel}  # fmt: skip
+    changes = {place: value for place, value in named.items() if value is not None}
+    config = job.config.model_copy(
+        update={"adaptation": job.config.adaptation.model_copy(update={"mode": job.mode or job.config.adaptation.mode})}
+    )
+    text = text_as_run(job.text, config, changes)
+    overrides = {".".join(place): value for place, value in changes.items()}
+    body = {"config": summary(job.config), "retuner": version("retuner"), **session_identity(config, text, overrides)}
+    try:
+        write_whole(job.folder / CONFIG, text)
+        ledger.append("session", {**body, "samples": 0}, 0.0)
+    except (LedgerError, OSError) as error:
+        raise NothingHappenedError(error) from error
+
+
 def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session | None]) -> Recorder:
     """What keeps a run's rows and shows some of them; a ledger that fails freezes the session."""
 
     def record(kind: str, t_s: float, body: Mapping[str, object]) -> None:
         session = current()
         try:
-            ledger.append(kind, body, t_s)
+            ledger.append(kind, {**body, "samples": session.samples if session else 0}, t_s)
         except LedgerError as error:  # an alarm; the controller goes on with what it runs
             if session is not None and not session.frozen:
                 session.freeze(str(error))
@@ -214,7 +241,7 @@ def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:
         "bus": f"{config.bus.interface} {config.bus.channel}, node {config.bus.node}",
         "seed": str(config.device.seed) if config.device else "a real controller",
         "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
-        "trend": trend, "bus log": BUS_LOG, "gains": GAINS,
+        "trend": trend, "bus log": BUS_LOG, "gains": GAINS, "configuration": CONFIG,
     }  # fmt: skip
 
 

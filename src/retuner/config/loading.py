@@ -38,7 +38,12 @@ class UnusableError(Exception):
 
 
 def load_config(path: str | FilePath) -> Config:
-    """Read and check a configuration file.
+    """Read and check a configuration file; errors as load_with_text."""
+    return load_with_text(path)[0]
+
+
+def load_with_text(path: str | FilePath) -> tuple[Config, str]:
+    """Read and check a configuration file; the configuration and the text that it was read from.
 
     Raises
     ------
@@ -46,7 +51,8 @@ def load_config(path: str | FilePath) -> Config:
         The file cannot be read or used; one line per problem.
     """
     try:
-        return parse_config(read_text(path))
+        text = read_text(path)
+        return parse_config(text), text
     except UnusableError as unusable:
         raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
 

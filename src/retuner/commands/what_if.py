@@ -1,0 +1,119 @@
+"""retuner replay LOG --config CONFIG: what would have been done on a log from anywhere. Nothing is written anywhere."""
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from retuner.adaptive.decision import Decision, Mode, gains_dict
+from retuner.adaptive.guard import change_factor
+from retuner.adaptive.retuner import Retuner
+from retuner.assembly import make_retuner
+from retuner.commands.recorded_loop import renamed
+from retuner.config import Config, load_config
+from retuner.drivers.frame_log import is_frame_log
+from retuner.drivers.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
+from retuner.errors import UserError
+from retuner.explain import one_line
+from retuner.schedule.gains import PidGains
+from retuner.session import SAME_GAINS
+
+IN_FORCE_SAMPLES = 10
+"""Samples after a border within which recorded gains do not count as the new region's: a schedule writes these a few
+samples after the border was crossed."""
+
+
+@dataclass(slots=True)
+class Answer:
+    """What would have been done. changes : times at which the record's own gains changed, s."""
+
+    samples: int = 0
+    decisions: list[Decision] = field(default_factory=list)
+    changes: list[float] = field(default_factory=list)
+
+
+class InForce:
+    """Follows the gains that a record says were in force, so that decisions are about the loop as it was."""
+
+    def __init__(self, retuner: Retuner) -> None:
+        self._retuner = retuner
+        self._region: int | None = None
+        self._stay = 0
+
+    def take(self, gains: PidGains | None) -> bool:
+        """Note the gains of a sample that the retuner has seen; whether its table was changed for them."""
+        region = self._retuner.region
+        self._stay = self._stay + 1 if region == self._region else 1
+        self._region = region
+        if gains is None or region is None or self._stay < IN_FORCE_SAMPLES:
+            return False
+        table = self._retuner.table
+        if any(change_factor(gains, known) <= SAME_GAINS for known in table.gains):
+            return False
+        if gains.direction != table.gains[region].direction:
+            raise UserError("the record's gains act against the configured ones; is this the right configuration?")
+        self._retuner.committed(region, gains)
+        return True
+
+
+def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
+    """Run a retuner over a record."""
+    found, in_force = Answer(), InForce(retuner)
+    for sample, gains in recorded:
+        found.samples += 1
+        decision = retuner.observe(sample)
+        if decision is not None:
+            found.decisions.append(decision)
+        if in_force.take(gains):
+            found.changes.append(sample.t_s)
+    return found
+
+
+def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int:
+    """Say what would have been done on a log; the exit status, 0.
+
+    Raises
+    ------
+    UserError, RecordingError
+        Log or configuration cannot be used.
+    """
+    if log.is_dir():
+        raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
+    config = load_config(config_file)
+    retuner = make_retuner(config, Mode.ADVISE)
+    found = answer(retuner, recorded_loop(log, columns, config))
+    if as_json:
+        sys.stdout.write(json.dumps(document(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
+        return 0
+    for decision in found.decisions:
+        sys.stdout.write(f"{decision.t_s:10,.0f} s  {decision.region}: {one_line(decision)}\n")
+    changed = f", the record's gains changed {len(found.changes)} times" if found.changes else ""
+    counted = f"{len(found.decisions)} decision{'s' * (len(found.decisions) != 1)}"
+    sys.stdout.write(f"{log}: {counted} on {found.samples:,} samples{changed}; nothing was written\n")
+    return 0
+
+
+def recorded_loop(log: Path, columns: str, config: Config) -> Iterator[Recorded]:
+    """The samples of a log, by its suffix."""
+    loop = config.loop
+    facts = LoopFacts(loop.sample_time_s, config.schedule.variable, loop.co_min_pct, loop.co_max_pct, config.bus.node)
+    if not is_frame_log(log):
+        return table_samples(log, renamed(columns), facts)
+    if columns:
+        raise UserError(f"--columns: names the columns of a table; {log} is a log of bus traffic")
+    return frame_samples(log, facts)
+
+
+def document(log: Path, config_file: Path, retuner: Retuner, found: Answer) -> dict[str, object]:
+    """The answer as one JSON document."""
+    table = retuner.table
+    return {
+        "log": str(log),
+        "config": str(config_file),
+        "samples": found.samples,
+        "decisions": [decision.to_dict() for decision in found.decisions],
+        "gains_changed_s": found.changes,
+        "gains": [{"region": name, **gains_dict(gains)} for name, gains in
+                  zip(table.regions.names, table.gains, strict=True)],
+    }  # fmt: skip

@@ -1,0 +1,60 @@
+"""What a run was made with: enough to do it again, and to say for which versions byte identity may be claimed.
+
+The same frames give the same decisions byte for byte where all of this is equal: linear algebra libraries round
+differently from release to release and from processor to processor.
+"""
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from retuner.config.model import Config
+
+PACKAGES = ("retuner", "numpy", "scipy", "filterpy", "python-can", "cantools")
+"""What the way from frames to decisions goes through."""
+BLOCK = 1 << 20  # bytes read at a time
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything between frames and decisions, by name."""
+    made_with = {name: version(name) for name in PACKAGES}
+    return {**made_with, "python": platform.python_version(), "system": platform.system(),
+            "machine": platform.machine()}  # fmt: skip
+
+
+def differences(recorded: Mapping[str, str]) -> list[str]:
+    """Which versions are others here, in words; empty when all are equal."""
+    here = versions()
+    names = sorted({*recorded, *here})
+    return [
+        f"{name} {recorded.get(name, 'none')} then, {here.get(name, 'none')} here"
+        for name in names
+        if recorded.get(name) != here.get(name)
+    ]
+
+
+def session_identity(config: Config, text: str, overrides: Mapping[str, str]) -> dict[str, object]:
+    """The part of a session's first row that says what it was made with.
+
+    text : the configuration as run, as it stands in the session's folder. overrides : what the command line said.
+    """
+    return {
+        "versions": versions(),
+        "seed": config.device.seed if config.device else None,
+        "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "overrides": dict(overrides),
+    }
+
+
+def file_sha256(path: Path) -> str | None:
+    """SHA-256 of a file, None when it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as stream:
+            while block := stream.read(BLOCK):
+                digest.update(block)
+    except OSError:
+        return None
+    return digest.hexdigest()

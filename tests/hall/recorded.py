@@ -1,0 +1,60 @@
+"""A short recorded session for the tests of replay, approve and the ledger's commands, and ways to forge it."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from retuner.ledger import Ledger, LedgerReader
+from retuner.ledger.chain import Row
+
+SHORT = """
+schema = 1
+[loop]
+name = "short"
+pv_unit = "bar"
+pv_min = 0.0
+pv_max = 10.0
+sample_time_s = 0.1
+[schedule]
+variable = "sp"
+[[schedule.region]]
+name = "all"
+kc = 5.0
+tau_i_s = 4.0
+[adaptation]
+mode = "advise"  # the command line may say more
+[device]
+seed = 3
+[device.plant]
+kind = "linear"
+k = 0.1
+lags_s = [5.0, 0.1]
+theta_s = 0.4
+start_pv = 2.0
+start_co_pct = 30.0
+noise = 0.01
+[scenario]
+duration_s = 80.0
+steps = [{ at_s = 0.0, sp = 2.0 }, { at_s = 10.0, sp = 3.0 }, { at_s = 50.0, load = -5.0 }]
+"""
+
+
+def rewritten(session: Path, to: Path, change: Callable[[Row], dict[str, Any] | None]) -> Path:
+    """A copy of a session whose ledger is whole, but tells another story: change gives a row's body, None drops it."""
+    shutil.copytree(session, to)
+    for path in to.glob("ledger.sqlite*"):
+        path.unlink()
+    with LedgerReader(session / "ledger.sqlite") as old, Ledger(to / "ledger.sqlite") as new:
+        for row in old.rows():
+            body = change(row)
+            if body is not None:
+                new.append(row.kind, body, row.clock_s)
+    return to
+
+
+def bodies(session: Path, kind: str) -> list[dict[str, Any]]:
+    """Bodies of the rows of a kind."""
+    with LedgerReader(session / "ledger.sqlite") as ledger:
+        return [json.loads(row.text) for row in ledger.rows() if row.kind == kind]
