@@ -1,19 +1,32 @@
-"""A decision in one readable line: what was seen, the cause, what the process is, what changes."""
+"""A decision in one readable line: what was seen, the cause, what the process is, what changes.
+
+Each function takes a Decision, or the document of one as the ledger keeps it.
+"""
 
 import math
 
-from retuner.adaptive.decision import Action, Decision
+from retuner.adaptive.decision import Decision
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.explained.reading import Document, gains_of, model_of, number, part, words
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
 
 WHOLE_STEP = 0.999
 """A step of at least this share is the whole one to a reader."""
+VERBS = {"commit": "write", "advise": "advise", "restore": "restore"}
+"""What is done with other gains, by action."""
+INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
+
+
+def document_of(decision: Decision | Document) -> Document:
+    """A decision as plain values."""
+    return decision.to_dict() if isinstance(decision, Decision) else decision
 
 
 def settings_text(gains: PidGains) -> str:
     """Gains as people write them: series form where it exists, else ideal, else the integral gain alone."""
     if gains.kp == 0:
-        return f"Ki {gains.ki:.3g}/s (integral only)"
+        return f"Ki {gains.ki:.3g}/s (integral only)" if gains.ki else f"Kd {gains.kd:.3g} s (derivative only)"
     form = "series"
     try:
         shown = in_form(gains, form)
@@ -33,54 +46,86 @@ def short_settings(gains: PidGains) -> str:
     return settings_text(gains).replace("Kc ", "").replace(" tau_I ", ", ").replace(" tau_D ", ", ").replace(" s", "")
 
 
-def response_text(decision: Decision) -> str:
+def response_text(decision: Decision | Document) -> str:
     """What was recognised."""
-    r = decision.response
-    if r is None:
+    r = part(document_of(decision), "response")
+    if not r:
         return ""
-    text = f"{'setpoint' if r.sp_changed else 'load'} response"
-    if r.overshoot is not None:
-        text += f", overshoot {r.overshoot:.0%}"
-    if r.damping is not None:
-        text += f", damping {r.damping:.2f}"
-    if r.period_s is not None:
-        text += f", period {r.period_s:.3g} s"
+    text = f"{words(r, 'upset') or 'load'} response"
+    overshoot, damping, period = (number(r, name) for name in ("overshoot", "damping", "period_s"))
+    if overshoot is not None:
+        text += f", overshoot {overshoot:.0%}"
+    if damping is not None:
+        text += f", damping {damping:.2f}"
+    if period is not None:
+        text += f", period {period:.3g} s"
     return text
 
 
-def model_text(decision: Decision) -> str:
+def process_text(m: ProcessModel) -> str:
+    """The parameters that a process has."""
+    gain = "k'" if m.type in INTEGRATING else "k"
+    lags = "".join(f" {name} {lag:.3g} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
+    return f"{gain} {m.k:.3g}{lags} theta {m.theta_s:.3g} s"
+
+
+def known_model(document: Document) -> ProcessModel | None:
+    """The process that was decided on; where the document has none, the one that the record shows."""
+    return model_of(part(part(document, "known"), "model")) or model_of(part(part(document, "estimate"), "model"))
+
+
+def model_text(decision: Decision | Document) -> str:
     """What the process is, and how many records say so."""
-    if decision.estimate is None:
+    document = document_of(decision)
+    m = known_model(document)
+    if m is None:
         return ""
-    m = decision.estimate.log.model()
-    records = f"{decision.records} record{'s' if decision.records != 1 else ''}" if decision.records else "not enough"
-    return f"k {m.k:.3g} tau {m.tau1_s:.3g} s theta {m.theta_s:.3g} s ({records})"
+    count = int(number(document, "records") or 0)
+    records = f"{count} record{'s' if count != 1 else ''}" if count else "not enough"
+    return f"{process_text(m)} ({records})"
 
 
-def cause_text(decision: Decision) -> str:
+def cause_text(decision: Decision | Document) -> str:
     """The cause, or that there was none to name."""
-    return str(decision.diagnosis.cause).replace("_", " ") if decision.diagnosis else "undecided"
+    return words(part(document_of(decision), "diagnosis"), "cause").replace("_", " ") or "undecided"
 
 
-def change_text(decision: Decision) -> str:
+def change_text(decision: Decision | Document) -> str:
     """What changes, from what to what, with Ms."""
-    v = decision.verdict
-    if decision.action == Action.NONE or v is None or v.gains is None:
+    document = document_of(decision)
+    verb = VERBS.get(words(document, "action"))
+    before, after = (gains_of(part(document, name)) for name in ("gains_before", "gains_after"))
+    if verb is None or before is None or after is None:
         return "no change"
-    verb = "write" if decision.action == Action.COMMIT else "advise"
-    before, after = (f"{ms:.2f}" if math.isfinite(ms) else "unstable" for ms in (v.ms_before, v.ms_nominal))
-    step = "" if v.step > WHOLE_STEP else f", {v.step:.0%} of the step"
-    worst = "unstable at worst" if math.isinf(v.ms_worst) else f"at worst {v.ms_worst:.2f}"
-    return (f"{verb} {settings_text(decision.gains_before)} -> {settings_text(v.gains)}, "
-            f"Ms {before} -> {after} ({worst}{step})")  # fmt: skip
+    moved = f"{verb} {settings_text(before)} -> {settings_text(after)}"
+    return f"{moved}{_robustness(part(document, 'verdict'))}"
 
 
-def one_line(decision: Decision) -> str:
+def _robustness(verdict: Document) -> str:
+    """Ms before and after; null in a document is an unstable loop."""
+    ms = part(verdict, "ms")
+    if "nominal" not in ms:
+        return ""
+    before, after = (ms_words(number(ms, name)) for name in ("before", "nominal"))
+    worst = number(ms, "worst")
+    at_worst = "unstable at worst" if worst is None else f"at worst {worst:.2f}"
+    step = number(verdict, "step")
+    share = "" if step is None or step > WHOLE_STEP else f", {step:.0%} of the step"
+    return f", Ms {before} -> {after} ({at_worst}{share})"
+
+
+def ms_words(ms: float | None) -> str:
+    """Ms as people read it; null in a document is an unstable loop."""
+    return "unstable" if ms is None or math.isinf(ms) else f"{ms:.2f}"
+
+
+def one_line(decision: Decision | Document) -> str:
     """The decision in one line."""
-    parts = [
-        response_text(decision),
-        f"{cause_text(decision)}: {decision.reason}",
-        model_text(decision),
-        change_text(decision),
+    document = document_of(decision)
+    told = [
+        response_text(document),
+        f"{cause_text(document)}: {words(document, 'reason')}",
+        model_text(document),
+        change_text(document),
     ]
-    return " | ".join(part for part in parts if part)
+    return " | ".join(one for one in told if one)

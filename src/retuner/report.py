@@ -1,27 +1,26 @@
-"""report.html: one self-contained page, read from the top: result, pictures, every decision, provenance."""
+"""report.html: one self-contained page, read from the top: result, pictures, every decision, provenance.
 
-import base64
-import html
+Each decision that changes something, or that a proof decided, has a page of its own further down, reached from its row.
+"""
+
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from retuner.adaptive.decision import Action, Decision
-from retuner.explain import cause_text, change_text, model_text, response_text, settings_text
+from retuner.adaptive.decision import Decision
+from retuner.explain import cause_text, change_text, document_of, model_text, one_line, response_text, settings_text
+from retuner.explained.page import article
+from retuner.explained.reading import Document, number, words
+from retuner.explained.view import DecisionView
+from retuner.explained.views import view_of, worth_pages
+from retuner.html_parts import OPEN_TARGET, escaped, image, paragraph, table
+from retuner.html_parts import document as html_document
 from retuner.plots import trend_png, twin_png
 from retuner.schedule.table import GainTable
 from retuner.scores import Columns, RegionScore, twin_steps
 
-STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1180px;margin:2em auto;padding:0 1.2em}
-h1{font-size:1.7em;margin:0 0 .2em} h2{font-size:1.2em;margin:1.8em 0 .5em}
-p.lead{font-size:1.08em} .muted{color:#666} img{max-width:100%}
-table{border-collapse:collapse;width:100%;font-size:.92em}
-th,td{text-align:left;padding:.35em .6em;border-bottom:1px solid #ddd;vertical-align:top}
-th{background:#f4f6f8} td.n,th.n{text-align:right;white-space:nowrap} .good{color:#1a7f37} .bad{color:#b42318}
-.twins{display:flex;flex-wrap:wrap;gap:1em} .twins img{flex:1 1 340px;max-width:560px} tr.commit td{background:#fff8e6}
-code{background:#f4f6f8;padding:0 .25em}
-"""
+MOST_PAGES = 40
+"""Decisions with a page of their own, the newest ones: about 130 kB and a quarter of a second each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class ReportData:
 
     run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
     events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
-    stopped : the run did not have its whole length.
+    decisions : of the run, or their documents out of a ledger. stopped : the run did not have its whole length.
     """
 
     loop: str
@@ -38,7 +37,7 @@ class ReportData:
     before: GainTable
     after: GainTable
     scores: list[RegionScore]
-    decisions: list[Decision]
+    decisions: Sequence[Decision | Document]
     run: Columns
     fixed: Columns | None
     commits: list[float]
@@ -49,26 +48,25 @@ class ReportData:
 
 def render(data: ReportData) -> str:
     """The page as text."""
+    views = worth_pages((view_of(decision, data.run, data.unit) for decision in data.decisions), MOST_PAGES)
     body = [
-        f"<h1>{_e(data.loop)}: retuning report</h1>",
-        f'<p class="lead">{_e(_lead(data))}</p>',
+        f"<h1>{escaped(data.loop)}: retuning report</h1>",
+        paragraph(_lead(data), "lead"),
         "<h2>Regions</h2>",
         _scores_table(data),
         "<h2>The whole run</h2>",
-        _image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit), "Trend with region bands"),
+        image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit), "Trend with region bands"),
         _twins(data),
         "<h2>Decisions</h2>",
-        '<p class="muted">One row per recognised response; rows that write or advise other gains are shaded.</p>',
-        _decisions_table(data.decisions),
+        paragraph("One row per recognised response; rows that write or advise other gains are shaded. A number with a "
+                  "link has a page that shows the whole reasoning.", "muted"),
+        _decisions_table(data.decisions, {view.number for view in views}),
+        _pages(views),
         "<h2>Provenance</h2>",
-        _table(("what", "value"), ((_e(k), f"<code>{_e(v)}</code>") for k, v in data.facts.items())),
-    ]
-    head = f'<meta charset="utf-8"><title>{_e(data.loop)}: retuning report</title><style>{STYLE}</style>'
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>\n'
-
-
-def _e(text: object) -> str:
-    return html.escape(str(text))
+        table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
+        OPEN_TARGET if views else "",
+    ]  # fmt: skip
+    return html_document(f"{data.loop}: retuning report", "".join(body))
 
 
 def _lead(data: ReportData) -> str:
@@ -77,7 +75,7 @@ def _lead(data: ReportData) -> str:
     parts = ["The run was stopped before its end."] if data.stopped else []
     parts.append(f"{_counted(len(data.decisions), 'response')} recognised in {hours:.2g} h.")
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
-    advised = sum(d.action == Action.ADVISE for d in data.decisions)
+    advised = sum(words(document_of(d), "action") == "advise" for d in data.decisions)
     if advised:
         parts.append(f"{_counted(advised, 'change')} advised and not written.")
     worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
@@ -97,51 +95,70 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}{' was' if count == 1 else 's were'}"
 
 
-def _table(heads: Iterable[str], rows: Iterable[Iterable[str]], classes: Iterable[str] = ()) -> str:
-    """A table of cells that are already HTML; classes are those of the rows."""
-    kinds = iter(classes)
-    head = "".join(f"<th>{h}</th>" for h in heads)
-    lines = "".join(f'<tr class="{next(kinds, "")}">{"".join(f"<td>{c}</td>" for c in row)}</tr>' for row in rows)
-    return f"<table><tr>{head}</tr>{lines}</table>"
-
-
 def ms_text(ms: float | None) -> str:
     """Ms as people read it."""
     return "-" if ms is None else "unstable" if ms == float("inf") else f"{ms:.2f}"
 
 
 def _scores_table(data: ReportData) -> str:
-    unit = _e(data.unit)
+    unit = escaped(data.unit)
     heads = ("region", "commissioned gains", "final gains", "changes", "Ms before", "Ms after",
              f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")  # fmt: skip
     rows = []
     for s in data.scores:
         fixed = s.iae if s.iae_fixed is None else s.iae_fixed
         mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
-        rows.append((_e(s.region), _e(settings_text(s.before)), _e(settings_text(s.after)), str(s.changes),
+        rows.append((*map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
                      ms_text(s.ms_before), ms_text(s.ms_after), "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
                      f'<span class="{mark}">{s.iae:,.0f}</span>'))  # fmt: skip
     note = ('<p class="muted">Settings in series form unless marked. Ms is the peak of the sensitivity on the true '
             "process, the largest over the operating points visited; 1.8 is the limit.</p>")  # fmt: skip
-    return _table(heads, rows) + note
-
-
-def _image(png: bytes, alt: str) -> str:
-    return f'<img alt="{_e(alt)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+    return table(heads, rows) + note
 
 
 def _twins(data: ReportData) -> str:
     """The same step before and after, per region."""
     names = data.after.regions.names
-    images = [_image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
+    images = [image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
               for twin in twin_steps(data.run, data.events)]  # fmt: skip
     if not images:
         return ""
     return f'<h2>The same step, first and last time</h2><div class="twins">{"".join(images)}</div>'
 
 
-def _decisions_table(decisions: list[Decision]) -> str:
+def _decisions_table(decisions: Sequence[Decision | Document], paged: set[int]) -> str:
+    """A row for each decision; paged : numbers of those that have a page."""
     heads = ("no.", "time [s]", "region", "response", "cause", "reason", "process", "change")
-    rows = [(str(d.number), f"{d.t_s:,.0f}", _e(d.region), _e(response_text(d)), _e(cause_text(d)), _e(d.reason),
-             _e(model_text(d)), _e(change_text(d))) for d in decisions]  # fmt: skip
-    return _table(heads, rows, ("" if d.action == Action.NONE else "commit" for d in decisions))
+    rows, classes = [], []
+    for document in map(document_of, decisions):
+        name = f"{number(document, 'number') or 0:.0f}"
+        link = f'<a href="#{_anchor(int(name))}">{name}</a>' if int(name) in paged else name
+        when = f"{number(document, 't_s') or 0.0:,.0f}"
+        told = (when, words(document, "region"), response_text(document), cause_text(document),
+                words(document, "reason"), model_text(document), change_text(document))  # fmt: skip
+        rows.append((link, *map(escaped, told)))
+        classes.append("" if words(document, "action") == "none" else "commit")
+    return table(heads, rows, classes)
+
+
+def _anchor(decision: int) -> str:
+    """Name of a page within the report."""
+    return f"decision-{decision}"
+
+
+def _pages(views: list[DecisionView]) -> str:
+    """The pages, folded; which ones have none is said."""
+    if not views:
+        return ""
+    left = len(views) == MOST_PAGES
+    note = (f"The newest {MOST_PAGES} decisions that propose, write, restore or were refused by the proof."
+            if left else "Every decision that proposes, writes, restores or was refused by the proof.")  # fmt: skip
+    more = f" {note} `retuner report FOLDER --decision N` makes the page of any other."
+    return f"<h2>Decision pages</h2>{paragraph(more.strip(), 'muted')}{''.join(map(_folded, views))}"
+
+
+def _folded(view: DecisionView) -> str:
+    """A page that opens with a click on its line."""
+    line = f"{view.number}. {view.t_s:,.0f} s, {words(view.document, 'region')}: {one_line(view.document)}"
+    return (f'<details class="page" id="{_anchor(view.number)}"><summary>{escaped(line)}</summary>'
+            f"{article(view)}</details>")  # fmt: skip

@@ -1,0 +1,244 @@
+"""One decision on one page: what was seen, learned, blamed, proposed, proved and promised, and what came of it.
+
+The page tells what stands in the decision's document; only curves and margins are worked out again from the process in
+it. A section for which there is nothing is left out.
+"""
+
+from retuner.adaptive.rules.explanation import explanation
+from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.rules.registry import RULES, settings
+from retuner.adaptive.rules.rule import Wishes
+from retuner.adaptive.tracker import Surprise
+from retuner.evidence_words import evidence_table
+from retuner.explain import settings_text
+from retuner.explained.outcome import promise_section, trial_section
+from retuner.explained.reading import finite, gains_of, number, numbers, part, parts, words
+from retuner.explained.response_drawing import response_svg
+from retuner.explained.robustness_drawing import robustness_svg
+from retuner.explained.telling import DONE, headline, margin_rows, parameters, structure
+from retuner.explained.view import DecisionView
+from retuner.html_parts import document, escaped, pairs, paragraph, section, table, text_table
+from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
+
+MS_LIMIT = 1.8
+"""Design limit of Ms, for the circle where the document names none (Astrom & Hagglund 2006: 1.4 to 2)."""
+COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
+SAME = 1e-6
+"""Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
+
+
+def page(view: DecisionView) -> str:
+    """The page as an HTML document of its own."""
+    loop = words(view.document, "loop")
+    title = f"{loop}: decision {view.number}"
+    return document(title, f"<h1>{escaped(title)}</h1>{article(view)}")
+
+
+def article(view: DecisionView) -> str:
+    """The page as a part of another."""
+    response = response_svg(view)
+    drawing = robustness_svg(view, ms_limit(view))
+    body = [
+        f'<p>{badge(view)} <span class="muted">{escaped(_place(view))}</span></p>',
+        paragraph(headline(view), "lead"),
+        section("The response", response, paragraph(_how_it_ended(view), "muted")),
+        '<div class="columns">',
+        section("What is known of the process", _learned(view)),
+        section("Cause", _cause(view)),
+        section("Proposal", _proposal(view)),
+        section("Proof", _proof(view)),
+        "</div>",
+        section("Robustness and predicted responses", drawing, _margins(view)),
+        promise_section(view),
+        trial_section(view),
+        section("Where it stands", _whereabouts(view)),
+    ]
+    return f"<article>{''.join(body)}</article>"
+
+
+def badge(view: DecisionView) -> str:
+    """What became of it, in a word or two and a colour."""
+    colour = COLOURS.get(view.action, COLOURS["none"])
+    return f'<span class="badge" style="color:{colour}">{escaped(DONE.get(view.action, view.action))}</span>'
+
+
+def ms_limit(view: DecisionView) -> float:
+    """The limit of the nominal Ms that the guard held it to."""
+    limits = [number(check, "limit") for check in parts(view.verdict, "checks")
+              if words(check, "name").startswith("ms_nominal")]  # fmt: skip
+    return next((limit for limit in limits if limit and limit > 1), MS_LIMIT)
+
+
+def _place(view: DecisionView) -> str:
+    """Where and when."""
+    mode = words(view.document, "mode")
+    parts_ = [f"region {words(view.document, 'region')}", f"{view.t_s:,.0f} s", f"mode {mode}" if mode else ""]
+    return ", ".join(one for one in parts_ if one)
+
+
+def _how_it_ended(view: DecisionView) -> str:
+    """How the recogniser ended, in words, and the numbers of the peaks."""
+    response = view.response
+    if not response:
+        return ""
+    band, start, end = (number(response, name) for name in ("band", "t_start_s", "t_end_s"))
+    length = f"From {start:,.0f} to {end:,.0f} s. " if start is not None and end is not None else ""
+    endings = {"complete": "three peaks were verified", "quiet": "the error came to rest",
+               "timeout": "no further peak came within the waiting time",
+               "setpoint": "the next setpoint change cut it short"}  # fmt: skip
+    ended = endings.get(words(response, "ending"), "")
+    near = f" Errors below {band:.3g} {view.unit} count as none." if band is not None else ""
+    return f"{length}It ended when {ended}.{near}" if ended else f"{length}{near}"
+
+
+def _learned(view: DecisionView) -> str:
+    """Structure, parameters, how many records, how this one stood to what was known."""
+    model = view.model
+    if model is None:
+        return paragraph(words(view.estimate, "reason"))
+    known = part(view.document, "known") or view.estimate
+    std = {name: value for name, raw in part(known, "std").items() if (value := finite(raw)) is not None}
+    records = number(view.document, "records")
+    surprise = words(view.document, "surprise").upper()
+    rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, std)]
+    rows += [("records behind it", f"{records:.0f}" if records else ""),
+             ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
+             ("the fit", words(view.estimate, "reason")), ("left by the fit", _residual(view)),
+             ("other models still allowed", str(len(view.allowed)) if view.allowed else "")]  # fmt: skip
+    if part(view.document, "known") and view.of_record:
+        shown = "  ".join(f"{k} {v:.4g}" for k, v in view.of_record.to_dict().items() if isinstance(v, float) and v)
+        rows.append(("this record by itself and with what was known", shown))
+    return pairs(rows)
+
+
+def _residual(view: DecisionView) -> str:
+    """What the fit leaves against the noise."""
+    residual, noise = number(view.estimate, "residual"), number(view.estimate, "noise")
+    if residual is None or not noise:
+        return ""
+    return f"{residual:.3g} {view.unit} (one standard deviation), {residual / noise:.2g} times the noise"
+
+
+def _cause(view: DecisionView) -> str:
+    """The cause, how sure, and its evidence."""
+    diagnosis = part(view.document, "diagnosis")
+    if not diagnosis:
+        return ""
+    confidence = number(diagnosis, "confidence")
+    sure = f" (confidence {confidence:.0%})" if confidence is not None else ""
+    name = words(diagnosis, "cause").replace("_", " ")
+    lead = f"<p><b>{escaped(name)}</b>{escaped(sure)}: {escaped(words(diagnosis, 'reason'))}</p>"
+    evidence = {key: value for key, raw in part(diagnosis, "evidence").items() if (value := finite(raw)) is not None}
+    rows = [row for rows in evidence_table(evidence).values() for row in rows]
+    return lead + (text_table(("evidence", "value", "how to read it"), rows) if rows else "")
+
+
+def _proposal(view: DecisionView) -> str:
+    """The rule with its formula and numbers; settings in force, of the rule, and let through."""
+    proposal = part(view.document, "proposal")
+    wanted = gains_of(part(proposal, "parallel"))
+    columns = [("in force", view.before), ("rule", wanted), ("let through", view.after)]
+    shown = [(name, gains) for name, gains in columns if gains is not None]
+    basis = words(view.document, "basis").replace("_", " ")
+    rule, tau_c = words(proposal, "rule"), number(proposal, "tau_c")
+    if not rule and view.after is None:
+        return ""
+    lead = f"Rule {rule}" if rule else ""
+    lead += f", tau_c {tau_c:.4g} s" if tau_c is not None else ""
+    lead += f", from the {basis}." if lead and basis else "." if lead else ""
+    rows = [(label, *(_setting(gains, label) for _, gains in shown)) for label in SETTINGS_SHOWN]
+    rows = [row for row in rows if any(cell not in {"-", "0"} for cell in row[1:])]
+    return paragraph(lead) + _formula(view, wanted) + text_table(("", *(name for name, _ in shown)), rows)
+
+
+SETTINGS_SHOWN = {"Kc (series)": ("kc", ""), "tau_I": ("tau_i", " s"), "tau_D": ("tau_d", " s"),
+                  "kp": ("kp", ""), "ki": ("ki", " /s"), "kd": ("kd", " s")}  # fmt: skip
+"""Rows of the table of settings: label, name and unit; series form where it exists, and parallel, as it is sent."""
+
+
+def _setting(gains: PidGains, label: str) -> str:
+    """One number of one set of gains."""
+    name, unit = SETTINGS_SHOWN[label]
+    if name in {"kp", "ki", "kd"}:
+        value: float | None = getattr(gains, name)
+    else:
+        try:
+            value = in_form(gains, "series")[name]
+        except ValueError:
+            return "-"
+    return "-" if value is None else "0" if value == 0 else f"{value:.5g}{unit}"
+
+
+def _formula(view: DecisionView, wanted: PidGains | None) -> str:
+    """The rule's formula with the numbers that give the proposal; nothing where they do not give just that."""
+    proposal = part(view.document, "proposal")
+    rule, model = RULES.get(words(proposal, "rule")), view.model
+    tau_c = number(proposal, "tau_c")
+    if rule is None or model is None or wanted is None or view.process is None:
+        return ""
+    wishes = Wishes(tau_c_s=tau_c if "tau_c_s" in rule.wishes else None)
+    sampled = type(model)(model.type, model.k, model.tau1_s, model.tau2_s, view.process.theta_s, model.zeta)
+    for kind in ControllerKind:
+        if kind not in rule.formulas:
+            continue
+        try:
+            found = settings(rule, kind, sampled, None, wishes)
+        except ValueError:
+            continue
+        if _same(found.gains, wanted):
+            told = explanation(rule, kind, sampled, None, wishes, found)
+            lines = [*told.formula, *(line for line in told.with_numbers if line not in told.formula)]
+            note = "theta here has half a sampling interval added." if view.sample_time_s else ""
+            source = paragraph(f"{note} {told.source}".strip(), "muted")
+            return f"<pre>{escaped(chr(10).join(lines))}</pre>{source}"
+    return ""
+
+
+def _same(one: PidGains, other: PidGains) -> bool:
+    """Whether two sets are one."""
+    pairs_ = ((one.kp, other.kp), (one.ki, other.ki), (one.kd, other.kd))
+    return all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_)
+
+
+def _proof(view: DecisionView) -> str:
+    """What the guard asked and what the answers were."""
+    verdict = view.verdict
+    if not verdict:
+        return ""
+    rows, classes = [], []
+    for check in parts(verdict, "checks"):
+        passed = check.get("passed")
+        mark = "passed" if passed is True else "NOT passed" if passed is False else ""
+        words_ = words(check, "words") or words(check, "name").replace("_", " ")
+        rows.append((escaped(words_), _value(check.get("value")), _value(check.get("limit")),
+                     f'<span class="{"good" if passed else "bad"}">{mark}</span>'))  # fmt: skip
+        classes.append("")
+    shown = table(("asked", "value", "limit", ""), rows, classes) if rows else ""
+    reason = words(verdict, "reason")
+    return paragraph(f"{reason[:1].upper()}{reason[1:]}.") * bool(reason) + shown
+
+
+def _value(value: object) -> str:
+    """A number, a text, or that there is none (an infinite Ms is null)."""
+    known = finite(value)
+    return f"{known:.4g}" if known is not None else escaped(value) if isinstance(value, str) else "none"
+
+
+def _margins(view: DecisionView) -> str:
+    """Margins before, after, at worst."""
+    rows = margin_rows(view)
+    if not rows:
+        return ""
+    middle = ("before", "after", "after, worst model")[: len(rows[0]) - 2] if view.after else ("in force",)
+    return text_table(("", *middle, "usual"), rows)
+
+
+def _whereabouts(view: DecisionView) -> str:
+    """Where the ledger has it."""
+    loads = len(numbers(view.estimate, "loads"))
+    return pairs([
+        ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
+        ("gains before, parallel", settings_text(view.before) if view.before else ""),
+        ("code", words(view.document, "code")), ("load steps in the record", str(loads) if loads else ""),
+    ])  # fmt: skip

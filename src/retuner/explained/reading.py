@@ -1,0 +1,71 @@
+"""Values out of a JSON document that may lack them: a ledger of another version, a stage that was not reached."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.schedule.gains import PidGains
+
+Document = Mapping[str, object]
+
+
+def part(document: Document, name: str) -> Document:
+    """A document inside, empty where there is none."""
+    value = document.get(name)
+    return value if isinstance(value, Mapping) else {}
+
+
+def parts(document: Document, name: str) -> list[Document]:
+    """The documents of a list, empty where there is none."""
+    value = document.get(name)
+    return [one for one in value if isinstance(one, Mapping)] if isinstance(value, Sequence) else []
+
+
+def number(document: Document, name: str) -> float | None:
+    """A finite number, or None."""
+    return finite(document.get(name))
+
+
+def finite(value: object) -> float | None:
+    """The value where it is a finite number, or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def numbers(document: Document, name: str) -> list[float]:
+    """The finite numbers of a list."""
+    value = document.get(name)
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return []
+    return [one for one in map(finite, value) if one is not None]
+
+
+def words(document: Document, name: str) -> str:
+    """A text, empty where there is none."""
+    value = document.get(name)
+    return value if isinstance(value, str) else ""
+
+
+def gains_of(document: Document) -> PidGains | None:
+    """Gains {kp, ki, kd}, or None where they make no controller."""
+    kp, ki, kd = (number(document, name) for name in ("kp", "ki", "kd"))
+    if kp is None or ki is None:
+        return None
+    try:
+        return PidGains(kp, ki, kd or 0.0)
+    except ValueError:
+        return None
+
+
+def model_of(document: Document) -> ProcessModel | None:
+    """A process {type, k, tau1, tau2, theta, zeta}, or None where the numbers make none."""
+    k = number(document, "k")
+    kind = words(document, "type")
+    if k is None or kind not in set(ProcessType):
+        return None
+    tau1, tau2, theta = (number(document, name) or 0.0 for name in ("tau1", "tau2", "theta"))
+    try:
+        return ProcessModel(ProcessType(kind), k, tau1, tau2, theta, number(document, "zeta") or 1.0)
+    except ValueError:
+        return None

@@ -1,0 +1,162 @@
+"""A decision in sentences: what was seen, what follows, how robust the loop is before and after."""
+
+import math
+
+from retuner.adaptive.margins import Margins, margins, sensitivity_peak
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.explain import settings_text
+from retuner.explained.reading import number, part, words
+from retuner.explained.view import DecisionView
+from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
+
+STRUCTURES = {
+    ProcessType.FOPDT: "first order with dead time",
+    ProcessType.SOPDT: "second order with dead time",
+    ProcessType.INTEGRATING: "integrating with dead time",
+    ProcessType.INTEGRATING_LAG: "integrating with a lag and dead time",
+    ProcessType.DOUBLE_INTEGRATING: "double integrating with dead time",
+    ProcessType.DELAY: "pure dead time",
+}
+DONE = {
+    "commit": "Written to the controller",
+    "advise": "Advised, not written",
+    "restore": "The settings from before were put back",
+    "none": "Nothing was changed",
+}
+"""What became of a decision."""
+SAME = 1e-3
+"""Numbers closer than this share are one to a reader."""
+WHOLE_STEP = 0.999
+
+
+def seen(view: DecisionView) -> str:
+    """What the response looked like."""
+    response = view.response
+    if not response:
+        return ""
+    upset = "a setpoint change" if words(response, "upset") == "setpoint" else "a load change"
+    overshoot, damping, period = (number(response, name) for name in ("overshoot", "damping", "period_s"))
+    if overshoot is None:
+        return f"After {upset} the error came back without a second peak: no overshoot beyond the noise."
+    swing = f", damping {damping:.2f} (0 dead-beat, 1 undamped)" if damping is not None else ""
+    time = f", period {period:.3g} s" if period is not None else ""
+    return f"After {upset} the loop overshot by {overshoot:.0%} of the first peak{swing}{time}."
+
+
+def done(view: DecisionView) -> str:
+    """What follows, with the numbers."""
+    what = DONE.get(view.action, view.action)
+    if view.before is None or view.after is None:
+        return f"{what}."
+    return f"{what}: {moves(view.before, view.after)}."
+
+
+def moves(before: PidGains, after: PidGains) -> str:
+    """From where to where, each setting that moves by its name and with its factor."""
+    try:
+        old, new = in_form(before, "series"), in_form(after, "series")
+    except ValueError:
+        return f"{settings_text(before)} becomes {settings_text(after)}"
+    told = []
+    for name, label, unit in (("kc", "Kc", ""), ("tau_i", "tau_I", " s"), ("tau_d", "tau_D", " s")):
+        was, now = old[name], new[name]
+        if (was or 0.0) == (now or 0.0):
+            continue
+        if not was or not now:
+            told.append(f"{label} from {_or_none(was, unit)} to {_or_none(now, unit)}")
+        elif abs(now / was - 1) > SAME:
+            told.append(f"{label} from {was:.3g} to {now:.3g}{unit} (x {now / was:.3g})")
+    return ", ".join(told) or "the same settings"
+
+
+def _or_none(value: float | None, unit: str) -> str:
+    return f"{value:.3g}{unit}" if value else "none"
+
+
+def how_far(view: DecisionView) -> str:
+    """What share of the rule's step was taken, and what the guard said of it."""
+    step = number(view.verdict, "step")
+    if view.after is None or step is None or step > WHOLE_STEP:
+        return ""
+    return f"This is {step:.0%} of the way (in the logarithms of the gains) to what the rule gives."
+
+
+def robustness(view: DecisionView) -> str:
+    """Ms before, after and at worst, as the guard had them."""
+    ms = part(view.verdict, "ms")
+    if not ms or "nominal" not in ms:
+        return ""
+    before, after, worst = (_ms(number(ms, name)) for name in ("before", "nominal", "worst"))
+    if view.after is None:
+        return f"With the settings in force: {before} on the process as known, at worst {worst} on the models allowed."
+    return f"On the process as known: {before} before, {after} after; at worst, on the models still allowed, {worst}."
+
+
+def _ms(ms: float | None) -> str:
+    """Ms by its name, or that there is none: null in a document is an unstable loop."""
+    return "unstable" if ms is None or math.isinf(ms) else f"Ms {ms:.2f}"
+
+
+def headline(view: DecisionView) -> str:
+    """The first paragraph of a page."""
+    reason = words(view.document, "reason")
+    why = f"{reason[:1].upper()}{reason[1:]}." if reason else ""
+    return " ".join(one for one in (seen(view), why, done(view), how_far(view), robustness(view)) if one)
+
+
+def structure(model: ProcessModel) -> str:
+    """The structure in words."""
+    text = STRUCTURES[model.type]
+    return f"{text}, swinging (zeta {model.zeta:.2f})" if model.zeta < 1 else text
+
+
+def parameters(model: ProcessModel, std: dict[str, float]) -> list[tuple[str, str]]:
+    """Name and value with standard deviation of each parameter that the structure has."""
+    integrating = model.type in {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
+    rows = [("k' (slope gain)" if integrating else "k (gain)", "k", model.k, " pv/(co s)" if integrating else " pv/co"),
+            ("tau1 (lag)", "tau1", model.tau1_s, " s"), ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
+            ("theta (dead time)", "theta", model.theta_s, " s")]  # fmt: skip
+    return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]
+
+
+def _spread(value: float, std: float | None) -> str:
+    return "" if std is None else f" +- {std:.2g} ({abs(std / value):.1%})"
+
+
+def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
+    """Name, before, after, worst of the models still allowed (where there are any), what is usual."""
+    if view.process is None or view.before is None:
+        return []
+    columns = [margins(view.process, view.before)]
+    if view.after:
+        columns.append(margins(view.process, view.after))
+        columns += worst_of([margins(model, view.after) for model in view.allowed])
+    rows = []
+    for label, name, unit, usual in (
+        ("Ms", "ms", "", "at most 1.8"), ("gain margin", "gm", "", "at least 2"),
+        ("phase margin", "pm_deg", " deg", "at least 45 deg"),
+        ("delay margin", "delay_margin_s", " s", "more than theta"),
+    ):  # fmt: skip
+        rows.append((label, *(_margin(one, name, unit) for one in columns), usual))
+    return rows
+
+
+def worst_of(found: list[Margins]) -> list[Margins]:
+    """The one with the largest Ms, in a list; none for none."""
+    return [max(found, key=lambda one: one.ms)] if found else []
+
+
+def _margin(found: Margins, name: str, unit: str) -> str:
+    """A margin as people read it."""
+    if not found.stable:
+        return "unstable"
+    value: float = getattr(found, name)
+    return f"{value:.3g}{unit}" if math.isfinite(value) else "no limit"
+
+
+def largest_ms(view: DecisionView) -> float | None:
+    """Ms on the worst of the models still allowed, with the gains after; None where there are none."""
+    if view.after is None or not view.allowed:
+        return None
+    return max(sensitivity_peak(model, view.after) for model in view.allowed)

@@ -1,0 +1,163 @@
+"""A decision as its page sees it: the document that the ledger keeps, and the samples of its response.
+
+A live run and a finished one are shown alike, because both come as the same document. Whatever is missing is None: the
+page leaves its section out.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.process import LinearProcess, ProcessModel
+from retuner.adaptive.response import Peak
+from retuner.adaptive.sample import FloatArray
+from retuner.explained.reading import Document, gains_of, model_of, number, numbers, part, parts, words
+from retuner.schedule.gains import PidGains
+
+MOST_EXCESS = 4.0
+"""A model counts as still allowed up to this excess of the deviance (two standard deviations of one parameter)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The samples of a response: arrays of shape (n,). explained : pv as the model gives it, None where not known."""
+
+    t_s: FloatArray
+    sp: FloatArray
+    pv: FloatArray
+    co: FloatArray
+    explained: FloatArray | None = None
+
+    @property
+    def sample_time_s(self) -> float:
+        """Median interval, 0 for a single sample."""
+        return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class DecisionView:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    document : what Decision.to_dict() gives. samples : of the response, None where they were not kept.
+    unit : of pv. sample_time_s : of the loop; half of it counts as dead time. row, hash : in the ledger, None and empty
+        where not known.
+    """
+
+    document: Document
+    samples: Samples | None
+    unit: str
+    sample_time_s: float
+    row: int | None = None
+    hash: str = ""
+
+    @property
+    def number(self) -> int:
+        """Number of the decision in its loop."""
+        return int(number(self.document, "number") or 0)
+
+    @property
+    def t_s(self) -> float:
+        """When it was taken, s."""
+        return number(self.document, "t_s") or 0.0
+
+    @property
+    def action(self) -> str:
+        """none, advise, commit or restore."""
+        return words(self.document, "action")
+
+    @property
+    def response(self) -> Document:
+        """What the recogniser saw."""
+        return part(self.document, "response")
+
+    @cached_property
+    def peaks(self) -> list[Peak]:
+        """Extremes of the error."""
+        found = self.response.get("peaks")
+        pairs = [numbers({"pair": one}, "pair") for one in found] if isinstance(found, list | tuple) else []
+        return [Peak(*pair) for pair in pairs if len(pair) == 2]
+
+    @property
+    def estimate(self) -> Document:
+        """What the record by itself, with what was known before, said of the process."""
+        return part(self.document, "estimate")
+
+    @property
+    def verdict(self) -> Document:
+        """What the guard let through."""
+        return part(self.document, "verdict")
+
+    @cached_property
+    def of_record(self) -> ProcessModel | None:
+        """The process as the record shows it."""
+        return model_of(part(self.estimate, "model"))
+
+    @cached_property
+    def model(self) -> ProcessModel | None:
+        """The process that was decided on: what is known of the region after this record."""
+        return model_of(part(part(self.document, "known"), "model")) or self.of_record
+
+    @cached_property
+    def before(self) -> PidGains | None:
+        """Gains in force."""
+        return gains_of(part(self.document, "gains_before"))
+
+    @cached_property
+    def after(self) -> PidGains | None:
+        """Gains written or advised; None when nothing changes."""
+        return gains_of(part(self.document, "gains_after")) if self.action != "none" else None
+
+    @cached_property
+    def process(self) -> LinearProcess | None:
+        """The model as a sampled controller sees it: half a sampling interval more dead time (Skogestad 2003)."""
+        return self._sampled(self.model) if self.model else None
+
+    @cached_property
+    def allowed(self) -> tuple[LinearProcess, ...]:
+        """The other models that the records still allow, as a sampled controller sees them."""
+        listed = parts(self.verdict, "allowed") or parts(self.document, "allowed") or parts(self.estimate, "allowed")
+        models = [model_of(part(one, "model") or one) for one in listed
+                  if (number(one, "excess") or 0.0) <= MOST_EXCESS]  # fmt: skip
+        return tuple(self._sampled(model) for model in models if model)
+
+    @property
+    def worth_a_page(self) -> bool:
+        """Whether there is more to tell than one line: something changed, or a cause was named on a model."""
+        return self.action in {"commit", "advise", "restore"} or bool(self.verdict)
+
+    def _sampled(self, model: ProcessModel) -> LinearProcess:
+        return replace(model, theta_s=model.theta_s + self.sample_time_s / 2).linear()
+
+
+def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: float, lead_share: float = 0.25) -> (
+    Samples | None
+):  # fmt: skip
+    """The samples of a response out of a trend: with a quarter of its length before it, in one region, without a gap.
+
+    columns : t, sp, pv, co and region by name. end_s : time of the decision.
+    """
+    start, end = number(response, "t_start_s"), number(response, "t_end_s")
+    if start is None or end is None or end <= start:
+        return None
+    t = columns["t"]
+    first = int(np.searchsorted(t, start - lead_share * (end - start)))
+    last = int(np.searchsorted(t, max(end_s, end), side="right"))
+    if last - first < 3:
+        return None
+    begun = int(np.searchsorted(t, start))
+    region = columns["region"]
+    first += _unbroken(region[first : begun + 1], t[first : begun + 1])
+    return Samples(*(columns[name][first:last] for name in ("t", "sp", "pv", "co")))
+
+
+def _unbroken(region: FloatArray, t_s: FloatArray) -> int:
+    """How many samples at the beginning belong to another region or lie before a gap."""
+    gap = 3 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
+    cuts = [i + 1 for i, (a, b) in enumerate(pairwise(range(len(t_s))))
+            if region[a] != region[b] or t_s[b] - t_s[a] > gap]  # fmt: skip
+    return cuts[-1] if cuts else 0

@@ -1,0 +1,156 @@
+"""A decision's page tells what the decision says: its numbers, no section without content, no text as markup."""
+
+import math
+import re
+from collections.abc import Mapping
+from html.parser import HTMLParser
+from typing import Any
+
+import pytest
+from decision_documents import ADVISED, BORROWED, COMMIT, EVERY_KIND, PATTERN, REFUSED, RESTORED, changed, view
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.margins import margins
+from retuner.explained import page as page_module
+from retuner.explained.page import article, ms_limit, page
+from retuner.explained.telling import headline
+from retuner.explained.view import DecisionView
+
+VOID = {"meta", "img", "br"}
+
+
+class Balance(HTMLParser):
+    """Every element that is opened is closed, in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        del attrs
+        self.seen.add(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def elements(text: str) -> set[str]:
+    parser = Balance()
+    parser.feed(text)
+    assert parser.open == []
+    return parser.seen
+
+
+def words_of(text: str) -> str:
+    return re.sub(r"<[^>]*>", " ", re.sub(r"<svg.*?</svg>", " ", text, flags=re.DOTALL))
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_every_kind_of_decision_has_a_page(kind: str) -> None:
+    text = page(view(EVERY_KIND[kind]))
+    assert {"html", "article", "svg", "table"} <= elements(text)
+    assert "None" not in words_of(text)
+    assert "nan" not in words_of(text)
+
+
+@pytest.mark.parametrize(
+    ("document", "said", "unsaid"),
+    [
+        (COMMIT, ["Written to the controller: Kc from 2.4 to 1.5 (x 0.625), tau_I from 150 to 250 s (x 1.67).",
+                  "the loop overshot by 53% of the first peak, damping 0.45", "62% of the way",
+                  "Ms 2.88 before, Ms 1.65 after; at worst, on the models still allowed, Ms 2.03"], ["Advised"]),
+        (ADVISED, ["Advised, not written: Kc from 2.4 to 1.5"], ["Written"]),
+        (REFUSED, ["Refused: not robust on every model.", "Nothing was changed.", "at worst unstable"], ["Written"]),
+        (RESTORED, ["The settings from before were put back", "The loop answers worse than was promised."],
+         ["<h3>Proof", "<h3>Cause", "<h3>Proposal</h3><p>Rule"]),
+        (PATTERN, ["Rule pattern, from the pattern."], ["<h3>Proof", "<h3>Cause", "<h3>What is known"]),
+        (BORROWED, ["Rule simc, tau_c 36 s, from the borrowed."], []),
+    ],
+)  # fmt: skip
+def test_the_page_says_what_happened(document: dict[str, object], said: list[str], unsaid: list[str]) -> None:
+    text = article(view(document, drawn=False))
+    assert [one for one in said if one not in text] == []
+    assert [one for one in unsaid if one in text] == []
+
+
+def test_numbers_of_the_page_are_those_of_the_decision() -> None:
+    text = words_of(article(view(drawn=False)))
+    for number in ("2 +- 0.03", "240 +- 2.6", "9 +- 0.4", "26 +- 0.35", "1.654", "1.75", "2.1", "0.016 /s", "0.006 /s",
+                   "250 s", "30.7 deg", "confidence 99%", "0.08 degC", "1.3 times the noise"):  # fmt: skip
+        assert number in text, number
+    assert "NOT passed" in text
+
+
+def test_margins_in_the_page_are_those_of_the_model() -> None:
+    shown = view(drawn=False)
+    assert shown.process is not None
+    assert shown.before is not None
+    assert shown.process.theta_s == 27.0  # half a sampling interval more than the model's
+    found = margins(shown.process, shown.before)
+    assert f"<td>Ms</td><td>{found.ms:.3g}</td>" in article(shown)
+    assert f"<td>delay margin</td><td>{found.delay_margin_s:.3g} s</td>" in article(shown)
+
+
+def test_the_formula_is_shown_only_where_it_gives_the_proposal() -> None:
+    proposal: Any = COMMIT["proposal"]
+    assert "<pre>" not in article(view(drawn=False))
+    theta, tau1 = 26.0 + 1.0 + 4.5, 240.0 + 4.5  # half rule, and half a sampling interval
+    kc = tau1 / (2.0 * (36.0 + theta))
+    right = changed(proposal={**proposal, "parallel": {"kp": kc, "ki": kc / tau1, "kd": 0.0}})
+    text = article(view(right, drawn=False))
+    assert "Kc = 244.5/(2 * (36 + 31.5))" in text
+    assert "Skogestad 2003" in text
+
+
+def test_no_text_becomes_markup() -> None:
+    bad = '<script>alert("x")</script>&'
+    document = changed(loop=bad, region=bad, reason=bad, mode=bad, code=bad)
+    assert "script" not in elements(page(view(document, unit="<b>&$x$</b>")))
+    assert "<b>&$x" not in page(view(document, unit="<b>&$x$</b>"))
+
+
+def test_the_circle_is_the_guards_limit() -> None:
+    assert ms_limit(view()) == 1.75
+    assert ms_limit(view(changed(verdict={"checks": [{"name": "ms_nominal", "limit": 0.5}]}))) == 1.8
+
+
+ODD = st.one_of(st.none(), st.just(math.inf), st.just(math.nan), st.text(max_size=5), st.floats(), st.booleans(),
+                st.just([]), st.just({}), st.just([{}]), st.integers(-5, 5))  # fmt: skip
+
+
+def paths(document: object, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Where the values of a document are."""
+    found: list[tuple[Any, ...]] = [at] if at else []
+    if isinstance(document, Mapping):
+        for name, value in document.items():
+            found += paths(value, (*at, name))
+    return found
+
+
+def with_value(document: dict[str, Any], at: tuple[Any, ...], value: object) -> dict[str, Any]:
+    """The document with one value replaced, or left out where the value is ...; nothing where its place is gone."""
+    whole = dict(document)
+    if len(at) == 1:
+        whole[at[0]] = value
+        if value is ...:
+            del whole[at[0]]
+    elif isinstance(whole.get(at[0]), Mapping):
+        whole[at[0]] = with_value(dict(whole[at[0]]), at[1:], value)
+    return whole
+
+
+@given(st.lists(st.tuples(st.sampled_from(paths(COMMIT)), st.one_of(ODD, st.just(...))), min_size=1, max_size=6))
+def test_odd_and_missing_values_leave_a_page(changes: list[tuple[tuple[Any, ...], object]]) -> None:
+    document = dict(COMMIT)
+    for at, value in changes:
+        document = with_value(document, at, value)
+    shown = DecisionView(document, None, "degC", 2.0)
+    with pytest.MonkeyPatch.context() as patch:  # drawings have tests of their own
+        patch.setattr(page_module, "robustness_svg", lambda *_: "")
+        text = article(shown)
+    elements(text)
+    assert headline(shown)
