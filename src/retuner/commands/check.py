@@ -7,6 +7,7 @@ from pathlib import Path
 from retuner.config.loading import Finding, UnusableError, parse_config, read_text
 from retuner.config.model import Config
 from retuner.errors import ConfigError
+from retuner.schedule.axis import Axis
 
 UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 
@@ -36,11 +37,15 @@ def check(path: Path, *, as_json: bool) -> int:
 def summary(config: Config) -> dict[str, object]:
     """What a configuration says, as JSON values: every setting with its defaults, and the gains of each region."""
     settings = config.model_dump(mode="json", by_alias=True)
-    unit = config.variable_range[0]
-    edges = config.edges
+    where = config.regions()
     regions = [
         {
-            "name": region.name, "low": edges[i], "high": edges[i + 1], "unit": unit, "form": region.form,
+            "name": region.name, "low": where.span(i)[0], "high": where.span(i)[1], "unit": where.unit,
+            "along": [
+                {"variable": axis.label, "low": axis.span(part)[0], "high": axis.span(part)[1], "unit": axis.unit}
+                for axis, part in zip(where.axes, where.cell(i), strict=True)
+            ],
+            "neighbours": [where.names[other] for other in where.neighbours(i)], "form": region.form,
             "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
             "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
         }
@@ -55,7 +60,7 @@ def described(config: Config) -> list[str]:
     lines = [
         f"loop        {loop.name}: pv {loop.pv_min:g} to {loop.pv_max:g} {loop.pv_unit}, "
         f"output {loop.co_min_pct:g} to {loop.co_max_pct:g} %, every {loop.sample_time_s:g} s",
-        f"schedule    by {config.schedule.variable}, lookup {config.schedule.lookup}",
+        f"schedule    by {' and '.join(map(_axis_text, config.regions().axes))}, lookup {config.schedule.lookup}",
         *_region_lines(config),
         f"adaptation  {config.adaptation.mode}, rule {config.adaptation.rule}, "
         f"Ms at most {config.adaptation.ms_nominal:g} ({config.adaptation.ms_worst:g} on the worst model)",
@@ -69,14 +74,25 @@ def described(config: Config) -> list[str]:
     return lines
 
 
+def _axis_text(axis: Axis) -> str:
+    """What an axis is along, and how it is kept from chattering."""
+    parts = [
+        f"{axis.signal} on the bus" if axis.signal else axis.variable,
+        f"filter {axis.filter_s:g} s" * bool(axis.filter_s),
+        f"hysteresis {axis.hysteresis:g} {axis.unit}" * bool(axis.hysteresis),
+        f"stay {axis.min_stay_s:g} s" * bool(axis.min_stay_s),
+    ]
+    told = [part for part in parts if part]
+    return told[0] + (f" ({', '.join(told[1:])})" if told[1:] else "")
+
+
 def _region_lines(config: Config) -> list[str]:
-    unit = config.variable_range[0]
-    edges = config.edges
+    where = config.regions()
     width = max(len(region.name) for region in config.schedule.regions)
     lines = []
-    for region, low, high in zip(config.schedule.regions, edges[:-1], edges[1:], strict=True):
+    for i, region in enumerate(config.schedule.regions):
         tau_i = "no integral action" if region.integral_time_s is None else f"tau_i {region.integral_time_s:g} s"
-        lines.append(f"  {region.name:<{width}}  {low:g} to {high:g} {unit}: kc {region.kc:g} %/{config.loop.pv_unit}, "
+        lines.append(f"  {region.name:<{width}}  {where.text(i)}: kc {region.kc:g} %/{config.loop.pv_unit}, "
                      f"{tau_i}, tau_d {region.tau_d_s:g} s ({region.form})")  # fmt: skip
     return lines
 

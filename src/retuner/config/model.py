@@ -6,7 +6,8 @@ from typing import Literal
 
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
-from retuner.config.loop import LoopConfig, ScheduleConfig
+from retuner.config.loop import LoopConfig
+from retuner.config.schedule import AxisConfig, ScheduleConfig
 from retuner.config.setting import Problem, Section, setting
 from retuner.drivers.firmware_settings import SAMPLES_MAX
 from retuner.schedule.gains import PidGains
@@ -38,26 +39,19 @@ class Config(Section):
     )
     output: OutputConfig = setting("What a run leaves behind", unit="-", default=OutputConfig(), source="runs/latest")
 
-    @property
-    def variable_range(self) -> tuple[str, float, float]:
-        """Unit and ends of the scheduling variable."""
-        if self.schedule.variable == "co":
-            return "%", self.loop.co_min_pct, self.loop.co_max_pct
-        return self.loop.pv_unit, self.loop.pv_min, self.loop.pv_max
-
-    @property
-    def edges(self) -> tuple[float, ...]:
-        """All borders of the regions, from the lower to the upper end of the scheduling variable."""
-        _, low, high = self.variable_range
-        return (low, *self.schedule.bounds, high)
+    def limits_of(self, axis: AxisConfig) -> tuple[str, float, float]:
+        """Unit and ends of an axis' variable."""
+        if axis.variable == "co":
+            return axis.limits("%", self.loop.co_min_pct, self.loop.co_max_pct)
+        return axis.limits(self.loop.pv_unit, self.loop.pv_min, self.loop.pv_max)
 
     def regions(self) -> Regions:
         """The regions as the schedule room knows them."""
-        return self.schedule.as_regions(*self.variable_range)
+        return self.schedule.as_regions(tuple(map(self.limits_of, self.schedule.axes)))
 
     def gains(self) -> tuple[PidGains, ...]:
-        """The gains of each region in parallel form, from the lowest region to the highest."""
-        return tuple(region.gains() for region in self.schedule.region)
+        """The gains of each region in parallel form, in the order of the regions."""
+        return tuple(region.gains() for region in self.schedule.regions)
 
     def gain_table(self) -> GainTable:
         """The gain table as commissioned: revision 0."""
@@ -77,16 +71,17 @@ class Config(Section):
         return self.loop.pv_max - self.loop.pv_min
 
     def _border_problems(self) -> Iterator[Problem]:
-        unit, low, high = self.variable_range
-        bounds = self.schedule.bounds
-        for i, bound in enumerate(bounds):
-            if not low < bound < high:
-                yield Problem(("schedule", "bounds", i), f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
-                              f"the range of the scheduling variable {self.schedule.variable}")  # fmt: skip
-        narrowest = min(b - a for a, b in pairwise(self.edges))
-        if self.schedule.hysteresis > narrowest / 2 > 0:
-            yield Problem(("schedule", "hysteresis"), f"= {self.schedule.hysteresis:g} must be at most half of the "
-                          f"narrowest region, {narrowest / 2:g} {unit}")  # fmt: skip
+        for k, axis in enumerate(self.schedule.axes):
+            unit, low, high = self.limits_of(axis)
+            path = ("schedule", *self.schedule.axis_path(k))
+            for i, bound in enumerate(axis.bounds):
+                if not low < bound < high:
+                    yield Problem((*path, "bounds", i), f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
+                                  f"the range of the scheduling variable {axis.signal or axis.variable}")  # fmt: skip
+            narrowest = min(b - a for a, b in pairwise((low, *axis.bounds, high)))
+            if axis.hysteresis > narrowest / 2 > 0:
+                yield Problem((*path, "hysteresis"), f"= {axis.hysteresis:g} must be at most half of the "
+                              f"narrowest region, {narrowest / 2:g} {unit}")  # fmt: skip
 
     def _time_problems(self) -> Iterator[Problem]:
         sample = self.loop.sample_time_s

@@ -1,0 +1,254 @@
+"""[schedule]: which gains are in force where, along one scheduling variable or two."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from math import prod
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from retuner.config.setting import Many, Problem, Section, setting
+from retuner.config.toml_lines import Path
+from retuner.schedule.axis import CAN, Axis
+from retuner.schedule.forms import from_form
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+
+IntegralTime = Annotated[float, Field(gt=0, le=1e9)]
+NO_INTEGRAL = "none"  # how a person writes "no integral action": leaving it out by mistake must not mean the same
+STALE_AFTER_S = 10.0
+Edge = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+
+class RegionConfig(Section):
+    """[[schedule.region]]: the gains of one operating region, in a named form."""
+
+    name: str = setting("Name of the region in reports", unit="-", text=(1, 32), source="the user")
+    kc: float = setting(
+        "Controller gain of the named form, negative for a reverse-acting process", unit="%/pv", low=-1e9, high=1e9,
+        source="the gains in force",
+    )  # fmt: skip
+    tau_i_s: IntegralTime | Literal["none"] = setting(
+        'Integral time of the named form, or "none" for no integral action', unit="s", source="the gains in force"
+    )  # fmt: skip
+    tau_d_s: float = setting(
+        "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the gains in force"
+    )
+    form: Literal["series", "ideal", "parallel"] = setting(
+        "Form of kc, tau_i_s and tau_d_s; parallel means the times are kp/ki and kd/kp", unit="-", default="series",
+        source="SIMC's native form",
+    )  # fmt: skip
+
+    cell: Many[Annotated[int, Field(ge=1, le=64)]] = setting(
+        "With two axes the place on each, counted from 1; for all regions or for none (then row by row: the first "
+        "place on the first axis with all of the second, then the next)", unit="-", text=(0, 2), default=(),
+        source="the order in the file",
+    )  # fmt: skip
+
+    def problems(self) -> Iterator[Problem]:
+        """Gains that a controller can have."""
+        if self.kc == 0:
+            yield Problem(("kc",), "= 0 would control nothing; give the gain in force, negative when reverse-acting")
+
+    @property
+    def integral_time_s(self) -> float | None:
+        """tau_i_s, or None for no integral action."""
+        return None if self.tau_i_s == NO_INTEGRAL else float(self.tau_i_s)
+
+    def gains(self) -> PidGains:
+        """The gains in parallel form."""
+        return from_form(self.form, self.kc, self.integral_time_s, self.tau_d_s)
+
+
+class AxisConfig(Section):
+    """[[schedule.axis]]: one scheduling variable and the borders on it; one or two of these."""
+
+    variable: Literal["sp", "pv", "co", "can"] = setting(
+        "What the gains follow; can: another signal on the bus", unit="-", source="the user"
+    )
+    unit: str | None = setting(
+        "Unit of the variable; absent: that of sp, pv or co", unit="-", text=(1, 16), default=None, source="[loop]"
+    )
+    range: Many[Edge] = setting(
+        "Lower and upper end of the variable; empty: those of sp, pv or co", unit="unit", text=(0, 2), default=(),
+        source="[loop]",
+    )  # fmt: skip
+    bounds: Many[float] = setting("Borders on the axis, increasing", unit="unit", default=(), source="the user")
+    hysteresis: float = setting(
+        "How far beyond a border a place is kept", unit="unit", low=0, high=1e9, default=0.0,
+        source="more than the noise that the filter leaves",
+    )  # fmt: skip
+    min_stay_s: float = setting("Shortest stay in a place", unit="s", low=0, high=1e6, default=0.0, source="the user")
+    filter_s: float = setting(
+        "Time constant of the first-order filter of the variable; 0: none", unit="s", low=0, high=1e6, default=0.0,
+        source="none for sp; some samples for what is noisy",
+    )  # fmt: skip
+    dbc: str = setting(
+        "With can: DBC file that describes the signal, relative to where the command runs; empty: the virtual device's "
+        "own plant.dbc", unit="-", text=(0, 1024), default="", source="the user",
+    )  # fmt: skip
+    message: str = setting(
+        "With can: name of the message in the DBC", unit="-", text=(0, 128), default="", source="the DBC"
+    )
+    signal: str = setting("With can: name of the signal in it", unit="-", text=(0, 128), default="", source="the DBC")
+    stale_after_s: float = setting(
+        "With can: age of the last value after which the variable is not known; the region stays then, and nothing is "
+        "learned", unit="s", above=0, high=1e6, default=STALE_AFTER_S, source="ten frames at one a second",
+    )  # fmt: skip
+
+    def problems(self) -> Iterator[Problem]:
+        """Borders in order and within the range, and all that belongs to the variable."""
+        for i, (low, high) in enumerate(pairwise(self.bounds), 1):
+            if low >= high:
+                yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")
+        if len(self.range) == 1 or (self.range and self.range[0] >= self.range[1]):
+            shown = ", ".join(f"{edge:g}" for edge in self.range)
+            yield Problem(("range",), f"= [{shown}] must be two numbers, the lower end before the upper")
+        if self.variable == CAN:
+            yield from (Problem((key,), f"is missing; {what}") for key, what in NEEDED if not getattr(self, key))
+        else:
+            yield from self._misplaced()
+
+    def _misplaced(self) -> Iterator[Problem]:
+        """What only a signal on the bus has."""
+        named = [key for key in ("dbc", "message", "signal") if getattr(self, key)]
+        for key in named + ["stale_after_s"] * (self.stale_after_s != STALE_AFTER_S):
+            yield Problem(
+                (key,), f'belongs to variable = "{CAN}"; {self.variable} comes with every sample: leave it out'
+            )
+
+    def limits(self, unit: str, low: float, high: float) -> tuple[str, float, float]:
+        """Unit and ends; unit, low, high : those of the variable in the loop, where they are not given here."""
+        ends = self.range if len(self.range) == 2 else (low, high)
+        return self.unit or unit, ends[0], ends[1]
+
+    def as_axis(self, unit: str, low: float, high: float) -> Axis:
+        """The axis as the schedule room knows it; arguments as limits."""
+        unit, low, high = self.limits(unit, low, high)
+        return Axis(self.variable, unit, low, self.bounds, high, self.hysteresis, self.min_stay_s, self.filter_s,
+                    self.signal)  # fmt: skip
+
+
+NEEDED = (
+    ("unit", "give the signal's unit"),
+    ("range", "give the signal's lower and upper end, as in range = [0.0, 100.0]"),
+    ("message", "give the name of the message in the DBC"),
+    ("signal", "give the name of the signal in the message"),
+)
+"""What an axis along a signal on the bus must say."""
+
+
+class ScheduleConfig(Section):
+    """[schedule]: regions along a scheduling variable; [[schedule.axis]] for two, or for a signal on the bus."""
+
+    variable: Literal["sp", "pv", "co"] = setting("What the gains follow", unit="-", default="sp", source="sp is quiet")
+    bounds: Many[float] = setting(
+        "Borders between the regions, increasing; none for a single region",
+        unit="pv or %",
+        default=(),
+        source="the user",
+    )
+    hysteresis: float = setting(
+        "How far beyond a border a region is kept", unit="pv or %", low=0, high=1e9, default=0.0,
+        source="more than the noise of the variable; 0 suits sp",
+    )  # fmt: skip
+    min_stay_s: float = setting("Shortest stay in a region", unit="s", low=0, high=1e6, default=0.0, source="the user")
+    filter_s: float = setting(
+        "Time constant of the first-order filter of the variable; 0: none", unit="s", low=0, high=1e6, default=0.0,
+        source="none for sp; some samples for a noisy pv",
+    )  # fmt: skip
+    lookup: Literal["hard", "interpolated"] = setting(
+        "hard: the gains of the region; interpolated: weighted between the regions' centres", unit="-", default="hard",
+        source="the simplest to judge",
+    )  # fmt: skip
+    axis: Many[AxisConfig] = setting(
+        "One or two [[schedule.axis]] in place of the keys above", unit="-", text=(0, 2), default=(), source="the user"
+    )
+    region: Many[RegionConfig] = setting(
+        "One [[schedule.region]] for each region, from the lowest to the highest", unit="-", text=(1, 64), source="user"
+    )
+
+    @property
+    def axes(self) -> tuple[AxisConfig, ...]:
+        """The axes, one or two, however they were written."""
+        if self.axis:
+            return self.axis
+        keys = {key: getattr(self, key) for key in SIMPLE}
+        return (AxisConfig.model_construct(None, **keys),)
+
+    def axis_path(self, i: int) -> Path:
+        """Where the keys of an axis stand in this section."""
+        return ("axis", i) if self.axis else ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of places along each axis."""
+        return tuple(len(axis.bounds) + 1 for axis in self.axes)
+
+    @property
+    def regions(self) -> tuple[RegionConfig, ...]:
+        """The regions in their order: row by row, from the lowest to the highest."""
+        if not all(region.cell for region in self.region):
+            return self.region
+        return tuple(sorted(self.region, key=lambda region: region.cell))
+
+    def problems(self) -> Iterator[Problem]:
+        """As many regions as the bounds make, in order, all acting one way."""
+        if self.axis:
+            yield from self._twice_told()
+        counts = " x ".join(str(len(axis.bounds)) for axis in self.axes)
+        made = prod(self.shape)
+        if len(self.region) != made:
+            yield Problem(("region",), f"{len(self.region)} given, but {counts} bounds make {made} regions; "
+                          f"give {made} [[schedule.region]] or other bounds")  # fmt: skip
+        for i, (low, high) in enumerate(pairwise(self.bounds), 1):
+            if low >= high:
+                yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")
+        yield from self._region_problems()
+        yield from self._cell_problems()
+
+    def _twice_told(self) -> Iterator[Problem]:
+        """Keys of the simple form beside [[schedule.axis]]."""
+        for key in SIMPLE:
+            if getattr(self, key) != type(self).model_fields[key].default:
+                yield Problem((key,), "stands beside [[schedule.axis]]; write it into the axis that it belongs to")
+
+    def _region_problems(self) -> Iterator[Problem]:
+        seen: set[str] = set()
+        for i, region in enumerate(self.region):
+            if region.name in seen:
+                yield Problem(("region", i, "name"), f"{region.name!r} is taken by another region; give each its own")
+            seen.add(region.name)
+            if region.kc * self.region[0].kc < 0:
+                yield Problem(("region", i, "kc"), f"= {region.kc:g} acts against the first region's "
+                              f"{self.region[0].kc:g}; all regions act one way")  # fmt: skip
+
+    def _cell_problems(self) -> Iterator[Problem]:
+        """Each cell once, or no cells at all."""
+        given = [bool(region.cell) for region in self.region]
+        taken: dict[tuple[int, ...], str] = {}
+        for i, region in enumerate(self.region):
+            shown = ", ".join(map(str, region.cell))
+            if any(given) and not region.cell:
+                yield Problem(("region", i, "cell"), "is missing; give each region its cell, or none of them")
+            elif region.cell and len(self.shape) == 1:
+                yield Problem(("region", i, "cell"), f"= [{shown}] has no meaning with one axis; order the regions "
+                              "from the lowest to the highest")  # fmt: skip
+            elif region.cell and not self._is_cell(region.cell):
+                most = ", ".join(map(str, self.shape))
+                yield Problem(("region", i, "cell"), f"= [{shown}] must be two numbers from 1 to {most}")
+            elif region.cell and region.cell in taken:
+                yield Problem(("region", i, "cell"), f"= [{shown}] is region {taken[region.cell]!r} already")
+            taken.setdefault(region.cell, region.name)
+
+    def _is_cell(self, cell: tuple[int, ...]) -> bool:
+        return len(cell) == len(self.shape) and all(i <= n for i, n in zip(cell, self.shape, strict=True))
+
+    def as_regions(self, limits: tuple[tuple[str, float, float], ...]) -> Regions:
+        """The regions as the schedule room knows them. limits : unit, lower and upper end of each axis' variable."""
+        axes = [axis.as_axis(*its) for axis, its in zip(self.axes, limits, strict=True)]
+        return Regions.along(tuple(region.name for region in self.regions), *axes)
+
+
+SIMPLE = ("variable", "bounds", "hysteresis", "min_stay_s", "filter_s")
+"""The keys of [schedule] that describe its only axis when there is no [[schedule.axis]]."""
