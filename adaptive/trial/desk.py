@@ -30,6 +30,7 @@ FINDINGS = {
     Finding.INCONCLUSIVE: E.INCONCLUSIVE,
 }
 KEPT = (E.GOOD, E.AS_PROMISED)
+WITH_GAINS = (E.PROPOSED, E.URGENT, E.WRITTEN)
 
 
 class TrialDesk:
@@ -109,7 +110,15 @@ class TrialDesk:
         return False
 
     def event(self, region: int, event: TrialEvent, t_s: float) -> bool:
-        """Anything that happened to one region; whether its phase changed."""
+        """Anything that happened to one region; whether its phase changed.
+
+        Raises
+        ------
+        ValueError
+            The event comes with gains: use `begin` and `written`.
+        """
+        if event in WITH_GAINS:
+            raise ValueError(f"{event.name} comes with gains; use begin() or written()")
         return self._move(region, event, t_s)
 
     def abort(self, cause: TrialEvent, t_s: float) -> tuple[int, ...]:

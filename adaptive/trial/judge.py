@@ -25,7 +25,7 @@ import numpy as np
 from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.sample import FloatArray, Window
 from retuner.adaptive.trial.promise import Expected, Promise
-from retuner.adaptive.trial.shape import swing
+from retuner.adaptive.trial.shape import swing, three
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
@@ -133,14 +133,24 @@ def _swings(
     numbers |= {"decay_limit": limit, "decay_promised": now.decay.best, "decay_before": _finite(then.decay.best)}
     if len(peaks) < 2:
         return ""
-    sigma = response.band / NOISE_RISES
-    sure = decay - settings.level * sigma / min(map(abs, peaks[:2])) * math.hypot(1.0, decay)
+    sure = _surely(peaks, response.band, settings.level)
     numbers["decay_sure"] = sure
     if sure <= limit or sure <= then.decay.best:
         return ""
     return (
         f"worse than promised: successive peaks in the ratio {decay:.2f}, surely over {sure:.2f}; promised at most "
         f"{now.decay.high:.2f}, the gains before have {then.decay.best:.2f}"
+    )
+
+
+def _surely(peaks: list[float], band: float, level: float) -> float:
+    """The decay less `level` standard deviations that noise on the peaks gives it."""
+    first, second, third = three(peaks, band)
+    sigma = band / NOISE_RISES
+    damping, last = (third - second) / (first - second), abs(third / second)
+    return min(
+        damping - level * sigma * math.hypot(1.0, 1.0, damping) / abs(first - second),
+        last - level * sigma * math.hypot(1.0, last) / abs(second),
     )
 
 

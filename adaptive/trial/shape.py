@@ -1,12 +1,14 @@
 """What is read from one response, promised or measured: how it swings, and what it costs.
 
     overshoot  -E2/E1,   damping  (E3 - E2)/(E1 - E2)                              (Foxboro TI 039-200, 1995, figure 1)
-    decay      min(|E2/E1|, |E3/E2|): the smaller ratio of successive peaks
+    decay      min(damping, |E3/E2|)
     iae        integral |e| dt per unit of the setpoint's step, or of the load
     travel     total variation of the controller output, per the same unit
 
-Decay, and not the damping, is what a trial is judged by: a second upset during a response makes ONE ratio large (a
-load that comes and goes makes E2 as large as E1 in the calmest loop), but only a loop that swings makes both large.
+All three are the same number, the ratio of successive peaks, for a swing that dies out undisturbed. A trial is judged
+by the decay, because a second upset during a response makes one of them large in the calmest loop (a load that comes
+and goes makes E2 as large as E1, so the damping is 1/2), but only a loop that swings makes both large. |E2/E1| is no
+third one: the error of a load stays on one side while the integral takes it over, and the swing rides on it.
 """
 
 import math
@@ -53,11 +55,16 @@ def swing(peaks: list[float], unseen: float = 0.0) -> tuple[float, float, float]
     """Overshoot, damping and decay of up to three peaks; a peak that was not seen is at most `unseen` large."""
     if len(peaks) < 2:
         return 0.0, 0.0, 0.0
+    first, second, third = three(peaks, unseen)
+    damping = (third - second) / (first - second)
+    return -second / first, damping if len(peaks) > 2 else 0.0, min(damping, abs(third / second))
+
+
+def three(peaks: list[float], unseen: float) -> tuple[float, float, float]:
+    """The first three of at least two peaks; a third one that was not seen is at most `unseen` large."""
     first, second = peaks[0], peaks[1]
     third = peaks[2] if len(peaks) > 2 else math.copysign(min(unseen, abs(second)), first)
-    overshoot = -second / first
-    damping = (third - second) / (first - second) if len(peaks) > 2 else 0.0
-    return overshoot, damping, min(abs(second / first), abs(third / second))
+    return first, second, third
 
 
 def shape_of(trace: Trace, ki: float) -> Shape:

@@ -13,7 +13,7 @@ class TrialSettings:
         default 3 (one false alarm in 700 by noise alone).
     decay_slack : and by this much in the ratio of successive peaks; 0 to 0.5, default 0.15 (a model is never exact).
     iae_slack : and by this factor in IAE; 1 to 4, default 1.5.
-    harmless_decay : a ratio of successive peaks up to this is never called worse; 0.1 to 0.5, default 0.35.
+    harmless_decay : a ratio of successive peaks up to this is never called worse; 0.1 to 0.5, default 0.25.
     seen_bands : noise bands that the first peak must have to be judged; 2 to 20, default 4.
     cool_down_s : no change for this long after an abort, s; None takes cool_down_tau_i times tau_I of the restored set.
     cool_down_tau_i : default 20. cool_down_most : most doublings of it by undos; default 6.
@@ -34,7 +34,7 @@ class TrialSettings:
     level: float = 3.0
     decay_slack: float = 0.15
     iae_slack: float = 1.5
-    harmless_decay: float = 0.35
+    harmless_decay: float = 0.25
     seen_bands: float = 4.0
     cool_down_s: float | None = None
     cool_down_tau_i: float = 20.0

@@ -114,7 +114,7 @@ def test_without_a_model_a_promise_is_no_worse_than_what_was_seen() -> None:
     peaks = (Peak(1.0, 4.0), Peak(2.0, -2.0), Peak(3.0, 1.2))
     seen = Response(0.0, 4.0, peaks, Ending.COMPLETE, sp_changed=False, band=0.1)
     found = promise_without_model(seen, PidGains(2.0, 0.2), PidGains(1.8, 0.16))
-    assert found.load.decay.high == pytest.approx(0.5)
+    assert found.load.decay.high == pytest.approx(3.2 / 6.0)
     assert found.load.iae.best == pytest.approx(1 / 0.16)
     assert found.load_before.iae.best == pytest.approx(1 / 0.2)
     assert math.isinf(found.setpoint.iae.high)
@@ -127,6 +127,7 @@ def test_without_a_model_a_promise_is_no_worse_than_what_was_seen() -> None:
         ([], (0.0, 0.0, 0.0)),
         ([2.0], (0.0, 0.0, 0.0)),
         ([2.0, -1.0], (0.5, 0.0, 0.1)),
+        ([2.0, -0.05], (0.025, 0.0, 0.1 / 2.05)),
         ([2.0, -1.0, 0.5], (0.5, 0.5, 0.5)),
         ([2.0, -2.0, 0.2], (1.0, 0.55, 0.1)),
     ],

@@ -1,0 +1,152 @@
+"""The judge: good gains keep their promise, bad ones do not, and other upsets undo nothing."""
+
+from dataclasses import replace
+
+import pytest
+from rig import BAD, GOOD, MODEL, PROMISE, Rig, responses
+
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.response import Ending, Peak, Response
+from retuner.adaptive.sample import Window
+from retuner.adaptive.trial.judge import Finding, Judgement, Seen, judge
+from retuner.adaptive.trial.promise import promise
+from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.schedule.gains import PidGains
+
+S = TrialSettings()
+STEP, LOAD = {"sp": 5.0}, {"load": 10.0}
+
+
+def first(rig: Rig, samples: int = 2500, **upset: float) -> Judgement:
+    return judge(responses(rig, samples, **upset)[0], PROMISE, rig.gains, S)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("upset", [STEP, LOAD, {"sp": -5.0}, {"load": -10.0}], ids=str)
+def test_good_gains_keep_their_promise_under_noise(seed: int, upset: dict[str, float]) -> None:
+    found = first(Rig(GOOD, noise=0.025, seed=seed), 300, **upset)
+    assert found.finding in {Finding.AS_PROMISED, Finding.BETTER}, found.reason
+    assert found.numbers["decay"] < found.numbers["decay_limit"]
+
+
+@pytest.mark.parametrize("name", ["kc /4", "tau_i x4"])
+@pytest.mark.parametrize("upset", [STEP, LOAD], ids=str)
+def test_sluggish_gains_are_worse_than_promised_in_iae(name: str, upset: dict[str, float]) -> None:
+    found = first(Rig(BAD[name], noise=0.025), **upset)
+    assert found.finding is Finding.WORSE
+    assert "IAE" in found.reason
+    assert found.numbers["iae"] > found.numbers["iae_limit"] > found.numbers["iae_promised"]
+
+
+@pytest.mark.parametrize("upset", [STEP, LOAD], ids=str)
+def test_a_loop_that_swings_is_worse_than_promised_in_its_peaks(upset: dict[str, float]) -> None:
+    ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
+    found = first(Rig(ringing, noise=0.025), 400, **upset)
+    assert found.finding is Finding.WORSE
+    assert "successive peaks" in found.reason
+    assert found.numbers["decay_sure"] > found.numbers["decay_limit"]
+
+
+def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
+    ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
+    from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 0.5)
+    seen = responses(Rig(ringing), 400, load=10.0)[0]
+    assert judge(seen, from_unstable, ringing, S).finding is not Finding.WORSE
+    assert judge(seen, PROMISE, ringing, S).finding is Finding.WORSE
+
+
+@pytest.mark.parametrize("seconds", [5, 10, 20, 40])
+def test_a_load_that_comes_and_goes_undoes_nothing(seconds: int) -> None:
+    rig = Rig(GOOD, noise=0.02)
+    found = responses(_Pulsed(rig, seconds), 400)
+    assert found
+    for seen in found:
+        assert judge(seen, PROMISE, GOOD, S).finding is not Finding.WORSE
+
+
+class _Pulsed:
+    """A rig whose load comes after 200 samples and goes after some seconds more."""
+
+    def __init__(self, rig: Rig, seconds: int) -> None:
+        self.rig, self.gains, self.left, self.seconds = rig, rig.gains, 200, seconds
+
+    def run(self, samples: int):
+        for _ in range(samples):
+            self.left -= 1
+            self.rig.load = 10.0 if -self.seconds < self.left <= 0 else 0.0
+            yield from self.rig.run(1)
+
+
+def test_a_ramp_of_the_load_undoes_nothing() -> None:
+    class Ramp(_Pulsed):
+        def run(self, samples: int):
+            for _ in range(samples):
+                self.left -= 1
+                self.rig.load = 0.1 * max(min(-self.left, 150), 0)
+                yield from self.rig.run(1)
+
+    found = responses(Ramp(Rig(GOOD, noise=0.02), 0), 600)
+    assert found
+    assert all(judge(seen, PROMISE, GOOD, S).finding is not Finding.WORSE for seen in found)
+
+
+def example(**changes: object) -> Seen:
+    seen = responses(Rig(PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)), 400, sp=5.0)[0]
+    return replace(seen, response=replace(seen.response, **changes))
+
+
+def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
+    assert judge(example(), PROMISE, GOOD, S).finding is Finding.WORSE
+    small = (Peak(1.0, 0.3), Peak(2.0, -0.3), Peak(3.0, 0.3))
+    for seen, why in (
+        (example(ending=Ending.SETPOINT), "cut short"),
+        (example(peaks=small), "noise bands"),
+        (example(peaks=()), "noise bands"),
+        (replace(example(), outside="an oscillation from outside"), "from outside"),
+    ):
+        found = judge(seen, PROMISE, GOOD, S)
+        assert found.finding is Finding.INCONCLUSIVE
+        assert why in found.reason
+
+
+def test_a_setpoint_that_moves_on_or_a_start_from_motion_is_inconclusive() -> None:
+    seen = example()
+    w = seen.window
+    ramp = w.sp.copy()
+    ramp[-1] += 1.0
+    moved = w.pv.copy()
+    moved[w.t_s < seen.response.t_start_s] += 0.5
+    for window, why in ((Window(w.t_s, ramp, w.pv, w.co), "moving"), (Window(w.t_s, w.sp, moved, w.co), "at rest")):
+        found = judge(replace(seen, window=window), PROMISE, GOOD, S)
+        assert found.finding is Finding.INCONCLUSIVE
+        assert why in found.reason
+
+
+def test_an_output_at_its_limit_says_nothing_of_the_iae() -> None:
+    seen = responses(Rig(BAD["kc /4"]), 1500, sp=5.0)[0]
+    assert judge(seen, PROMISE, BAD["kc /4"], S).finding is Finding.WORSE
+    assert judge(replace(seen, limited_share=0.2), PROMISE, BAD["kc /4"], S).finding is Finding.AS_PROMISED
+
+
+def test_peaks_within_noise_do_not_speak_against_the_gains() -> None:
+    peaks = (Peak(1.0, 0.5), Peak(2.0, -0.17), Peak(3.0, 0.06))
+    base = example()
+    noisy = replace(base, response=Response(base.response.t_start_s, base.response.t_end_s, peaks, Ending.COMPLETE,
+                                            sp_changed=False, band=0.1))  # fmt: skip
+    assert judge(noisy, PROMISE, GOOD, S).finding is not Finding.WORSE
+    sure = replace(noisy, response=replace(noisy.response, peaks=tuple(Peak(p.t_s, 50 * p.e) for p in peaks)))
+    assert judge(sure, PROMISE, GOOD, S).finding is Finding.WORSE
+
+
+def test_plain_values() -> None:
+    found = first(Rig(GOOD), 300, **STEP)
+    assert found.to_dict()["finding"] in {"as_promised", "better"}
+    assert found.to_dict()["numbers"] == found.numbers
+
+
+@pytest.mark.parametrize(("name", "value"), [("responses", 0), ("level", 1.0), ("timeout_s", 0.0), ("grows", 0.9)])
+def test_settings_outside_their_range_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        TrialSettings(**{name: value})
+    with pytest.raises(ValueError, match="cool_down_s"):
+        TrialSettings(cool_down_s=float("nan"))

@@ -1,0 +1,102 @@
+"""The watch over a trial: what runs away is stopped in mid-response, and nothing else is."""
+
+import pytest
+from rig import BAD, GOOD, MODEL, PROMISE, Rig
+
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.adaptive.trial.promise import promise
+from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.trial.watch import WatchLaw, law_of, watch, watch_begin
+
+S = TrialSettings()
+LAW = law_of(PROMISE, S, 60.0)
+
+
+def run(rig: Rig, samples: int, law: WatchLaw = LAW, band: float = 0.1) -> tuple[TrialEvent | None, float, float]:
+    """What the watch says, when, and the largest error until then."""
+    state, start, peak = watch_begin(rig.sp), rig.t_s, 0.0
+    for sample in rig.run(samples):
+        peak = max(peak, abs(sample.sp - sample.pv))
+        state, found = watch(law, state, sample, band)
+        if found:
+            return found, sample.t_s - start, peak
+    return None, samples, peak
+
+
+@pytest.mark.parametrize("upset", [{"sp": 5.0}, {"load": 10.0}], ids=str)
+def test_an_unstable_set_is_stopped_in_its_third_half_wave(upset: dict[str, float]) -> None:
+    free = Rig(BAD["kc x4"], noise=0.02)
+    for name, value in upset.items():
+        setattr(free, name, value)
+    unwatched = max(abs(s.sp - s.pv) for s in free.run(100))
+    rig = Rig(BAD["kc x4"], noise=0.02, **upset)
+    found, after_s, peak = run(rig, 400)
+    assert found is TrialEvent.RUNAWAY
+    assert after_s < 60
+    assert peak < unwatched / 5
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("upset", [{}, {"sp": 5.0}, {"load": 10.0}], ids=str)
+def test_good_gains_are_left_alone_for_long(seed: int, upset: dict[str, float]) -> None:
+    assert run(Rig(GOOD, noise=0.03, seed=seed, **upset), 1500)[0] is None
+
+
+def test_a_swing_that_does_not_die_out_is_stopped_and_one_that_decays_is_not() -> None:
+    def swing(decay: float) -> TrialEvent | None:
+        state = watch_begin(0.0)
+        for i in range(12):
+            for share in (0.5, 1.0, 0.5):
+                e = 5.0 * decay**i * (-1) ** i * share
+                state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
+                if found:
+                    return found
+        return None
+
+    assert swing(1.0) is TrialEvent.RUNAWAY
+    assert swing(0.97) is TrialEvent.RUNAWAY
+    assert swing(0.9) is None
+    assert swing(0.5) is None
+
+
+def test_loads_that_come_now_and_then_and_grow_are_no_swing() -> None:
+    rig = Rig(GOOD)
+    state, found = watch_begin(0.0), None
+    for load in (5.0, 15.0, 40.0, 100.0):
+        rig.load = load
+        for sample in rig.run(120):
+            state, found = watch(LAW, state, sample, 0.1)
+            assert found is None
+
+
+def test_a_new_setpoint_begins_anew() -> None:
+    rig, state = Rig(GOOD), watch_begin(0.0)
+    for size in (5.0, -10.0, 20.0, -40.0, 80.0):
+        rig.sp = size
+        for sample in rig.run(150):
+            state, found = watch(LAW, state, sample, 0.1)
+            assert found is None
+    assert state.sp == 80.0
+
+
+def test_an_output_between_its_limits_is_stopped_and_one_that_stays_at_a_limit_too() -> None:
+    def limits(pattern: list[int]) -> TrialEvent | None:
+        state = watch_begin(0.0)
+        for i, limit in enumerate(pattern):
+            state, found = watch(LAW, state, LoopSample(float(i), 0.0, 0.0, 0.0, limited=limit), 0.1)
+            if found:
+                return found
+        return None
+
+    assert limits([1, 0, -1, 0, 1, 0, -1]) is TrialEvent.RUNAWAY
+    assert limits([1, 0, -1, 0, 1, 0, 1, 0, 1]) is None
+    long = int(LAW.limited_s) + 2
+    assert limits([1] * long) is TrialEvent.SATURATED
+    assert limits(([1] * (long - 3) + [0]) * 3) is None
+
+
+def test_a_loop_that_was_unstable_before_may_grow_as_it_did() -> None:
+    worse = promise([Plausible(MODEL, 0.0)], BAD["kc x4"], GOOD, 0.5)
+    assert law_of(worse, S, 60.0).grows > LAW.grows == S.grows
