@@ -18,6 +18,7 @@ from online.astrom_hagglund import Member, batch
 from online.counting import counted
 from online.judge import Judge, Judgement
 from online.loop import LostLoop, WatchedLoop
+from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
 from online.supervisors import Watching, one_region, settings
 from retuner.adaptive.decision import Decision
 from retuner.schedule.gains import PidGains
@@ -44,16 +45,20 @@ class Task:
     opened: bool
     noise: float = NOISE
     verbose: bool = False
+    rivals: bool = False
 
 
-def tasks(seed: int, *, opened: bool, every: int, only: str, noise: float, verbose: bool, starts: int) -> list[Task]:
+def tasks(
+    seed: int, *, opened: bool, every: int = 1, only: str = "", noise: float = NOISE, verbose: bool = False,
+    starts: int = 1, rivals: bool = False,
+) -> list[Task]:  # fmt: skip
     """The runs of a table: `starts` of STARTS (in a drawn order) for each process, or for every n-th."""
     rng = np.random.default_rng(seed)
     found = []
     for member in batch():
         order = rng.permutation(len(STARTS))[:starts]
         found += [
-            Task(member, STARTS[i], zlib.crc32(f"{seed} {member.name} {i}".encode()), opened, noise, verbose)
+            Task(member, STARTS[i], zlib.crc32(f"{seed} {member.name} {i}".encode()), opened, noise, verbose, rivals)
             for i in order
         ]
     return [task for task in found if task.member.name.startswith(only)][::every]
@@ -77,7 +82,21 @@ def run(task: Task) -> Row:
         "spec": [found.in_spec for found in judged], "ms": [found.ms for found in judged],
         "j": [found.j for found in judged], "kc_now": loop.gains.kp / judge.best.kp,
         "ki_now": loop.gains.ki / judge.best.ki, "story": story if task.verbose else [],
+        "rivals": rivals(task, judge, gains) if task.rivals else {},
     }  # fmt: skip
+
+
+def rivals(task: Task, judge: Judge, gains: PidGains) -> dict[str, list[bool]]:
+    """In spec after each disturbance, under those that retuner is compared with."""
+    process, dt_s = task.member.process, judge.dt_s
+    rng = np.random.default_rng(task.seed + 1)
+    relay = relay_then_ziegler_nichols(HeldPlant(process, dt_s), process, dt_s, task.noise, rng)
+    simc = step_then_simc(HeldPlant(process, dt_s), process, judge.theta_s, dt_s, task.noise, rng)
+    pattern = PatternAlone(one_region(gains), settings(dt_s, PV_SPAN))
+    loop = WatchedLoop(HeldPlant(process, dt_s), pattern.watcher.table, dt_s, pattern)
+    once = {"fixed": gains, "relay once": relay, "simc once": simc}
+    found = {who: [x is not None and judge.of(x).in_spec] * DISTURBANCES for who, x in once.items()}
+    return found | {"pattern": [x.in_spec for x in disturbed(loop, judge, task, [])]}
 
 
 def disturbed(loop: WatchedLoop, judge: Judge, task: Task, story: list[str]) -> list[Judgement]:
@@ -155,6 +174,11 @@ def table(rows: list[Row]) -> list[str]:
         f"   (at that moment {sum(r['spec'][n - 1] for r in rows)})"
         for n in range(1, DISTURBANCES + 1)
     ]
+    for who in sorted({name for row in rows for name in row["rivals"]}):
+        of = [row["rivals"][who] for row in rows if who in row["rivals"]]
+        lines += [
+            f"{who}: after {n}, and staying  {counted(sum(all(x[n - 1 :]) for x in of), len(of))}" for n in (1, 3, 6)
+        ]
     at_end = Counter(_fault(row) for row in rows)
     lines.append("at the end: " + ", ".join(f"{name} {number}" for name, number in at_end.most_common()))
     for key in ("family", "kc", "tau_i"):

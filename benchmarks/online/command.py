@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from online import batch, harm
+from online import batch, changes, harm, walks
 from online.runner import collect
 
 
@@ -24,7 +24,7 @@ def main() -> int:
 def _batch(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     tasks = batch.tasks(
         options.seed, opened=options.opened, every=options.every, only=options.only, noise=options.noise,
-        verbose=options.verbose, starts=options.starts,
+        verbose=options.verbose, starts=options.starts, rivals=options.rivals,
     )  # fmt: skip
     rows, whole = collect(batch.run, tasks, options.jobs, options.out, batch.line if options.verbose else None)
     if not options.verbose:
@@ -48,7 +48,22 @@ def _harm(options: argparse.Namespace) -> tuple[list[harm.Row], bool]:
     return rows, whole
 
 
-PARTS = {"batch": _batch, "harm": _harm}
+def _changes(options: argparse.Namespace) -> tuple[list[changes.Row], bool]:
+    kinds = changes.KINDS if options.kind == "all" else (options.kind,)
+    tasks = [task for kind in kinds for task in changes.tasks(options.seed, kind, options.loops)][:: options.every]
+    rows, whole = collect(changes.run, tasks, options.jobs, options.out, changes.line if options.verbose else None)
+    _say([f"processes that change, seed {options.seed}", *changes.table(rows)])
+    return rows, whole
+
+
+def _walks(options: argparse.Namespace) -> tuple[list[walks.Row], bool]:
+    tasks = walks.tasks(options.seed, options.walks, options.setpoints)[:: options.every]
+    rows, whole = collect(walks.run, tasks, options.jobs, options.out, walks.line)
+    _say([f"walks, seed {options.seed}", *(walks.table(rows) if rows else [])])
+    return rows, whole
+
+
+PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm}
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -66,9 +81,16 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
     one.add_argument("--only", default="", help='processes whose name begins so: "P6", "P1 T=0.02"')
     one.add_argument("--noise", type=float, default=batch.NOISE, help="share of a setpoint step")
+    one.add_argument("--rivals", action="store_true", help="the same runs under fixed gains, relay, step, pattern")
     one.add_argument("--starts", type=int, default=1, help=f"wrong starts per process, of {len(batch.STARTS)}")
     two = parts.add_parser("harm", parents=[common], help="quiet hours, stiction, outside oscillations, saturation")
     two.add_argument("--kind", choices=("all", *harm.KINDS), default="all")
     two.add_argument("--hours", type=int, default=100, help="quiet hours")
     two.add_argument("--loops", type=int, default=40, help="loops of each other kind")
+    three = parts.add_parser("changes", parents=[common], help="coloured noise, starts in motion, changes, drift")
+    three.add_argument("--kind", choices=("all", *changes.KINDS), default="all")
+    three.add_argument("--loops", type=int, default=40, help="loops of each kind")
+    four = parts.add_parser("walks", parents=[common], help="setpoint walks over a process that varies by 4")
+    four.add_argument("--walks", type=int, default=10)
+    four.add_argument("--setpoints", type=int, default=walks.SETPOINTS, help="of each walk")
     return parser

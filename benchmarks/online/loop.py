@@ -53,7 +53,7 @@ class LostLoop(Exception):  # noqa: N818  it is no error of the program
 class WatchedLoop:
     """The loop from rest.
 
-    plant : about rest. table : regions and gains at the start; regions are along sp. dt_s : sampling interval.
+    plant : about rest. table : regions and gains at the start; regions are along sp or pv. dt_s : sampling interval.
     co0, sp0 : resting output and setpoint. low, high : range of the output. lost : |pv - sp0| at which it is lost.
     """
 
@@ -93,16 +93,19 @@ class WatchedLoop:
         trace, loads = [], [load] * len(noise) if isinstance(load, (int, float)) else load
         dt_s, plant, valve, sensor, supervisor = self.dt_s, self.plant, self.valve, self.sensor, self.supervisor
         sp0, rest, lost, watched = self.sp0, self._rest, self.lost, not self.hidden
+        by_pv = self.table.regions.variable == "pv"
         for more, upset in zip(noise, loads, strict=True):
             self.i += 1
             t_s = self.i * dt_s
-            now = choose(self._regions, self.region, sp, t_s)
-            if now is not self.region:
-                self.region = now
-                self._adopt(self.table.gains_of(now.region), sp, self._state[1])
             pv = sp0 + self.y + more
             if sensor:
                 pv = sensor(pv)
+            x = pv if by_pv else sp
+            now = choose(self._regions, self.region, x, t_s)
+            if now is not self.region:
+                if now.region != self.region.region:
+                    self._adopt(self.table.gains_of(now.region), sp, self._state[1])
+                self.region = now
             self._state, co = step(self._law, self._state, sp, pv, dt_s)
             self.co = co
             self.y = y = plant.move((valve(co) if valve else co) - rest + upset)
@@ -112,7 +115,7 @@ class WatchedLoop:
             if not watched:
                 continue
             limited = self._state[LIMITED]
-            wish = supervisor.observe(LoopSample(t_s, sp, pv, co, LoopMode.AUTO, limited, sp, self.revision))
+            wish = supervisor.observe(LoopSample(t_s, sp, pv, co, LoopMode.AUTO, limited, x, self.revision))
             if wish is not None:
                 self.write(*wish, sp, pv)
         return trace

@@ -1,7 +1,6 @@
 """Who watches a loop in the comparison: retuner itself; see rivals.py for the others."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.guard import GuardSettings
@@ -12,7 +11,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 
-WRITTEN = frozenset({Action.COMMIT, Action(getattr(Action, "RESTORE", Action.COMMIT))})
+WRITTEN = frozenset({Action.COMMIT, Action.RESTORE})
 """Actions after which gains are written."""
 OPENED = 8.0
 """Factor to which a change, and the sum of all changes, is held where the limits are opened."""
@@ -21,7 +20,7 @@ OPENED = 8.0
 def guard_settings(*, opened: bool) -> GuardSettings:
     """The defaults, or all limits on the size of a change at OPENED."""
     usual = GuardSettings()
-    return replace(usual, step_up_max=OPENED, step_down_max=OPENED) if opened else usual
+    return usual.opened(OPENED) if opened else usual
 
 
 def settings(dt_s: float, pv_span: float, *, opened: bool = False) -> RetunerSettings:

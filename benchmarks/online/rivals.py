@@ -1,0 +1,105 @@
+"""What retuner is compared with, in the same runs: a relay experiment or a step, once, and pattern rules alone.
+
+Both experiments are given what an engineer would have to find out: the sign of the process, and an amplitude that moves
+pv by about one, a hundred times the noise.
+"""
+
+import math
+
+import numpy as np
+from cases.best import later
+
+from online.loop import Moved
+from retuner.adaptive.experiments.relay import relay_cycle
+from retuner.adaptive.identify import OPEN_LOOP, identify_window
+from retuner.adaptive.pattern_rule import pattern_rule
+from retuner.adaptive.pattern_settings import PatternSettings
+from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.sample import LoopSample, Window
+from retuner.adaptive.ultimate import ultimate
+from retuner.adaptive.watcher import Completed, Watcher
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+
+WAVES = 12
+"""Periods of the relay experiment."""
+HYSTERESIS_STD = 3.0
+KU_PART, PU_PART = 0.45, 1.2
+"""Ziegler & Nichols (1942), PI: Kc = 0.45 Ku, tau_I = Pu / 1.2."""
+STEP_LAGS, STEP_THETA, MOST_THETA = 5.0, 10.0, 60.0
+"""Length of the step experiment: so many lags and dead times, and at most so many dead times."""
+
+
+def relay_then_ziegler_nichols(
+    plant: Moved, process: LinearProcess, dt_s: float, noise: float, rng: np.random.Generator, size: float = 1.0
+) -> PidGains | None:
+    """PI settings from a relay experiment on the plant, whose linearisation here is `process`; None when it fails.
+
+    size : amplitude of pv's swing, noise : standard deviation, pv units.
+    """
+    ku, pu = ultimate(process)
+    d = size * math.pi / 4 * abs(ku)
+    n = int((WAVES * pu + 2 * process.theta_s) / dt_s)
+    hysteresis = HYSTERESIS_STD * noise
+    y, on, pvs, cos = 0.0, 1.0, [], []
+    for more in (noise * rng.standard_normal(n)).tolist():
+        pv = y + more
+        if pv * math.copysign(1.0, ku) > hysteresis:
+            on = -1.0
+        elif pv * math.copysign(1.0, ku) < -hysteresis:
+            on = 1.0
+        pvs.append(pv)
+        cos.append(on * d)
+        y = plant.move(on * d)
+    times = np.arange(n) * dt_s
+    try:
+        cycle = relay_cycle(Window(times, np.zeros(n), np.array(pvs), np.array(cos)), hysteresis)
+    except ValueError:
+        return None
+    kp = math.copysign(KU_PART * cycle.ku, ku)
+    return PidGains(kp, kp * PU_PART / cycle.pu_s)
+
+
+def step_then_simc(
+    plant: Moved, process: LinearProcess, theta_s: float, dt_s: float, noise: float, rng: np.random.Generator,
+    size: float = 1.0,
+) -> PidGains | None:  # fmt: skip
+    """SIMC PI (tau_c = theta) on the model identified from one open-loop step; None when it is not identifiable."""
+    lag = max((*process.lags_s, *(math.sqrt(c2) for _, c2 in process.quadratics), 0.0))
+    length_s = min(STEP_LAGS * lag + STEP_THETA * theta_s, MOST_THETA * theta_s)
+    lead, n = 20, int(length_s / dt_s)
+    slow = length_s if process.integrators else lag * (1 - math.exp(-length_s / lag)) if lag else 1.0
+    u = size / (process.k * (slow if process.integrators else slow / (lag or 1.0)))
+    pvs, y = [], 0.0
+    co = np.concatenate([np.zeros(lead), np.full(n, u)])
+    for held, more in zip(co.tolist(), (noise * rng.standard_normal(lead + n)).tolist(), strict=True):
+        pvs.append(y + more)
+        y = plant.move(held)
+    window = Window(np.arange(lead + n) * dt_s, np.zeros(lead + n), np.array(pvs), co)
+    estimate = identify_window(window, None, settings=OPEN_LOOP)
+    if not estimate.identifiable:
+        return None
+    return simc(later(estimate.log.model(), dt_s / 2)).gains
+
+
+class PatternAlone:
+    """Recogniser and pattern rule, nothing else: no model, no cause, no proof, no trial."""
+
+    def __init__(self, table: GainTable, wanted: RetunerSettings) -> None:
+        self.watcher = Watcher(table, wanted)
+        self.rule = PatternSettings(alone=True)
+
+    def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
+        """What the pattern of a completed response asks for."""
+        seen = self.watcher.take(sample)
+        if not isinstance(seen, Completed):
+            return None
+        gains = self.watcher.table.gains_of(seen.region)
+        advice = pattern_rule(seen.response, self.watcher.window(seen.response), gains, None, self.rule)
+        return None if advice.tuning is None else (seen.region, advice.tuning.gains)
+
+    def written(self, region: int, gains: PidGains) -> None:
+        """The controller runs them now."""
+        self.watcher.gains_changed(self.watcher.table.with_gains(region, gains))
