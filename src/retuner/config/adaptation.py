@@ -50,6 +50,10 @@ class AdaptationConfig(Section):
     step_down_max: float = setting(
         "Greatest factor of one change towards less action", unit="1", above=1, high=10, default=4.0, source="ABB ECA06"
     )
+    approval_s: float = setting(
+        "How long a proposal may be approved after it was made", unit="s", above=0, high=1e8, default=86400.0,
+        source="a day: every shift sees it",
+    )  # fmt: skip
     noise_band: float | None = setting(
         "Noise band of pv; absent: estimated from the data", unit="pv", above=0, high=1e9, default=None, source="user"
     )
