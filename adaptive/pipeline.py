@@ -12,6 +12,7 @@ import numpy as np
 
 from retuner.adaptive.admission import Admission, admit, inside_region
 from retuner.adaptive.belief import Belief
+from retuner.adaptive.change_request import change_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.online import Standing, hidden_cause, swing_cause, swings
@@ -113,10 +114,12 @@ def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettin
     tuning, diagnosis = _diagnose(log, case.in_force, settings)
     if not diagnosis.retune:
         return Outcome(str(diagnosis.cause), diagnosis.reason, learned, diagnosis=diagnosis)
-    verdict = prove(tuning, log, settings.sample_time_s / 2, case.in_force, settings.guard)
+    beliefs, now = {**case.beliefs, case.region: belief}, float(case.window.t_s[-1])
+    tables = (case.table, case.commissioned)
+    verdict = prove(change_request(tuning, case.region, tables, beliefs, learned, now, settings), settings.guard)
     return Outcome(
         verdict.ruling.name.lower(),
-        diagnosis.reason if verdict.accepted else str(verdict.ruling),
+        diagnosis.reason if verdict.accepted else verdict.sentence,
         learned,
         diagnosis=diagnosis,
         proposal=tuning,

@@ -1,0 +1,54 @@
+"""From what is known of a loop to the guard's question: may this region have these gains?"""
+
+from collections.abc import Mapping
+
+from retuner.adaptive.belief import Belief
+from retuner.adaptive.guard.allowed import allowed
+from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.request import ChangeRequest, Evidence
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.tracker import SECONDS_PER_DAY, Learned, Surprise, gate, predicted
+from retuner.schedule.table import GainTable
+
+
+def change_request(
+    proposal: Tuning,
+    region: int,
+    tables: tuple[GainTable, GainTable],
+    beliefs: Mapping[int, Belief],
+    learned: Learned,
+    t_s: float,
+    settings: RetunerSettings,
+) -> ChangeRequest:
+    """The question on a proposal that a model supports.
+
+    Parameters
+    ----------
+    region : index. tables : in force, and as commissioned. beliefs : of all regions, the asked one's as it is now.
+    learned : outcome of the last record. t_s : now.
+    """
+    in_force, commissioned = tables
+    known = {index: _allowed(belief, t_s, settings) for index, belief in beliefs.items()}
+    odd = learned.surprise == Surprise.ODD
+    return ChangeRequest(
+        in_force=in_force.gains_of(region),
+        commissioned=commissioned.gains_of(region),
+        proposal=proposal,
+        models=known[region],
+        sample_time_s=settings.sample_time_s,
+        evidence=Evidence(
+            records=beliefs[region].records,
+            age_s=max(t_s - beliefs[region].t_s, 0.0),
+            innovation=learned.innovation if odd else 0.0,
+            gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
+        ),
+        borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
+    )
+
+
+def _allowed(belief: Belief, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
+    """The models of a region that its records still allow now."""
+    walk = settings.tracker.walk_per_day**2 * max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
+    return allowed(predicted(belief, t_s, settings.tracker), belief.plausible, walk, settings.guard)

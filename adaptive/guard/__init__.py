@@ -1,0 +1,38 @@
+"""The guard: proof before change. See proof.py."""
+
+from retuner.adaptive.guard.allowed import allowed
+from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.parameters import change_factor, within_limits
+from retuner.adaptive.guard.proof import prove
+from retuner.adaptive.guard.request import (
+    KC_ONLY,
+    NO_DERIVATIVE,
+    NO_LOCKS,
+    Border,
+    ChangeRequest,
+    Evidence,
+    Locks,
+    Support,
+)
+from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
+from retuner.adaptive.guard.settings import GuardSettings
+
+__all__ = [
+    "KC_ONLY",
+    "NO_DERIVATIVE",
+    "NO_LOCKS",
+    "Border",
+    "ChangeRequest",
+    "Check",
+    "Evidence",
+    "GuardSettings",
+    "Locks",
+    "Ruling",
+    "Support",
+    "Verdict",
+    "allowed",
+    "borders_of",
+    "change_factor",
+    "prove",
+    "within_limits",
+]

@@ -1,0 +1,145 @@
+"""Both sides of a region's border: new gains meet a process that is no longer their own.
+
+At a weight w of the neighbour (0 at the own centre, 1 at its centre) the process is taken between the two, in the
+parameters of the fits (structure.py):
+
+    k', theta, c2, 1/T  each  a^(1-w) b^w     (a (1-w) + b w where one of them is 0: no second lag, no lag)
+
+- hard lookup: the new gains run alone up to the border plus its hysteresis, the reach.
+- interpolated lookup: the gains are (1-w) new + w neighbour's, between the two centres.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from retuner.adaptive.guard.allowed import sampled
+from retuner.adaptive.guard.request import Border
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable, Lookup
+
+SHARES_HARD = (1.0, 0.5)
+"""Weights at which a hard border is proved, in shares of the reach: the farthest first, then half way."""
+SHARES_MIXED = (0.5, 0.25, 0.75)
+"""Weights at which an interpolation is proved: Ms along a mean of two sets has no narrow peaks."""
+SHARES_UNKNOWN = (0.5, 0.25)
+"""Nothing known of the neighbour: the own process stands for it up to half way."""
+
+
+def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[Border, ...]:
+    """What the table says of a region's borders. models : what is known of the regions, by index; may lack some."""
+    interpolated = table.lookup is Lookup.INTERPOLATED
+    found = []
+    for other in table.regions.neighbours(region):
+        axis, value = table.regions.border(region, other)
+        own, far = table.regions.centre(region, axis), table.regions.centre(other, axis)
+        reach = (abs(value - own) + table.regions.axes[axis].hysteresis) / abs(far - own)
+        found.append(
+            Border(
+                table.regions.names[other],
+                table.gains_of(other),
+                tuple(models.get(other, ())),
+                1.0 if interpolated else min(reach, 1.0),
+                interpolated,
+            )
+        )
+    return tuple(found)
+
+
+def at_border(
+    border: Border, own: Sequence[Plausible], new: PidGains, old: PidGains, limit: float, sample_time_s: float
+) -> tuple[float, bool]:
+    """Largest Ms on the way to the neighbour, and whether it is everywhere within the limit or no worse than before.
+
+    All models are asked at the first weight; at the others the best of both and the pair that was worst. own : models
+    of the region. NaN where there is nothing to ask.
+    """
+    worst, proper = -math.inf, True
+    pairs, shares = _pairs(border, own), _shares(border)
+    for place, share in enumerate(shares):
+        asked = [(_ms(pair, border, new, share, sample_time_s), pair) for pair in pairs]
+        for ms, pair in asked:
+            worst = max(worst, ms)
+            proper = proper and (ms <= limit or ms <= _ms(pair, border, old, share, sample_time_s))
+        if not proper:
+            break
+        if place == 0 and pairs:
+            pairs = [pairs[0], max(asked, key=lambda one: one[0])[1]]
+    return (worst if pairs else math.nan), proper
+
+
+def _pairs(border: Border, own: Sequence[Plausible]) -> list[tuple[ProcessModel, ProcessModel]]:
+    """Models here and there, the best of both first; the own one twice where nothing is known of the neighbour."""
+    if not own:
+        return []
+    if not border.models:
+        return [(mine.model, mine.model) for mine in own] if border.interpolated else []
+    here, there = own[0].model, border.models[0].model
+    pairs = [(here, other.model) for other in border.models] + [(mine.model, there) for mine in own[1:]]
+    return [pair for pair in pairs if between_models(*pair, 0.5) is not None]
+
+
+def _shares(border: Border) -> tuple[float, ...]:
+    """Weights to prove at."""
+    if not border.interpolated:
+        return tuple(border.reach * share for share in SHARES_HARD)
+    return SHARES_MIXED if border.models else SHARES_UNKNOWN
+
+
+def _ms(
+    pair: tuple[ProcessModel, ProcessModel], border: Border, gains: PidGains, share: float, sample_time_s: float
+) -> float:
+    """Ms at a weight of the neighbour."""
+    between = between_models(*pair, share)
+    return sensitivity_peak(sampled(between or pair[0], sample_time_s), _mixed(gains, border, share))
+
+
+def _mixed(gains: PidGains, border: Border, share: float) -> PidGains:
+    """The gains in force at a weight of the neighbour."""
+    if not border.interpolated:
+        return gains
+    other = border.gains
+    return PidGains(*((1 - share) * getattr(gains, n) + share * getattr(other, n) for n in ("kp", "ki", "kd")))
+
+
+def between_models(one: ProcessModel, other: ProcessModel, share: float) -> ProcessModel | None:
+    """The process between two: see the head of this file; None where a structure is not one that a fit can have."""
+    kinds = {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG}
+    if not {one.type, other.type} <= kinds or one.k * other.k < 0:
+        return None
+    a, b = _numbers(one), _numbers(other)
+    slope, theta, c2, c0 = (_mean(x, y, share) for x, y in zip(a, b, strict=True))
+    return _model(math.copysign(slope, one.k), theta, c2, c0)
+
+
+def _numbers(model: ProcessModel) -> tuple[float, float, float, float]:
+    """|k'|, theta, c2 and 1/T of k' e^(-theta s) / (c2 s^2 + s + 1/T)."""
+    if not model.tau1_s:
+        return abs(model.k), model.theta_s, model.tau2_s, 0.0
+    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
+    return abs(model.k) / total, model.theta_s, model.tau1_s * model.tau2_s / total, 1 / total
+
+
+def _mean(a: float, b: float, share: float) -> float:
+    """Between two numbers, in their logarithms where both have one."""
+    return a ** (1 - share) * b**share if a and b else a * (1 - share) + b * share
+
+
+def _model(slope: float, theta: float, c2: float, c0: float) -> ProcessModel:
+    """The model of these numbers: the inverse of _numbers."""
+    if not c0:
+        type_ = ProcessType.INTEGRATING_LAG if c2 else ProcessType.INTEGRATING
+        return ProcessModel(type_, slope, 0.0, c2, theta)
+    total = 1 / c0
+    plain = ProcessModel(ProcessType.FOPDT, slope * total, total, 0.0, theta)
+    if not c2:
+        return plain
+    root = 1 - 4 * c2 / total
+    if root < 0:
+        tau = math.sqrt(c2 * total)
+        return replace(plain, type=ProcessType.SOPDT, tau1_s=tau, tau2_s=tau, zeta=min(total / (2 * tau), 1.0))
+    tau1 = total * (1 + math.sqrt(root)) / 2
+    return replace(plain, type=ProcessType.SOPDT, tau1_s=tau1, tau2_s=min(c2 * total / tau1, tau1))

@@ -1,0 +1,130 @@
+"""Gains as the limits see them: kc, tau_I, tau_D and the integral action kc/tau_I, in magnitude.
+
+    kc = |kp|,   tau_I = kp/ki,   tau_D = kd/kp,   kc/tau_I = |ki|          (ideal form; it exists for every kp but 0)
+
+More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
+"""
+
+import math
+from collections.abc import Callable
+from enum import StrEnum
+
+from retuner.adaptive.guard.settings import GuardSettings
+from retuner.schedule.gains import PidGains
+
+
+class Parameter(StrEnum):
+    """The four that have limits; the value is what people call them."""
+
+    KC = "kc"
+    TAU_I = "tau_I"
+    TAU_D = "tau_D"
+    INTEGRAL = "kc/tau_I"
+
+
+MORE_WHEN_LARGER = {Parameter.KC: True, Parameter.TAU_I: False, Parameter.TAU_D: True, Parameter.INTEGRAL: True}
+"""Whether a larger value is more action."""
+GAIN_NAMES = ("kp", "ki", "kd")
+
+
+def logs(gains: PidGains) -> dict[Parameter, float]:
+    """Natural logarithms of those that the controller has."""
+    kp, ki, kd = (math.log(abs(g)) if g else None for g in (gains.kp, gains.ki, gains.kd))
+    found = {}
+    if kp is not None:
+        found[Parameter.KC] = kp
+        if ki is not None:
+            found[Parameter.TAU_I] = kp - ki
+        if kd is not None:
+            found[Parameter.TAU_D] = kd - kp
+    if ki is not None:
+        found[Parameter.INTEGRAL] = ki
+    return found
+
+
+def step_limit(parameter: Parameter, *, more: bool, settings: GuardSettings) -> float:
+    """Largest factor of one change of a parameter, towards more or less action."""
+    s = settings
+    more_own, less_own = {
+        Parameter.KC: (s.kc_up_max, s.kc_down_max),
+        Parameter.TAU_I: (s.tau_i_shorter_max, s.tau_i_longer_max),
+        Parameter.TAU_D: (s.tau_d_up_max, s.tau_d_down_max),
+        Parameter.INTEGRAL: (s.integral_up_max, s.integral_down_max),
+    }[parameter]
+    own, general = (more_own, s.step_up_max) if more else (less_own, s.step_down_max)
+    return general if own is None else own
+
+
+def within_limits(
+    old: PidGains, new: PidGains, share: float, settings: GuardSettings, *, less_unlimited: bool = False
+) -> tuple[PidGains, float] | None:
+    """The point on the way from old to new that the limits per change allow, and its share of the way.
+
+    The way is straight in the logarithms, so every parameter goes the same share of its own way and none passes its
+    goal; a gain that comes or goes has no logarithm and goes its share of the way itself. None when the absolute limits
+    on kc do not hold there.
+
+    Parameters
+    ----------
+    share : of what the limits allow, above 0, at most 1. less_unlimited : no limit per change towards less action.
+    """
+
+    def room(parameter: Parameter, more: bool) -> float:
+        if less_unlimited and not more:
+            return math.inf
+        return math.log(step_limit(parameter, more=more, settings=settings))
+
+    share *= _share(old, new, room)
+    moved = _along(old, new, share)
+    return (moved, share) if settings.kc_min <= abs(moved.kp) <= settings.kc_max else None
+
+
+def within_factor(old: PidGains, new: PidGains, factor: float) -> tuple[PidGains, float]:
+    """The same with one limit for every parameter, both ways."""
+    share = _share(old, new, lambda _parameter, _more: math.log(factor))
+    return _along(old, new, share), share
+
+
+def _share(old: PidGains, new: PidGains, room: Callable[[Parameter, bool], float]) -> float:
+    """Share of the way that leaves every parameter within its room (logarithm of its factor)."""
+    share = 1.0
+    start, goal = logs(old), logs(new)
+    for parameter in start.keys() & goal.keys():
+        way = goal[parameter] - start[parameter]
+        if way:
+            share = min(share, room(parameter, (way > 0) == MORE_WHEN_LARGER[parameter]) / abs(way))
+    return share
+
+
+def _along(old: PidGains, new: PidGains, share: float) -> PidGains:
+    """The point on the way."""
+    if share >= 1.0:
+        return new
+    found = []
+    for name in GAIN_NAMES:
+        o, n = getattr(old, name), getattr(new, name)
+        straight = (
+            math.copysign(math.exp((1 - share) * math.log(abs(o)) + share * math.log(abs(n))), n) if o and n else 0.0
+        )
+        found.append(straight or (1 - share) * o + share * n)
+    return PidGains(*found)
+
+
+def change_factor(old: PidGains, new: PidGains) -> float:
+    """Largest factor by which one of the gains differs (infinite when one appears or goes)."""
+    factors = [
+        max(n / o, o / n) if o and n else math.inf
+        for o, n in ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
+        if o or n
+    ]
+    return max(factors, default=1.0)
+
+
+def less_of_everything(old: PidGains, new: PidGains) -> bool:
+    """Whether no gain grows and tau_I does not shorten: less action for certain."""
+    pairs = ((abs(getattr(old, name)), abs(getattr(new, name))) for name in GAIN_NAMES)
+    if any(after > before for before, after in pairs):
+        return False
+    start, goal = logs(old), logs(new)
+    slack = 1e-12
+    return goal.get(Parameter.TAU_I, math.inf) >= start.get(Parameter.TAU_I, math.inf) - slack or not new.ki

@@ -1,0 +1,264 @@
+"""Proof before change: what a proposed set of gains must pass before it may reach a controller.
+
+    direction, numbers -> evidence -> locks, limits, commissioned set, sampling -> size of the step
+                       -> Ms on the process <= ms_nominal, Ms on every model that the records allow <= ms_worst
+                       -> the same on both sides of every border of the region
+
+The remedies come in this order: a larger tau_c (to tau_c_max_ratio theta), a half step, a quarter step, refusal. Steps
+are taken in the logarithms, so that a half step lies between old and new in every form. A loop that is itself over a
+limit may always be made safer, by a step as small as it must be: no dead band, no lower limit from the commissioned
+set. One that is over it on every allowed model oscillates, or nearly; it may take the whole step in the safe direction
+at once. The same holds for a measured oscillation, and where the models do not confirm it, only less of everything
+counts as safe. Everything is deterministic, so that replay decides alike.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+
+from retuner.adaptive.guard.allowed import sampled
+from retuner.adaptive.guard.border import at_border
+from retuner.adaptive.guard.cutting import Goal, goals, nothing_left
+from retuner.adaptive.guard.loops import Loops
+from retuner.adaptive.guard.parameters import change_factor, less_of_everything, within_factor, within_limits
+from retuner.adaptive.guard.questions import evidence_checks, evidence_doubt, limit_checks
+from retuner.adaptive.guard.request import Border, ChangeRequest, Support
+from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
+from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.guard.slower import slower_settings
+from retuner.schedule.gains import PidGains
+
+SHARES = (1.0, 0.5, 0.25)
+"""Full, half and quarter step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Gains to prove. share : of the whole way to the goal. whole : not half or quarter of what the limits allow.
+
+    beyond : farther than one change may usually go, for an urgent one.
+    """
+
+    gains: PidGains
+    share: float
+    goal: Goal
+    whole: bool
+    beyond: bool = False
+
+
+@dataclass(slots=True)
+class _Case:
+    """A request with what is worked out once."""
+
+    request: ChangeRequest
+    settings: GuardSettings
+    loops: Loops
+    at_border: Check | None = None
+    over: bool = field(init=False)
+    oscillates: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        old, s = self.request.in_force, self.settings
+        self.over = len(self.loops) > 0 and not self.loops.within(old, s.ms_nominal, s.ms_worst)
+        self.oscillates = self.over and self.loops.all_over(old, s.ms_worst)
+
+    @property
+    def urgent(self) -> bool:
+        """The whole step may be taken at once, in the safe direction."""
+        return self.request.urgent or self.oscillates
+
+
+def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
+    """Decide what may be written; see the head of this file."""
+    case = _Case(request, settings, Loops([sampled(p.model, request.sample_time_s) for p in request.models]))
+    doubt = _door(case) or evidence_doubt(request, settings)
+    if doubt is not None and not (doubt[0] in EVIDENCE and (case.over or request.urgent)):
+        return _refused(case, *doubt)
+    wanted = _goals(case)
+    open_goals = [goal for goal in wanted if not goal.no_room]
+    if not open_goals:
+        return _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers)
+    small = _too_small(case, open_goals[0])
+    if small is not None:
+        return _refused(case, *small)
+    if not request.models:
+        return _unproved(case, open_goals[0])
+    tried = list(_candidates(case, open_goals))
+    if doubt is not None:
+        tried = [c for c in tried if less_of_everything(request.in_force, c.gains)]
+    return _best(case, tried, doubt is not None) or _refused(case, *(doubt or _why_not(case, tried)))
+
+
+EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTED})
+"""Doubts that leave the way to less of everything open for a loop over its limit."""
+
+
+def _door(case: _Case) -> tuple[Ruling, dict[str, float]] | None:
+    """What no proof could make good."""
+    request, wanted = case.request, case.request.proposal
+    if wanted.gains.direction != request.in_force.direction:
+        signs = {"wanted": float(wanted.gains.direction), "in_force": float(request.in_force.direction)}
+        return Ruling.WRONG_SIGN, signs
+    ratios = [a / b for a, b in ((wanted.gains.kp, wanted.gains.ki), (wanted.gains.kd, wanted.gains.kp)) if a and b]
+    if not all(0 < ratio < math.inf for ratio in ratios) or not math.isfinite(wanted.tau_c_s or 0.0):
+        return Ruling.NOT_FINITE, {"wanted": wanted.gains.kp}
+    if not request.models and request.evidence.support != Support.PATTERN:
+        return Ruling.NO_MODEL, {}
+    return None
+
+
+def _goals(case: _Case) -> list[Goal]:
+    """The proposal and its slower versions, within the limits; the tightest first."""
+    wanted = (case.request.proposal, *slower_settings(case.request, case.settings))
+    return list(
+        chain.from_iterable(
+            goals(t.gains, t.tau_c_s or 0.0, case.request, case.settings, over_limit=case.over) for t in wanted
+        )
+    )
+
+
+def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, dict[str, float]] | None:
+    """Why nothing worth a write is left of the goal, if so."""
+    request, wanted = case.request, case.request.proposal.gains
+    factor, wish = change_factor(request.in_force, goal.gains), change_factor(request.in_force, wanted)
+    limit = case.settings.smallest_change
+    if case.over and not nothing_left(goal, request.in_force):
+        return None
+    if factor >= limit:
+        return None
+    if goal.cut_by is not None:
+        return goal.cut_by, goal.numbers
+    if wish >= limit and not goal.notes:
+        return Ruling.LOCKED, {"factor": wish}
+    return Ruling.TOO_SMALL, {"factor": factor, "limit": limit}
+
+
+def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[Candidate]:
+    """What to prove, in order: whole steps at every tau_c, then half and quarter steps to the slowest goal."""
+    old, s = case.request.in_force, case.settings
+    if case.urgent:
+        for goal in wanted:
+            moved = within_limits(old, goal.gains, 1.0, s, less_unlimited=True)
+            if moved is not None and _safe_direction(case, moved[0], goal):
+                yield Candidate(moved[0], moved[1], goal, whole=True, beyond=True)
+    for share in SHARES:
+        for goal in wanted if share == 1.0 else wanted[-1:]:
+            moved = within_limits(old, goal.gains, share, s)
+            if moved is not None:
+                yield Candidate(moved[0], moved[1], goal, share == 1.0)
+
+
+def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
+    """Whether a step is one that an oscillating loop may take at once."""
+    old = case.request.in_force
+    return less_of_everything(old, gains) if not case.over else case.loops.safer(old, gains, goal.gains)
+
+
+def _best(case: _Case, tried: list[Candidate], doubted: bool) -> Verdict | None:
+    """The first candidate that is proved; else, for a loop over its limit, the safest of those that are safer."""
+    s, loops, old = case.settings, case.loops, case.request.in_force
+    for candidate in () if doubted else tried:
+        factor = change_factor(old, candidate.gains)
+        if factor < s.smallest_change and not case.over:
+            if candidate.whole:
+                return _refused(case, Ruling.TOO_SMALL, {"factor": factor, "limit": s.smallest_change})
+            continue
+        if loops.within(candidate.gains, s.ms_nominal, s.ms_worst) and _borders_hold(case, candidate.gains):
+            return _accepted(case, candidate, Ruling.URGENT if candidate.beyond else Ruling.ACCEPTED)
+    if not case.over:
+        return None
+    safer = [c for c in reversed(tried) if loops.safer(old, c.gains, c.goal.gains) and _borders_hold(case, c.gains)]
+    if not safer:
+        return None
+    best = min(safer, key=lambda c: (loops.worst(c.gains), loops.nominal(c.gains), -c.share))
+    return _accepted(case, best, Ruling.SAFER)
+
+
+def _borders_hold(case: _Case, gains: PidGains) -> bool:
+    """Whether every border is proved; remembers the first that is not."""
+    for border in case.request.borders:
+        check = _border_check(case, border, gains)
+        if check is not None and not check.passed:
+            case.at_border = case.at_border or check
+            return False
+    return True
+
+
+def _border_check(case: _Case, border: Border, gains: PidGains) -> Check | None:
+    """One border; None where nothing is known to ask."""
+    request, limit = case.request, case.settings.ms_border
+    ms, passed = at_border(border, request.models, gains, request.in_force, limit, request.sample_time_s)
+    if math.isnan(ms):
+        return None
+    return Check("ms_border", f"Ms towards region {border.name} (or no worse than before)", ms, limit, passed)
+
+
+def _why_not(case: _Case, tried: list[Candidate]) -> tuple[Ruling, dict[str, float]]:
+    """The refusal of the gentlest candidate, with its numbers."""
+    s = case.settings
+    if not tried:
+        return Ruling.OUTSIDE_LIMITS, {"wanted": abs(case.request.proposal.gains.kp), "limit": s.kc_max}
+    gains = tried[-1].gains
+    if case.at_border is not None and case.loops.within(gains, s.ms_nominal, s.ms_worst):
+        return Ruling.NOT_ROBUST_AT_BORDER, {"ms_tried": case.at_border.value, "ms_limit": case.at_border.limit}
+    return Ruling.NOT_ROBUST, {
+        "ms_tried": case.loops.nominal(gains),
+        "ms_tried_worst": case.loops.worst(gains),
+        "ms_limit": s.ms_nominal,
+        "ms_worst_limit": s.ms_worst,
+    }
+
+
+def _unproved(case: _Case, goal: Goal) -> Verdict:
+    """A small step where no model can prove one: the pattern's."""
+    request, s = case.request, case.settings
+    gains, share = within_factor(request.in_force, goal.gains, s.pattern_step_max)
+    numbers = {"factor": change_factor(request.in_force, gains), "limit": s.pattern_step_max}
+    checks = tuple(limit_checks(request, gains, s, factor=s.pattern_step_max))
+    way_out = request.urgent and less_of_everything(request.in_force, gains)
+    return Verdict(Ruling.UNPROVED_STEP, gains, share, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
+                   goal.notes, (), way_out)  # fmt: skip
+
+
+def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
+    """The verdict with its whole proof."""
+    request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
+    nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)
+    numbers = {"ms_nominal": nominal, "ms_worst": worst, "ms_before": before, "models": float(len(loops))}
+    if ruling == Ruling.SAFER:
+        numbers["ms_before_worst"] = loops.worst(request.in_force)
+    borders = (_border_check(case, border, gains) for border in request.borders)
+    checks = (
+        *evidence_checks(request, s),
+        *limit_checks(request, gains, s, urgent=candidate.beyond),
+        Check("ms_nominal", "Ms on the process", nominal, s.ms_nominal, nominal <= s.ms_nominal),
+        Check("ms_worst", "Ms on the worst model that the records allow", worst, s.ms_worst, worst <= s.ms_worst),
+        *(check for check in borders if check is not None),
+    )
+    urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
+    return Verdict(ruling, gains, candidate.share, nominal, worst, before, candidate.goal.tau_c_s, numbers, checks,
+                   candidate.goal.notes, tuple(request.models), urgent)  # fmt: skip
+
+
+def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float]) -> Verdict:
+    """Nothing may be written: Ms as it stays."""
+    request, s, loops = case.request, case.settings, case.loops
+    nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
+    checks = (*evidence_checks(request, s), *_failed(ruling, numbers))
+    return Verdict(ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, (),
+                   tuple(request.models), False)  # fmt: skip
+
+
+def _failed(ruling: Ruling, numbers: dict[str, float]) -> Iterator[Check]:
+    """What was asked of the gentlest candidate and failed."""
+    if ruling == Ruling.NOT_ROBUST:
+        for name, words, value, limit in (
+            ("ms_nominal", "Ms on the process, at the gentlest step", "ms_tried", "ms_limit"),
+            ("ms_worst", "Ms on the worst model, at the gentlest step", "ms_tried_worst", "ms_worst_limit"),
+        ):
+            yield Check(name, words, numbers[value], numbers[limit], numbers[value] <= numbers[limit])
+    elif ruling == Ruling.NOT_ROBUST_AT_BORDER:
+        yield Check("ms_border", "Ms towards a neighbouring region", numbers["ms_tried"], numbers["ms_limit"], False)
+    elif {"wanted", "limit"} <= numbers.keys():
+        yield Check("limit", "what was wanted against its limit", numbers["wanted"], numbers["limit"], False)

@@ -1,0 +1,122 @@
+"""What the guard is asked: one change of the gains of one region, and everything that the answer depends on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.schedule.gains import PidGains
+
+
+class Support(StrEnum):
+    """What a proposal rests on."""
+
+    MODEL = "model"
+    PATTERN = "pattern"
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How much stands behind the models.
+
+    records : behind the region's model. age_s : of the last one. innovation, gate : how far the last record lay from
+    what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model or pattern.
+
+    Raises
+    ------
+    ValueError
+        A number is negative or not a number.
+    """
+
+    records: int = 1
+    age_s: float = 0.0
+    innovation: float = 0.0
+    gate: float = math.inf
+    borrowed: bool = False
+    support: Support = Support.MODEL
+
+    def __post_init__(self) -> None:
+        for name in ("records", "age_s", "innovation", "gate"):
+            value: float = getattr(self, name)
+            if not value >= 0:
+                raise ValueError(f"evidence: {name} = {value} must be a number, 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Locks:
+    """Parameters that stay as they are in force. tau_d also says: no derivative where there is none."""
+
+    kc: bool = False
+    tau_i: bool = False
+    tau_d: bool = False
+
+
+NO_LOCKS = Locks()
+NO_DERIVATIVE = Locks(tau_d=True)
+KC_ONLY = Locks(tau_i=True, tau_d=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """A neighbouring region, as far as the changed gains reach into it.
+
+    name : of the neighbour. gains : its set. models : of its process, best first, empty where not known.
+    reach : largest weight of the neighbour's process (0 own centre, 1 its centre) at which the gains still take part.
+    interpolated : the gains are mixed with the neighbour's by that weight; otherwise they run alone up to it.
+
+    Raises
+    ------
+    ValueError
+        reach is outside 0 to 1.
+    """
+
+    name: str
+    gains: PidGains
+    models: tuple[Plausible, ...]
+    reach: float
+    interpolated: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.reach <= 1:
+            raise ValueError(f"border to {self.name!r}: reach = {self.reach} is outside 0 to 1")
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeRequest:
+    """One change to be proved.
+
+    Parameters
+    ----------
+    in_force : gains running now. commissioned : the region's gains as commissioned.
+    proposal : what a rule wants; without tau_c there is no slower version of it to try.
+    models : what the records still allow, best first (allowed.py); may be empty for a proposal by the pattern.
+    sample_time_s : of the controller; half of it counts as dead time.
+    slower : the rule's own settings at larger tau_c, in order of tau_c; the guard finds SIMC's by itself.
+    urgent : a measured oscillation that does not decay. locks : parameters that must stay.
+
+    Raises
+    ------
+    ValueError
+        The sampling time is not positive and finite, an excess is negative or not finite, or the first model is not
+        the best one.
+    """
+
+    in_force: PidGains
+    commissioned: PidGains
+    proposal: Tuning
+    models: Sequence[Plausible]
+    sample_time_s: float
+    evidence: Evidence = Evidence()
+    borders: Sequence[Border] = ()
+    slower: Sequence[Tuning] = ()
+    urgent: bool = False
+    locks: Locks = NO_LOCKS
+
+    def __post_init__(self) -> None:
+        if not 0 < self.sample_time_s < math.inf:
+            raise ValueError(f"sample_time_s = {self.sample_time_s} must be positive and finite")
+        excesses = [p.excess for p in self.models]
+        if not all(0 <= excess < math.inf for excess in excesses) or (excesses and excesses[0] > min(excesses)):
+            raise ValueError(f"models: excesses {excesses} must be finite, 0 or more, the first the least")

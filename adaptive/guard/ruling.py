@@ -1,0 +1,143 @@
+"""What the guard rules, in words and numbers."""
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from retuner.adaptive.plausible import Plausible
+from retuner.schedule.gains import PidGains
+
+
+class Ruling(StrEnum):
+    """Every outcome; the value is its sentence, with the numbers that it needs by name."""
+
+    ACCEPTED = (
+        "proved: Ms {ms_nominal} on the process and {ms_worst} at worst on {models} models that the records allow"
+    )
+    URGENT = (
+        "proved, and the whole step at once because the loop oscillates: Ms {ms_before} in force, then {ms_nominal}, "
+        "{ms_worst} at worst on {models} models"
+    )
+    SAFER = (
+        "accepted because it makes a loop safer that is over its limit: Ms {ms_before} to {ms_nominal}, at worst "
+        "{ms_before_worst} to {ms_worst}"
+    )
+    UNPROVED_STEP = "accepted as a small step by the pattern, without a model: factor {factor}, at most {limit}"
+    TOO_SMALL = "no change: the settings in force are as good (factor {factor}, {limit} would be worth a write)"
+    NOT_ROBUST = (
+        "refused: not robust on every model that the records allow, even at a quarter of the step: Ms {ms_tried} on "
+        "the process, {ms_tried_worst} at worst (limits {ms_limit} and {ms_worst_limit})"
+    )
+    NOT_ROBUST_AT_BORDER = (
+        "refused: not robust where the gains meet a neighbouring region: Ms {ms_tried} there (limit {ms_limit})"
+    )
+    OUTSIDE_LIMITS = (
+        "refused: the absolute limits leave no room for the change: {wanted} was wanted, the limit is {limit}"
+    )
+    OUTSIDE_TOTAL = "refused: as far from the commissioned set as is allowed: {wanted} was wanted, the limit is {limit}"
+    LOCKED = "refused: what the change needs is locked (it would be a factor of {factor})"
+    WRONG_SIGN = "refused: the controller would act the wrong way (direction {wanted}, in force {in_force})"
+    NOT_FINITE = "refused: the proposal is beyond what numbers hold (kc {wanted})"
+    NO_MODEL = "refused: no model of the process to prove the change on"
+    TOO_FEW_RECORDS = "refused: the model rests on {records} records, {limit} are needed"
+    TOO_OLD = "refused: the last record of the process is {age_s} s old (limit {limit} s)"
+    CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
+
+
+ACCEPTING = frozenset({Ruling.ACCEPTED, Ruling.URGENT, Ruling.SAFER, Ruling.UNPROVED_STEP})
+"""Rulings that let gains through."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was asked.
+
+    name : for machines. words : for people. value, limit : in the unit that the words say. passed : the answer.
+    """
+
+    name: str
+    words: str
+    value: float
+    limit: float
+    passed: bool
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values; null where a number is infinite or not known."""
+        return {
+            "name": self.name,
+            "words": self.words,
+            "value": plain(self.value),
+            "limit": plain(self.limit),
+            "passed": self.passed,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the guard lets through.
+
+    ruling : the outcome. gains : what may be written, None when refused. step : share of the proposed step (0 to 1).
+    ms_nominal, ms_worst : Ms of these gains (when refused, of those in force) on the process and on the worst model;
+        infinite for an unstable loop, NaN where no model is known. ms_before : of the gains in force on the process.
+    tau_c_s : of the proposal. numbers : what the sentence needs. checks : the proof. notes : what was cut.
+    allowed : the models on which it was proved. urgent : the loop oscillates and this is the way out.
+    """
+
+    ruling: Ruling
+    gains: PidGains | None
+    step: float
+    ms_nominal: float
+    ms_worst: float
+    ms_before: float
+    tau_c_s: float
+    numbers: dict[str, float] = field(default_factory=dict)
+    checks: tuple[Check, ...] = ()
+    notes: tuple[str, ...] = ()
+    allowed: tuple[Plausible, ...] = ()
+    urgent: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether gains may be written."""
+        return self.gains is not None
+
+    @property
+    def code(self) -> str:
+        """Name of the ruling, for machines."""
+        return self.ruling.name.lower()
+
+    @property
+    def sentence(self) -> str:
+        """The ruling in words, with its numbers and what was cut."""
+        shown = {name: text(name, value) for name, value in self.numbers.items()}
+        return "; ".join((self.ruling.value.format(**shown), *self.notes))
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values; null where Ms is infinite (unstable) or not known."""
+        ms = {"nominal": self.ms_nominal, "worst": self.ms_worst, "before": self.ms_before}
+        return {
+            "accepted": self.accepted,
+            "ruling": self.code,
+            "code": self.code,
+            "step": self.step,
+            "ms": {name: plain(value) for name, value in ms.items()},
+            "tau_c_s": self.tau_c_s,
+            "reason": self.sentence,
+            "numbers": {name: plain(value) for name, value in self.numbers.items()},
+            "checks": [check.to_dict() for check in self.checks],
+            "notes": list(self.notes),
+            "allowed": [{"model": p.model.to_dict(), "excess": p.excess} for p in self.allowed],
+            "urgent": self.urgent,
+        }
+
+
+def text(name: str, value: float) -> str:
+    """A number as people read it."""
+    if name.startswith("ms_"):
+        return "unknown" if math.isnan(value) else "unstable" if math.isinf(value) else f"{value:.2f}"
+    return f"{value:.4g}"
+
+
+def plain(value: float) -> float | None:
+    """The value where it is a finite number."""
+    return value if math.isfinite(value) else None
