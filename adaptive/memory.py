@@ -10,6 +10,7 @@ from typing import Any
 
 from retuner.adaptive.belief_memory import belief_in, belief_out
 from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.diagnosis.online import Standing
 from retuner.adaptive.noise import NoiseState
 from retuner.adaptive.recogniser import RecogniserState
@@ -41,6 +42,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "standing": {
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
+        "excitation": {str(region): [e.setpoints, e.loads, e.asked] for region, e in retuner.excitation.items()},
     }
 
 
@@ -62,6 +64,10 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
         retuner.standing = {
             int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
             for region, (cause, period_s, t_s, reason) in memory["standing"].items()
+        }
+        retuner.excitation = {
+            int(region): Excitation(int(setpoints), int(loads), int(asked))
+            for region, (setpoints, loads, asked) in memory["excitation"].items()
         }
         watcher = WatcherState(
             region=_region_in(memory["region"]),

@@ -15,6 +15,7 @@ from retuner.adaptive.belief import Belief
 from retuner.adaptive.change_request import change_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, unconfirmed
 from retuner.adaptive.diagnosis.online import Standing, hidden_cause, swing_cause, swings
 from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
 from retuner.adaptive.estimate import LogModel
@@ -25,7 +26,7 @@ from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.rules.simc import simc_at_most_ms
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopSample, Window
-from retuner.adaptive.tracker import Learned, learn, predicted
+from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
@@ -36,7 +37,7 @@ class Case:
 
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
     table : gains in force in every region; commissioned : as they were at first. beliefs : what is known, by region.
-    standing : an oscillation of this region that was explained before.
+    standing : an oscillation of this region that was explained before. excitation : what its model rests on.
     """
 
     region: int
@@ -47,6 +48,7 @@ class Case:
     commissioned: GainTable
     beliefs: Mapping[int, Belief]
     standing: Standing | None = None
+    excitation: Excitation = field(default_factory=Excitation)
 
     @property
     def in_force(self) -> PidGains:
@@ -59,7 +61,7 @@ class Outcome:
     """What the stages found; those that were not reached are None.
 
     code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
-    standing : an oscillation that is explained, to be remembered.
+    standing : an oscillation that is explained, to be remembered. excitation : what the belief rests on.
     """
 
     code: str
@@ -71,6 +73,7 @@ class Outcome:
     basis: Basis | None = None
     verdict: Verdict | None = None
     standing: Standing | None = None
+    excitation: Excitation | None = None
     numbers: dict[str, float] = field(default_factory=dict)
 
 
@@ -105,7 +108,18 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
             return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden)
     if learned.belief is None:
         return Outcome("not_identifiable", learned.estimate.reason, learned)
-    return replace(_tuned(case, learned, learned.belief, settings), belief=learned.belief)
+    fresh = learned.surprise in {Surprise.FIRST, Surprise.CHANGED}
+    excitation = (Excitation() if fresh else case.excitation).with_response(case.response)
+    outcome = _tuned(case, learned, learned.belief, settings)
+    loads = len(learned.estimate.load_times_s)
+    accepted = outcome.verdict is not None and outcome.verdict.accepted
+    if accepted and not is_clear(case.samples, case.response, left, loads, settings.swing):
+        doubt, excitation = unconfirmed(
+            case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
+        )
+        if doubt is not None:
+            outcome = Outcome("unconfirmed", doubt.reason, learned, diagnosis=doubt, proposal=outcome.proposal)
+    return replace(outcome, belief=learned.belief, excitation=excitation)
 
 
 def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettings) -> Outcome:

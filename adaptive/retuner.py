@@ -1,24 +1,33 @@
 """The retuner: one sample in, now and then one decision out.
 
     sample -> watcher -> completed response -> pipeline -> decision
+           -> trial desk -> the verified set is restored
 
 The object is a thin shell round pure steps: no clock, no file, no bus. It never writes gains: it hands out a decision,
 and learns by `committed` what the controller then reported.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
+from retuner.adaptive.admission import Ground
 from retuner.adaptive.belief import Belief
 from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.diagnosis.online import Standing
+from retuner.adaptive.on_trial import held, promise_of, restoring, seen_of
 from retuner.adaptive.pipeline import Case, Outcome, decide
 from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.trial.desk import TrialDesk
+from retuner.adaptive.trial.judge import Finding, Judgement
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.watcher import Completed, Left, Watcher, WatcherState
 from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 LEFT = {
     False: Outcome("left_region", "the response left its region; it teaches nothing of either"),
@@ -50,8 +59,10 @@ class Retuner:
         self.commissioned = commissioned or table
         self.beliefs: dict[int, Belief] = {}
         self.standing: dict[int, Standing] = {}
+        self.excitation: dict[int, Excitation] = {}
         self._watcher = Watcher(table, settings)
         self._observe = self._watcher.take
+        self.desk = TrialDesk(settings.trial, settings.sample_time_s, self._put_back)
         self._decisions = 0
 
     @property
@@ -91,6 +102,8 @@ class Retuner:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
+        if self.desk.busy:
+            return self._observe_trial(sample)
         seen = self._observe(sample)
         return None if seen is None else self._seen(seen)
 
@@ -99,8 +112,57 @@ class Retuner:
 
         gains : as read back from the controller (after its rounding).
         """
-        self._watcher.gains_changed(self.table.with_gains(region, gains))
+        if self.desk.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
+            self._watcher.gains_changed(self.table.with_gains(region, gains))
+            self.desk.written(region, gains, self._now_s)
         return self.table
+
+    def not_written(self, region: int) -> None:
+        """Take note that a change was not written, and that the controller runs what it ran."""
+        self.desk.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
+
+    def abort(self, cause: TrialEvent) -> Decision | None:
+        """Something happened that ends every undecided trial; the decision to restore, None when there was none.
+
+        The table has the verified sets when this returns; `restored` says that the controller runs them.
+        """
+        ended = self.desk.abort(cause, self._now_s)
+        return self._give_up(dict.fromkeys(ended, cause)) if ended else None
+
+    def restored(self) -> tuple[int, ...]:
+        """Take note that the controller runs the table's gains, as read back; the regions that were to be restored."""
+        return self.desk.restored(self._now_s)
+
+    @property
+    def _now_s(self) -> float:
+        """Time of the newest sample."""
+        return self._watcher.samples[-1].t_s if self._watcher.samples else 0.0
+
+    def _put_back(self, region: int, gains: PidGains) -> None:
+        """A region's verified set comes back into the table."""
+        if self.table.gains_of(region) != gains:
+            self._watcher.gains_changed(self.table.with_gains(region, gains))
+
+    def _observe_trial(self, sample: LoopSample) -> Decision | None:
+        """A sample while a change is undecided, or being taken back."""
+        w, last_s, following = self._watcher, self._now_s, self._watcher.recogniser
+        seen = self._observe(sample)
+        gap_s = self.settings.gap_samples * self.settings.sample_time_s
+        blended = self.table.lookup == Lookup.INTERPOLATED
+        ended = self.desk.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
+        if not ended:
+            return None if seen is None else self._seen(seen)
+        if seen is None and TrialEvent.RUNAWAY in ended.values():  # nothing teaches as much as this
+            seen = w.cut_short(following)
+        return self._give_up(ended, self._seen(seen) if seen is not None else None)
+
+    def _give_up(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
+        """The decision to restore. learned : what the response under way has taught."""
+        region, cause = next(iter(ended.items()))
+        trial, phase = self.desk.trial(region), self.desk.phase(region)
+        also = [self.table.regions.names[other] for other in ended if other != region]
+        decision = learned or self._decision(region, Outcome("undo", ""))
+        return restoring(decision, self.table.regions.names[region], trial, phase, cause, also)
 
     def _seen(self, seen: Completed | Left) -> Decision | None:
         """Something came to an end: decide on it."""
@@ -113,7 +175,32 @@ class Retuner:
             self.beliefs[seen.region] = outcome.belief
         if outcome.standing is not None:
             self.standing[seen.region] = outcome.standing
-        return self._decision(seen.region, outcome, seen.response)
+        if outcome.excitation is not None:
+            self.excitation[seen.region] = outcome.excitation
+        judgement = self._judge(seen, outcome)
+        decision = self._decision(seen.region, outcome, seen.response, judgement)
+        trial = self.desk.trial(seen.region)
+        if trial.phase == TrialPhase.RESTORING and trial.cause is not None and judgement is not None:
+            return restoring(decision, decision.region, trial, trial.phase, trial.cause, [])
+        if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
+            self.desk.begin(
+                seen.region, decision.gains_before, decision.gains_after, decision.promise, self._now_s,
+                urgent=decision.verdict is not None and decision.verdict.urgent,
+            )  # fmt: skip
+            decision = replace(decision, trial=str(self.desk.phase(seen.region)))
+        return decision
+
+    def _judge(self, seen: Completed, outcome: Outcome) -> Judgement | None:
+        """The response against the promise, when it ran under gains on trial."""
+        if self.desk.phase(seen.region) != TrialPhase.TRIAL:
+            return None
+        if outcome.code == Ground.SATURATED.name.lower():
+            self.desk.event(seen.region, TrialEvent.SATURATED, self._now_s)
+            return Judgement(Finding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
+        w = self._watcher
+        looked_at = seen_of(seen.response, w.window(seen.response), w.samples, outcome)
+        ask = self.settings.mode_of(seen.region) == Mode.TRIAL
+        return self.desk.judge(seen.region, looked_at, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> Case:
         """Everything that the decision depends on."""
@@ -127,12 +214,20 @@ class Retuner:
             self.commissioned,
             self.beliefs,
             self.standing.get(seen.region),
+            self.excitation.get(seen.region, Excitation()),
         )
 
-    def _decision(self, region: int, outcome: Outcome, response: Response | None = None) -> Decision:
+    def _decision(
+        self, region: int, outcome: Outcome, response: Response | None = None, judgement: Judgement | None = None
+    ) -> Decision:
         """Put the record together."""
+        phase_allows = self.desk.may_change(
+            region, self._now_s, urgent=bool(outcome.verdict and outcome.verdict.urgent)
+        )
+        if not phase_allows:
+            outcome = held(outcome, self.desk.trial(region), self._now_s)
         verdict, learned = outcome.verdict, outcome.learned
-        accepted = verdict is not None and verdict.accepted
+        accepted = verdict is not None and verdict.accepted and phase_allows
         mode = self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
         belief = learned.belief if learned else None
@@ -148,7 +243,7 @@ class Retuner:
             reason=outcome.reason,
             numbers=outcome.numbers,
             gains_before=self.table.gains_of(region),
-            gains_after=verdict.gains if verdict else None,
+            gains_after=verdict.gains if verdict and accepted else None,
             response=response,
             estimate=learned.estimate if learned else None,
             surprise=learned.surprise if learned else None,
@@ -157,4 +252,7 @@ class Retuner:
             basis=outcome.basis,
             proposal=outcome.proposal,
             verdict=verdict,
+            promise=promise_of(outcome, self.table.gains_of(region), response, self.settings) if accepted else None,
+            judgement=judgement,
+            trial=str(self.desk.phase(region)),
         )

@@ -10,6 +10,7 @@ from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identify import FitSettings
 from retuner.adaptive.tracker import TrackerSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,7 @@ class RetunerSettings:
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
     swing : when something else than the tuning is asked for; diagnosis : how.
+    setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
 
@@ -48,6 +50,8 @@ class RetunerSettings:
     lead_share: float = 0.25
     lead_samples: int = 20
     gap_samples: int = 5
+    setpoint_weight: float = 1.0
+    filter_s: float = 0.0
     fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
@@ -55,6 +59,7 @@ class RetunerSettings:
     diagnosis: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     cause: CauseSettings = field(default_factory=CauseSettings)
     guard: GuardSettings = field(default_factory=GuardSettings)
+    trial: TrialSettings = field(default_factory=TrialSettings)
 
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""

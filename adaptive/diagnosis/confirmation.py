@@ -1,0 +1,97 @@
+"""Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
+
+    clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response without
+                 any load step
+    not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
+                 stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
+                 load responses at the earliest. When it does not, it is asked again after twice as many.
+
+What an outside sinusoid or a valve does to a loop looks like a load response for the first cycles (measured: without
+this stage 6 of 10 loops with good gains were changed).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.online import SwingSettings, stretch
+from retuner.adaptive.response import Response
+from retuner.adaptive.sample import LoopSample, Window
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """How many responses of each kind the model of a region rests on.
+
+    asked : of the load responses, how many there were when the diagnosis last did not name the tuning; 0 for never.
+    """
+
+    setpoints: int = 0
+    loads: int = 0
+    asked: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("setpoints", "loads", "asked"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
+
+    def with_response(self, response: Response) -> "Excitation":
+        """One more."""
+        setpoint = bool(response.sp_changed)
+        return replace(self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint))
+
+
+def is_clear(
+    samples: Sequence[LoopSample], response: Response, left: float, loads: int, settings: SwingSettings
+) -> bool:
+    """Whether a response needs no confirmation.
+
+    samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
+    that it needed.
+    """
+    explained = left <= settings.unexplained and not loads
+    return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
+
+
+def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
+    """Whether the error kept to its noise band before a response, for as long as the response took or as is known."""
+    since = response.t_start_s - (response.t_end_s - response.t_start_s)
+    before = [s for s in samples if since <= s.t_s < response.t_start_s]
+    outside = sum(1 for s in before if abs(s.sp - s.pv) > response.band)
+    return outside <= settings.restless * len(before)
+
+
+def unconfirmed(
+    samples: Sequence[LoopSample],
+    response: Response,
+    gains: PidGains,
+    excitation: Excitation,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> tuple[Diagnosis | None, Excitation]:
+    """Why a case that is not clear may not change gains, None when the whole diagnosis names the tuning; what is known.
+
+    samples : kept, the newest last. gains : in force. excitation : this response included.
+    """
+    if not excitation.setpoints and excitation.loads < swing.fewest_loads:
+        reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
+        return _unknown(reason, excitation), excitation
+    if not response.sp_changed and excitation.loads < swing.again * excitation.asked:
+        reason = (
+            f"the diagnosis after {excitation.asked} load responses did not name the tuning; it is asked again after "
+            f"{swing.again * excitation.asked:.0f}, or at a setpoint step"
+        )
+        return _unknown(reason, excitation), excitation
+    length_s = response.t_end_s - response.t_start_s
+    seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s)
+    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
+    return (None, excitation) if found.retune else (found, replace(excitation, asked=excitation.loads))
+
+
+def _unknown(reason: str, excitation: Excitation) -> Diagnosis:
+    """The diagnosis of too little."""
+    evidence = {"setpoint_responses": float(excitation.setpoints), "load_responses": float(excitation.loads)}
+    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
