@@ -7,7 +7,7 @@ import math
 
 from retuner.adaptive.decision import Decision
 from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.explained.reading import Document, gains_of, model_of, number, part, words
+from retuner.explained.reading import Document, decided_on, gains_of, number, part, words
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
 
@@ -69,15 +69,10 @@ def process_text(m: ProcessModel) -> str:
     return f"{gain} {m.k:.3g}{lags} theta {m.theta_s:.3g} s"
 
 
-def known_model(document: Document) -> ProcessModel | None:
-    """The process that was decided on; where the document has none, the one that the record shows."""
-    return model_of(part(part(document, "known"), "model")) or model_of(part(part(document, "estimate"), "model"))
-
-
 def model_text(decision: Decision | Document) -> str:
     """What the process is, and how many records say so."""
     document = document_of(decision)
-    m = known_model(document)
+    m = decided_on(document)
     if m is None:
         return ""
     count = int(number(document, "records") or 0)
@@ -104,7 +99,7 @@ def change_text(decision: Decision | Document) -> str:
 def _robustness(verdict: Document) -> str:
     """Ms before and after; null in a document is an unstable loop."""
     ms = part(verdict, "ms")
-    if "nominal" not in ms:
+    if "nominal" not in ms or verdict.get("allowed") == []:  # no model: nothing is known of Ms
         return ""
     before, after = (ms_words(number(ms, name)) for name in ("before", "nominal"))
     worst = number(ms, "worst")

@@ -14,7 +14,7 @@ from retuner.explain import settings_text
 from retuner.explained.outcome import promise_section, trial_section
 from retuner.explained.reading import finite, gains_of, number, numbers, part, parts, words
 from retuner.explained.response_drawing import response_svg
-from retuner.explained.robustness_drawing import robustness_svg
+from retuner.explained.robustness_drawing import new_name, old_name, robustness_svg
 from retuner.explained.telling import DONE, headline, margin_rows, parameters, structure
 from retuner.explained.view import DecisionView
 from retuner.html_parts import document, escaped, pairs, paragraph, section, table, text_table
@@ -24,6 +24,8 @@ from retuner.schedule.gains import PidGains
 MS_LIMIT = 1.8
 """Design limit of Ms, for the circle where the document names none (Astrom & Hagglund 2006: 1.4 to 2)."""
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
+FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
+"""Groups of evidence that are shown at once; the others unfold."""
 SAME = 1e-6
 """Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
 
@@ -97,7 +99,7 @@ def _learned(view: DecisionView) -> str:
     model = view.model
     if model is None:
         return paragraph(words(view.estimate, "reason"))
-    known = part(view.document, "known") or view.estimate
+    known = part(view.document, "known") or (view.estimate if model == view.of_record else {})
     std = {name: value for name, raw in part(known, "std").items() if (value := finite(raw)) is not None}
     records = number(view.document, "records")
     surprise = words(view.document, "surprise").upper()
@@ -130,8 +132,13 @@ def _cause(view: DecisionView) -> str:
     name = words(diagnosis, "cause").replace("_", " ")
     lead = f"<p><b>{escaped(name)}</b>{escaped(sure)}: {escaped(words(diagnosis, 'reason'))}</p>"
     evidence = {key: value for key, raw in part(diagnosis, "evidence").items() if (value := finite(raw)) is not None}
-    rows = [row for rows in evidence_table(evidence).values() for row in rows]
-    return lead + (text_table(("evidence", "value", "how to read it"), rows) if rows else "")
+    groups = evidence_table(evidence)
+    first = [row for name in FIRST_GROUPS for row in groups.pop(name, [])]
+    rest = [row for rows in groups.values() for row in rows]
+    heads = ("evidence", "value", "how to read it")
+    shown = text_table(heads, first) if first else ""
+    more = f"<details><summary>{len(rest)} more numbers</summary>{text_table(heads, rest)}</details>" if rest else ""
+    return f"{lead}{shown}{more}"
 
 
 def _proposal(view: DecisionView) -> str:
@@ -206,23 +213,23 @@ def _proof(view: DecisionView) -> str:
     verdict = view.verdict
     if not verdict:
         return ""
-    rows, classes = [], []
+    rows = []
     for check in parts(verdict, "checks"):
         passed = check.get("passed")
         mark = "passed" if passed is True else "NOT passed" if passed is False else ""
         words_ = words(check, "words") or words(check, "name").replace("_", " ")
-        rows.append((escaped(words_), _value(check.get("value")), _value(check.get("limit")),
+        none = "unstable" if words(check, "name").startswith("ms_") else "none"
+        rows.append((escaped(words_), _value(check.get("value"), none), _value(check.get("limit"), "none"),
                      f'<span class="{"good" if passed else "bad"}">{mark}</span>'))  # fmt: skip
-        classes.append("")
-    shown = table(("asked", "value", "limit", ""), rows, classes) if rows else ""
+    shown = table(("asked", "value", "limit", ""), rows) if rows else ""
     reason = words(verdict, "reason")
     return paragraph(f"{reason[:1].upper()}{reason[1:]}.") * bool(reason) + shown
 
 
-def _value(value: object) -> str:
-    """A number, a text, or that there is none (an infinite Ms is null)."""
+def _value(value: object, none: str) -> str:
+    """A number, or what its absence means."""
     known = finite(value)
-    return f"{known:.4g}" if known is not None else escaped(value) if isinstance(value, str) else "none"
+    return f"{known:.4g}" if known is not None else none
 
 
 def _margins(view: DecisionView) -> str:
@@ -230,7 +237,8 @@ def _margins(view: DecisionView) -> str:
     rows = margin_rows(view)
     if not rows:
         return ""
-    middle = ("before", "after", "after, worst model")[: len(rows[0]) - 2] if view.after else ("in force",)
+    new = new_name(view)
+    middle = (old_name(view), new, f"{new}, worst model")[: len(rows[0]) - 2]
     return text_table(("", *middle, "usual"), rows)
 
 

@@ -58,6 +58,16 @@ def gains_of(document: Document) -> PidGains | None:
         return None
 
 
+def decided_on(decision: Document) -> ProcessModel | None:
+    """The process that a decision rests on: what is known of the region, else the first that was proved on, else the
+    one of the record.
+    """
+    proved = parts(part(decision, "verdict"), "allowed")
+    first = model_of(part(proved[0], "model")) if proved else None
+    known = model_of(part(part(decision, "known"), "model"))
+    return known or first or model_of(part(part(decision, "estimate"), "model"))
+
+
 def model_of(document: Document) -> ProcessModel | None:
     """A process {type, k, tau1, tau2, theta, zeta}, or None where the numbers make none."""
     k = number(document, "k")

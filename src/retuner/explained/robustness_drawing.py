@@ -3,7 +3,7 @@
     |1 + L(jw)| >= 1/Ms for every w
 
 so the curve stays outside the circle of radius 1/Ms round -1 (Astrom & Hagglund 2006, section 4.6). Faint curves: the
-other models that the records still allow, with the gains after.
+other models that the records still allow, with the new gains.
 """
 
 import math
@@ -63,22 +63,32 @@ def _nyquist(axes: Axes, view: DecisionView, process: LinearProcess, before: Pid
     axes.add_patch(Circle((-1, 0), 1 / ms_limit, fill=False, edgecolor=LIMIT, lw=1.3, label=f"Ms = {ms_limit:.3g}"))
     axes.add_patch(Circle((0, 0), 1, fill=False, edgecolor=FAINT, lw=0.8, ls=":"))
     axes.plot([-1], [0], "+", color=SETPOINT, ms=9, mew=1.4)
-    after = view.after
-    others = view.allowed[:MOST_MODELS] if after else ()
+    tried, name = view.tried, new_name(view)
+    others = view.allowed[:MOST_MODELS] if tried else ()
     for i, model in enumerate(others):
-        assert after is not None
-        label = f"after, {len(others)} other models still allowed" if not i else None
-        axes.plot(*_curve(model, after), color=AFTER, lw=0.6, alpha=0.45, label=label)
+        assert tried is not None
+        label = f"{name}, {len(others)} other models still allowed" if not i else None
+        axes.plot(*_curve(model, tried), color=AFTER, lw=0.6, alpha=0.45, label=label)
     axes.plot(*_curve(process, before), color=BEFORE, lw=1.6, ls=(0, (4, 2)),
-              label=f"{'before' if after else 'in force'}: {_ms(process, before)}")  # fmt: skip
-    if after:
-        axes.plot(*_curve(process, after), color=AFTER, lw=1.8, label=f"after: {_ms(process, after)}")
+              label=f"{old_name(view)}: {_ms(process, before)}")  # fmt: skip
+    if tried:
+        axes.plot(*_curve(process, tried), color=AFTER, lw=1.8, label=f"{name}: {_ms(process, tried)}")
     axes.set_xlim(*REAL)
     axes.set_ylim(*IMAGINARY)
     axes.set_xlabel("real part of L(jw)")
     axes.set_ylabel("imaginary part")
     axes.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handlelength=1.8,
                 columnspacing=1.0)  # fmt: skip
+
+
+def old_name(view: DecisionView) -> str:
+    """What the gains in force are called."""
+    return "before" if view.after else "in force"
+
+
+def new_name(view: DecisionView) -> str:
+    """What the gains are called that were let through, or only proposed."""
+    return "after" if view.after else "proposed"
 
 
 def _ms(process: LinearProcess, gains: PidGains) -> str:
@@ -98,14 +108,13 @@ def _curve(process: LinearProcess, gains: PidGains) -> tuple[FloatArray, FloatAr
 
 def _steps(top: Axes, bottom: Axes, view: DecisionView, process: LinearProcess, *, load: bool) -> None:
     """Predicted responses to one step, before and after, with the spread over the other models."""
-    gains = view.after or view.before
+    gains = view.tried or view.before
     assert gains is not None
     until = _until_s(process, gains)
     scale, unit = time_unit(until)
-    if view.after:
-        _spread(top, view.allowed[:MOST_RESPONSES], view.after, until, scale, load=load)
-    looks = (("before" if view.after else "in force", view.before, BEFORE, (0, (4, 2))),
-             ("after", view.after, AFTER, "-"))  # fmt: skip
+    if view.tried:
+        _spread(top, view.allowed[:MOST_RESPONSES], view.tried, until, scale, load=load)
+    looks = ((old_name(view), view.before, BEFORE, (0, (4, 2))), (new_name(view), view.tried, AFTER, "-"))
     reach = []
     for label, one, colour, style in looks:
         if one is None:

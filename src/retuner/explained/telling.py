@@ -2,7 +2,7 @@
 
 import math
 
-from retuner.adaptive.margins import Margins, margins, sensitivity_peak
+from retuner.adaptive.margins import Margins, margins
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.explain import settings_text
 from retuner.explained.reading import number, part, words
@@ -85,7 +85,7 @@ def how_far(view: DecisionView) -> str:
 def robustness(view: DecisionView) -> str:
     """Ms before, after and at worst, as the guard had them."""
     ms = part(view.verdict, "ms")
-    if not ms or "nominal" not in ms:
+    if "nominal" not in ms or view.verdict.get("allowed") == []:  # no model: nothing is known of Ms
         return ""
     before, after, worst = (_ms(number(ms, name)) for name in ("before", "nominal", "worst"))
     if view.after is None:
@@ -129,9 +129,9 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
     if view.process is None or view.before is None:
         return []
     columns = [margins(view.process, view.before)]
-    if view.after:
-        columns.append(margins(view.process, view.after))
-        columns += worst_of([margins(model, view.after) for model in view.allowed])
+    if view.tried:
+        columns.append(margins(view.process, view.tried))
+        columns += worst_of([margins(model, view.tried) for model in view.allowed])
     rows = []
     for label, name, unit, usual in (
         ("Ms", "ms", "", "at most 1.8"), ("gain margin", "gm", "", "at least 2"),
@@ -153,10 +153,3 @@ def _margin(found: Margins, name: str, unit: str) -> str:
         return "unstable"
     value: float = getattr(found, name)
     return f"{value:.3g}{unit}" if math.isfinite(value) else "no limit"
-
-
-def largest_ms(view: DecisionView) -> float | None:
-    """Ms on the worst of the models still allowed, with the gains after; None where there are none."""
-    if view.after is None or not view.allowed:
-        return None
-    return max(sensitivity_peak(model, view.after) for model in view.allowed)

@@ -14,11 +14,8 @@ import numpy as np
 from retuner.adaptive.process import LinearProcess, ProcessModel
 from retuner.adaptive.response import Peak
 from retuner.adaptive.sample import FloatArray
-from retuner.explained.reading import Document, gains_of, model_of, number, numbers, part, parts, words
+from retuner.explained.reading import Document, decided_on, gains_of, model_of, number, numbers, part, parts, words
 from retuner.schedule.gains import PidGains
-
-MOST_EXCESS = 4.0
-"""A model counts as still allowed up to this excess of the deviance (two standard deviations of one parameter)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +97,7 @@ class DecisionView:
     @cached_property
     def model(self) -> ProcessModel | None:
         """The process that was decided on: what is known of the region after this record."""
-        return model_of(part(part(self.document, "known"), "model")) or self.of_record
+        return decided_on(self.document)
 
     @cached_property
     def before(self) -> PidGains | None:
@@ -119,16 +116,25 @@ class DecisionView:
 
     @cached_property
     def allowed(self) -> tuple[LinearProcess, ...]:
-        """The other models that the records still allow, as a sampled controller sees them."""
-        listed = parts(self.verdict, "allowed") or parts(self.document, "allowed") or parts(self.estimate, "allowed")
-        models = [model_of(part(one, "model") or one) for one in listed
-                  if (number(one, "excess") or 0.0) <= MOST_EXCESS]  # fmt: skip
+        """The other models that the records still allow, as a sampled controller sees them: those of the proof."""
+        models = [model_of(part(one, "model")) for one in parts(self.verdict, "allowed")[1:]]
         return tuple(self._sampled(model) for model in models if model)
+
+    @cached_property
+    def tried(self) -> PidGains | None:
+        """Gains of which the page shows what they would do: those let through, else those that were proposed."""
+        return self.after or gains_of(part(part(self.document, "proposal"), "parallel"))
+
+    @property
+    def changes(self) -> bool:
+        """Whether gains are written, put back or advised."""
+        return self.action in {"commit", "advise", "restore"}
 
     @property
     def worth_a_page(self) -> bool:
-        """Whether there is more to tell than one line: something changed, or a cause was named on a model."""
-        return self.action in {"commit", "advise", "restore"} or bool(self.verdict)
+        """Whether there is more to tell than one line: gains change, or a proof or a cause spoke against it."""
+        cause = words(part(self.document, "diagnosis"), "cause")
+        return self.changes or bool(self.verdict) or cause not in {"", "ok"}
 
     def _sampled(self, model: ProcessModel) -> LinearProcess:
         return replace(model, theta_s=model.theta_s + self.sample_time_s / 2).linear()

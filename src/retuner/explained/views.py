@@ -23,20 +23,11 @@ def view_of(
     decision : the decision, or its document out of a ledger. columns : the trend of the run by column.
     unit : of pv. place : row of the ledger and its hash.
     """
-    document = full_document(decision)
+    document = document_of(decision)
     samples = samples_of(columns, part(document, "response"), number(document, "t_s") or 0.0)
     sample_time_s = float(np.median(np.diff(columns["t"]))) if len(columns["t"]) > 1 else 0.0
     view = DecisionView(document, samples, unit, sample_time_s, *(place or (None, "")))
     return replace(view, samples=with_model(view, samples)) if samples is not None else view
-
-
-def full_document(decision: Decision | Document) -> Document:
-    """The document, with the models that the records still allow where the decision is at hand with them."""
-    document = document_of(decision)
-    if not isinstance(decision, Decision) or decision.estimate is None:
-        return document
-    allowed = [{"model": one.model.to_dict(), "excess": one.excess} for one in decision.estimate.plausible]
-    return {"allowed": allowed, **document}
 
 
 def with_model(view: DecisionView, samples: Samples) -> Samples:
@@ -50,5 +41,10 @@ def with_model(view: DecisionView, samples: Samples) -> Samples:
 
 
 def worth_pages(views: Iterable[DecisionView], most: int) -> list[DecisionView]:
-    """The newest decisions of which there is more to tell than a line, at most so many, in the order of time."""
-    return [view for view in views if view.worth_a_page][-most:]
+    """Decisions of which there is more to tell than a line, at most so many, in the order of time.
+
+    Those that change gains come first, then the newest.
+    """
+    worth = [view for view in views if view.worth_a_page]
+    ranked = sorted(worth, key=lambda view: (not view.changes, -view.t_s))
+    return sorted(ranked[:most], key=lambda view: view.number)

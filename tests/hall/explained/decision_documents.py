@@ -31,8 +31,8 @@ COMMIT: dict[str, object] = {
     "verdict": {"accepted": True, "ruling": "accepted", "step": 0.625, "tau_c_s": 36.0, "reason": "proved: robust",
                 "ms": {"nominal": 1.6543, "worst": 2.0345, "before": 2.8765},
                 "checks": [{"name": "ms_nominal", "value": 1.6543, "limit": 1.75, "passed": True},
-                           {"name": "ms_worst", "value": None, "limit": 2.1, "passed": False}]},
-    "allowed": [{"model": {**MODEL, "theta": theta}, "excess": 1.0} for theta in (20.0, 32.0)],
+                           {"name": "ms_worst", "value": None, "limit": 2.1, "passed": False}],
+                "allowed": [{"model": {**MODEL, "theta": theta}, "excess": 1.0} for theta in (26.0, 20.0, 32.0)]},
 }  # fmt: skip
 
 

@@ -34,15 +34,18 @@ def test_the_robustness_drawing_names_ms_and_the_circle() -> None:
     assert "predicted: setpoint step of 1 degC" in shown
 
 
-def test_a_refusal_shows_the_loop_in_force_alone() -> None:
+def test_a_refusal_shows_what_was_proposed_beside_the_loop_in_force() -> None:
     shown = texts(robustness_svg(view(REFUSED), 1.8))
     assert any(one.startswith("in force: Ms") for one in shown)
+    assert any(one.startswith("proposed: Ms") for one in shown)
     assert not any(one.startswith(("before", "after")) for one in shown)
+    alone = texts(robustness_svg(view({**REFUSED, "proposal": None}), 1.8))
+    assert not any(one.startswith("proposed") for one in alone)
 
 
 def test_without_samples_or_model_there_is_no_drawing() -> None:
     assert response_svg(view(drawn=False)) == ""
-    assert robustness_svg(view(changed(estimate=None)), 1.8) == ""
+    assert robustness_svg(view(changed(estimate=None, verdict=None)), 1.8) == ""
 
 
 def test_equal_decisions_give_equal_drawings_and_others_other_ids() -> None:
@@ -67,7 +70,7 @@ def test_loops_of_all_kinds_are_drawn(
     gain = sign * 10 ** (log_gain - log_k)
     before = {"kp": 0.0 if integral_only else gain, "ki": gain / 90, "kd": 0.0}
     document = changed(estimate={"model": model, "std": {}}, gains_before=before,
-                       gains_after={"kp": gain / 3, "ki": gain / 300, "kd": 0.0}, allowed=[])  # fmt: skip
+                       gains_after={"kp": gain / 3, "ki": gain / 300, "kd": 0.0}, verdict=None)  # fmt: skip
     assert "Ms = 1.8" in texts(robustness_svg(view(document), 1.8))
 
 
@@ -108,5 +111,5 @@ def test_samples_begin_in_the_region_and_after_a_gap() -> None:
 
 
 def test_a_model_without_dead_time_is_drawn() -> None:
-    document = changed(estimate={**COMMIT["estimate"], "model": {**MODEL, "theta": 0.0}})  # type: ignore[dict-item]
+    document = changed(estimate={**COMMIT["estimate"], "model": {**MODEL, "theta": 0.0}}, verdict=None)  # type: ignore[dict-item]
     assert robustness_svg(view(document), 1.8)

@@ -1,0 +1,110 @@
+"""retuner report: the report of a recorded session made again, or the page of one of its decisions."""
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from retuner.assembly import make_plant
+from retuner.errors import UserError, user_input
+from retuner.explained.page import page
+from retuner.explained.reading import gains_of, number, part, words
+from retuner.explained.views import view_of
+from retuner.files import write_whole
+from retuner.ledger import Row
+from retuner.outputs import GAINS, REPORT, SUMMARY
+from retuner.recorded_session import RecordedSession, read_session, without_place
+from retuner.recorded_trend import recorded_columns
+from retuner.report import ReportData, render
+from retuner.schedule.document import from_toml
+from retuner.schedule.table import GainTable
+from retuner.scores import Columns, RegionScore, region_scores
+
+
+def report(session: Path, *, decision: int | None, out: Path | None, as_json: bool) -> int:
+    """Write the report, or one page; the exit status.
+
+    Raises
+    ------
+    UserError, LedgerError
+        The session cannot be read or believed, or has no such decision.
+    """
+    recorded = read_session(session)
+    columns = recorded_columns(recorded)
+    rows = [row for row in recorded.rows if row.kind == "decision"]
+    if decision is None:
+        path = out or recorded.folder / REPORT
+        text = render(_data(recorded, rows, columns))
+    else:
+        path = out or recorded.folder / f"decision-{decision}.html"
+        row = _named(recorded, rows, decision)
+        document = without_place(row.body)
+        text = page(view_of(document, columns, recorded.config.loop.pv_unit, (row.seq, row.hash)))
+    write_whole(path, text)
+    told = {"session": str(recorded.folder), "file": str(path), "decisions": len(rows), "decision": decision}
+    line = json.dumps(told, indent=2) if as_json else f"{path}"
+    sys.stdout.write(line + "\n")
+    return 0
+
+
+def _named(recorded: RecordedSession, rows: list[Row], decision: int) -> Row:
+    """The row of a decision."""
+    for row in rows:
+        if row.body.get("number") == decision:
+            return row
+    there = f"it has {rows[0].body['number']} to {rows[-1].body['number']}" if rows else "it has none"
+    raise UserError(f"{recorded.folder}: has no decision {decision}; {there}")
+
+
+def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> ReportData:
+    """What the report tells of, out of the folder."""
+    config = recorded.config
+    before = config.gain_table()
+    names = before.regions.names
+    changes = [row for row in recorded.rows if row.kind == "committed" and row.body.get("why") != "schedule"
+               and row.body.get("region") in names]  # fmt: skip
+    after = _final_table(recorded, before, changes)
+    commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
+    linearise = make_plant(config).linearise if config.device else None
+    scores = region_scores(before, after, commits, columns, None, linearise, config.loop.sample_time_s / 2,
+                           config.loop.tau_f_s)  # fmt: skip
+    steps = config.scenario.steps if config.scenario else []
+    last = recorded.rows[-1]
+    return ReportData(
+        config.loop.name, config.loop.pv_unit, before, after, _with_fixed(recorded, scores),
+        [without_place(row.body) for row in rows], columns, None, [t_s for t_s, _ in commits],
+        [step.at_s for step in steps if step.at_s <= columns["t"][-1]],
+        {"session": str(recorded.folder), "ledger": f"{last.seq} rows, head {last.hash}",
+         "retuner": str(recorded.versions.get("retuner", ""))},
+        stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
+    )  # fmt: skip
+
+
+def _final_table(recorded: RecordedSession, table: GainTable, changes: list[Row]) -> GainTable:
+    """The table as it was left; while the session goes on, or after it was killed, what its ledger says was written."""
+    path = recorded.folder / GAINS
+    if path.is_file():
+        with user_input(str(path)):
+            return from_toml(path.read_text(encoding="utf-8"))
+    for row in changes:
+        gains = gains_of(part(row.body, "gains"))
+        if gains is not None:
+            table = table.with_gains(table.regions.names.index(row.body["region"]), gains)
+    return table
+
+
+def _with_fixed(recorded: RecordedSession, scores: list[RegionScore]) -> list[RegionScore]:
+    """The scores with the IAE of the run with fixed gains, which only the summary has kept."""
+    path = recorded.folder / SUMMARY
+    if not path.is_file():
+        return scores
+    try:
+        summary: Any = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UserError(f"{path}: is no JSON: {error}") from None
+    listed = summary.get("scores") if isinstance(summary, Mapping) else None
+    kept = [one for one in listed or [] if isinstance(one, Mapping)] if isinstance(listed, list) else []
+    fixed = {words(one, "region"): number(one, "iae_fixed") for one in kept}
+    return [replace(score, iae_fixed=fixed.get(score.region)) for score in scores]
