@@ -14,6 +14,8 @@ from retuner.adaptive.guard import Verdict
 from retuner.adaptive.response import Response
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.tracker import Surprise
+from retuner.adaptive.trial.judge import Judgement
+from retuner.adaptive.trial.promise import Promise
 from retuner.schedule.gains import PidGains
 
 
@@ -58,6 +60,8 @@ class Decision:
     that decided, `code` its name for machines, `numbers` what it weighed.
     gains_before : in force; gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
     records : how many records the region's model rests on. basis : what the proposal rests on.
+    promise : what gains_after promise. judgement : of the response against the promise of the gains on trial, if any.
+    trial : where the region stands after this decision.
     """
 
     number: int
@@ -79,6 +83,9 @@ class Decision:
     proposal: Tuning | None = None
     verdict: Verdict | None = None
     numbers: dict[str, float] = field(default_factory=dict)
+    promise: Promise | None = None
+    judgement: Judgement | None = None
+    trial: str = "idle"
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps."""
@@ -102,6 +109,9 @@ class Decision:
             "basis": str(self.basis) if self.basis else None,
             "proposal": self.proposal.to_dict() if self.proposal else None,
             "verdict": self.verdict.to_dict() if self.verdict else None,
+            "promise": self.promise.to_dict() if self.promise else None,
+            "judgement": self.judgement.to_dict() if self.judgement else None,
+            "trial": self.trial,
         }
 
     def canonical(self) -> bytes:

@@ -249,3 +249,12 @@ def take(state: RecogniserState, band: float) -> Response | None:
     return Response(
         state.t_start_s, state.since_s, peaks[: state.verified], _ENDINGS[Event(state.event)], state.sp_changed, band
     )
+
+
+def so_far(state: RecogniserState, t_s: float, band: float) -> Response | None:
+    """The response under way, cut short at t_s: its peaks and the extreme it is at; None when none is under way."""
+    if not state.started or state.phase >= Phase.ADAPT:
+        return None
+    passed = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2))[: state.phase // 2]
+    peaks = (*passed, Peak(state.t_peak_s, state.e_peak))
+    return Response(state.t_start_s, t_s, peaks, Ending.UNDONE, state.sp_changed, band)

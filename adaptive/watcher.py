@@ -14,7 +14,7 @@ from itertools import islice
 from typing import NamedTuple
 
 from retuner.adaptive.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
-from retuner.adaptive.recogniser import Phase, RecogniserLaw, RecogniserState, begin, step, take
+from retuner.adaptive.recogniser import Phase, RecogniserLaw, RecogniserState, begin, so_far, step, take
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode, LoopSample, Window, finite
@@ -105,6 +105,18 @@ class Watcher:
     def samples(self) -> Sequence[LoopSample]:
         """The samples that are kept, the newest last."""
         return self._samples
+
+    @property
+    def recogniser(self) -> RecogniserState | None:
+        """The recogniser's state, None before the first sample."""
+        return self._state
+
+    def cut_short(self, state: RecogniserState | None) -> Completed | None:
+        """The response that was under way in a state of the recogniser, up to now; None when there was none."""
+        if state is None or self._region is None or not self._samples:
+            return None
+        response = so_far(state, self._samples[-1].t_s, self.band)
+        return Completed(self._region.region, response) if response else None
 
     def state(self) -> WatcherState:
         """Where it stands: see memory.py, which turns it into plain values."""

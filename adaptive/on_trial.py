@@ -1,0 +1,78 @@
+"""Where the pipeline meets the trial desk: what a change promises, what the judge looks at, what is held back."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import islice
+
+from retuner.adaptive.admission import Ground
+from retuner.adaptive.decision import Action, Decision
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.pipeline import Outcome
+from retuner.adaptive.response import Response
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.sample import LoopSample, Window
+from retuner.adaptive.trial.judge import Seen
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.promise import Promise, promise, promise_without_model
+from retuner.adaptive.trial.trial import Trial
+from retuner.schedule.gains import PidGains
+
+OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
+"""Causes behind a response for which the gains on trial are not to blame."""
+NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
+
+
+def promise_of(
+    outcome: Outcome, in_force: PidGains, response: Response | None, settings: RetunerSettings
+) -> Promise | None:
+    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted."""
+    verdict = outcome.verdict
+    if verdict is None or verdict.gains is None:
+        return None
+    if verdict.allowed:
+        return promise(verdict.allowed, in_force, verdict.gains, settings.sample_time_s / 2,
+                       settings.setpoint_weight, settings.filter_s)  # fmt: skip
+    return promise_without_model(response, in_force, verdict.gains) if response else None
+
+
+def seen_of(response: Response, window: Window, samples: Sequence[LoopSample], outcome: Outcome) -> Seen:
+    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it."""
+    found = outcome.diagnosis
+    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
+    recent = islice(reversed(samples), len(window.t_s))
+    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
+    return Seen(response, window, limited, outcome.reason if blameless else "")
+
+
+def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
+    """The outcome with the reason why nothing may be changed now, when something was accepted."""
+    if outcome.verdict is None or not outcome.verdict.accepted:
+        return outcome
+    words = str(trial.phase)
+    if trial.phase == TrialPhase.COOLING:
+        words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
+    elif trial.phase == TrialPhase.LOCKED:
+        words += f" after {trial.undos} changes that had to be undone; a person must unlock the region"
+    elif trial.phase == TrialPhase.IDLE:
+        words = "the change of another region is on its way"
+    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")
+
+
+def restoring(
+    decision: Decision, region: str, trial: Trial, phase: TrialPhase, cause: TrialEvent, also: Sequence[str]
+) -> Decision:
+    """The decision that goes with taking a set back. also : other regions that are restored with this one."""
+    judged = decision.judgement.reason if decision.judgement else ""
+    reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
+    return replace(
+        decision,
+        region=region,
+        action=Action.RESTORE,
+        code=f"undo_{cause.name.lower()}",
+        reason=reason,
+        numbers={**decision.numbers, "undos": float(trial.undos)},
+        gains_before=trial.new or decision.gains_before,
+        gains_after=trial.old,
+        promise=trial.promise,
+        trial=str(phase),
+    )
