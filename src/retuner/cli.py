@@ -16,7 +16,7 @@ from typer.main import get_command
 
 from retuner.cli_experiment import app as experiment
 from retuner.cli_records import diagnose, identify
-from retuner.cli_session import ledger, replay
+from retuner.cli_session import approve, ledger, replay, report
 from retuner.cli_tune import tune
 from retuner.errors import UserError, one_line
 
@@ -111,6 +111,10 @@ def device(
 
 app.command(epilog="Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp")(
     replay
+)
+app.command(epilog="Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html")(report)
+app.command(epilog="Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'")(
+    approve
 )
 app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")(tune)
 

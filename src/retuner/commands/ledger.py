@@ -7,6 +7,7 @@ from pathlib import Path
 
 from retuner.errors import UserError
 from retuner.ledger import LedgerReader
+from retuner.recorded_session import ledger_path
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
 
@@ -23,6 +24,7 @@ def verify(path: Path, *, head: str | None, as_json: bool) -> int:
         raise UserError(
             f"--head {head}: give {SHORTEST_HEAD} to 64 hexadecimal digits, as run and summary.json tell them"
         )
+    path = ledger_path(path)
     with LedgerReader(path) as ledger:
         report = ledger.verify(head or "")
     if as_json:

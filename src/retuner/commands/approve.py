@@ -1,0 +1,197 @@
+"""retuner approve and ledger revert: what a person orders, put into the session's folder; and what can be ordered."""
+
+import datetime as dt
+import getpass
+import json
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from retuner.adaptive.decision import gains_dict
+from retuner.adaptive.proposal import Proposal, Standing
+from retuner.config.loading import load_config
+from retuner.config.model import Config
+from retuner.errors import LedgerError, UserError, user_input
+from retuner.explain import settings_text
+from retuner.ledger.lock import WriterLock
+from retuner.orders import Order, OrderKind, put_order
+from retuner.outputs import CONFIG
+from retuner.recorded_session import believed_rows, ledger_path
+from retuner.shown_proposals import Shown, shown
+
+SHORTEST = 8
+"""Hexadecimal digits of a hash that a person has to give at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """Who orders: by, None for the user of this process; note : why."""
+
+    by: str | None = None
+    note: str = ""
+
+    def name(self) -> str:
+        """The name that goes into the ledger.
+
+        Raises
+        ------
+        UserError
+            The system knows no name.
+        """
+        if self.by is not None:
+            return self.by
+        try:
+            return getpass.getuser()
+        except (OSError, KeyError, ImportError):
+            raise UserError("--by: the system knows no user name here; say who orders it") from None
+
+
+class Desk:
+    """A session's folder as a person sees it who wants to order something.
+
+    Raises
+    ------
+    UserError
+        There is no session, or its ledger cannot be believed: orders refer to what it says.
+    """
+
+    def __init__(self, session: Path) -> None:
+        path = ledger_path(session)
+        self.folder = path.parent
+        self.shown: Shown = shown(believed_rows(path))
+        self.config: Config = load_config(self.folder / CONFIG)
+        self._ledger = path
+
+    @property
+    def expires_after_s(self) -> float:
+        """How long a proposal is open."""
+        return self.config.adaptation.approval_s
+
+    def running(self) -> bool:
+        """Whether a session fills the folder right now."""
+        if not os.access(self.folder, os.W_OK):
+            raise UserError(f"{self.folder}: cannot be written to; orders are files in it")
+        try:
+            WriterLock(self._ledger).close()
+        except LedgerError:
+            return True
+        return False
+
+    def put(self, kind: OrderKind, person: Person, *, digest: str = "", decision: int = 0, region: str = "") -> Path:
+        """Put an order into the folder; its file."""
+        now = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        with user_input("--by, --note"):
+            order = Order(kind, person.name(), now, person.note, digest, decision, region)
+        return put_order(self.folder, order)
+
+    def who_takes_it(self) -> str:
+        """What happens to an order."""
+        if self.running():
+            return "the running session takes it at its next sample"
+        return f"no session is running here; the next run with --out {self.folder} takes it at its start"
+
+
+def approve(session: Path, digest: str | None, person: Person, *, unlock: str | None, as_json: bool) -> int:
+    """Order the writing of a proposal, or list the open ones; the exit status.
+
+    0: ordered, or listed. 1: the proposal may not be taken up any more.
+
+    Raises
+    ------
+    UserError
+        No such session or proposal, or a hash that is too short or not of one proposal alone.
+    """
+    desk = Desk(session)
+    if unlock is not None:
+        return _unlock(desk, unlock, digest, person, as_json=as_json)
+    if digest is None:
+        return _list(desk, as_json=as_json)
+    full = _full_hash(desk, digest)
+    proposal = desk.shown.proposals.get(full)
+    standing = desk.shown.standing(proposal, desk.expires_after_s) if proposal else Standing.OPEN
+    reason = "it was approved before" if full in desk.shown.approved else ""
+    reason = reason or (str(standing) if standing is not Standing.OPEN else "")
+    document: dict[str, object] = {"session": str(desk.folder), "approved": None if reason else full,
+                                   "reason": reason or None, "file": None}  # fmt: skip
+    if not reason:
+        document["file"] = str(desk.put(OrderKind.APPROVE, person, digest=full))
+    text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {desk.who_takes_it()}"
+    _tell(document, text, as_json=as_json)
+    return 1 if reason else 0
+
+
+def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> int:
+    """Order the way back to the gains before a decision, in its region; the exit status, 0.
+
+    Raises
+    ------
+    UserError
+        No such session or decision.
+    """
+    desk = Desk(session)
+    change = desk.shown.changes.get(decision)
+    if change is None:
+        most = max(desk.shown.changes, default=0)
+        raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
+    file = desk.put(OrderKind.REVERT, person, decision=decision)
+    document = {"session": str(desk.folder), "decision": decision, "region": change.region,
+                "gains": gains_dict(change.before), "file": str(file)}  # fmt: skip
+    _tell(document, f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: "
+                    f"{desk.who_takes_it()}", as_json=as_json)  # fmt: skip
+    return 0
+
+
+def _unlock(desk: Desk, region: str, digest: str | None, person: Person, *, as_json: bool) -> int:
+    """Order that a locked-out region may change again."""
+    names = [one.name for one in desk.config.schedule.regions]
+    if digest is not None:
+        raise UserError("--unlock: names a region; a hash is approved without it")
+    if region not in names:
+        raise UserError(f"--unlock {region}: there is no such region; there are {', '.join(names)}")
+    file = desk.put(OrderKind.UNLOCK, person, region=region)
+    document = {"session": str(desk.folder), "unlocked": region, "file": str(file)}
+    _tell(document, f"{region}: {desk.who_takes_it()}", as_json=as_json)
+    return 0
+
+
+def _full_hash(desk: Desk, digest: str) -> str:
+    """The hash that a person means by its beginning."""
+    known = [*desk.shown.proposals, *desk.shown.tried]
+    if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
+        raise UserError(f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
+                        f"`retuner approve {desk.folder}` lists them")  # fmt: skip
+    meant = [one for one in known if one.startswith(digest)]
+    if len(meant) != 1:
+        what = "no proposal begins like this" if not meant else f"{len(meant)} proposals begin like this, give more"
+        raise UserError(f"HASH {digest}: {what}; `retuner approve {desk.folder}` lists them")
+    return meant[0]
+
+
+def _list(desk: Desk, *, as_json: bool) -> int:
+    """The open proposals."""
+    proposals = desk.shown.open(desk.expires_after_s)
+    document = {"session": str(desk.folder), "time_s": desk.shown.last_s,
+                "proposals": [_listed(one, desk.expires_after_s) for one in proposals]}  # fmt: skip
+    lines = [
+        f"{one.digest[:SHORTEST]}  decision {one.number}, {one.region}: {settings_text(one.before)} -> "
+        f"{settings_text(one.after)}; expires at {one.t_s + desk.expires_after_s:,.0f} s"
+        for one in proposals
+    ]
+    lines.append(f"{desk.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
+                 f"{desk.shown.last_s:,.0f} s")  # fmt: skip
+    _tell(document, "\n".join(lines), as_json=as_json)
+    return 0
+
+
+def _listed(proposal: Proposal, expires_after_s: float) -> dict[str, object]:
+    """A proposal as plain values."""
+    return {"hash": proposal.digest, "decision": proposal.number, "region": proposal.region, "t_s": proposal.t_s,
+            "expires_s": proposal.t_s + expires_after_s, "gains_before": gains_dict(proposal.before),
+            "gains_after": gains_dict(proposal.after)}  # fmt: skip
+
+
+def _tell(document: Mapping[str, object], text: str, *, as_json: bool) -> None:
+    """Either form of an answer."""
+    sys.stdout.write((json.dumps(document, indent=2, allow_nan=False) if as_json else text) + "\n")

@@ -1,0 +1,165 @@
+"""retuner ledger show and export: the rows of a ledger, for people and for other programs."""
+
+import csv
+import io
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from retuner.errors import UserError
+from retuner.files import write_whole
+from retuner.ledger import LedgerReader, Row
+from retuner.ledger_words import Told, told
+from retuner.recorded_session import ledger_path
+
+COLUMNS = {
+    "row": "row", "time [s]": "when_s", "what": "kind", "who": "who", "region": "region", "why": "why", "old": "old",
+    "new": "new", "evidence": "evidence", "verdict": "verdict",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which rows: of one decision (its own, and those of its write), from a time on, of a kind."""
+
+    decision: int | None = None
+    since_s: float | None = None
+    kind: str | None = None
+
+    def rows(self, rows: list[Row]) -> list[Row]:
+        """The selected ones.
+
+        Raises
+        ------
+        UserError
+            There is no such decision or kind.
+        """
+        if self.kind is not None:
+            kinds = sorted({row.kind for row in rows})
+            if self.kind not in kinds:
+                raise UserError(f"--kind {self.kind}: no row is of this kind; there are {', '.join(kinds)}")
+            rows = [row for row in rows if row.kind == self.kind]
+        if self.since_s is not None:
+            rows = [row for row in rows if row.clock_s >= self.since_s]
+        return rows if self.decision is None else list(self._about(rows, self.decision))
+
+    def _about(self, rows: list[Row], number: int) -> Iterator[Row]:
+        """A decision with the rows of its write: from it to the next decision, where they tell of its region."""
+        inside, region = False, None
+        for row in rows:
+            if row.kind == "decision":
+                inside = row.body.get("number") == number
+                region = row.body.get("region") if inside else region
+            if inside and (row.kind == "decision" or row.body.get("region", region) == region):
+                yield row
+        if region is None:
+            raise UserError(f"--decision {number}: the ledger has no such decision")
+
+
+def believed(path: Path) -> tuple[list[Row], str]:
+    """The rows that can be believed, and what is wrong with the first one that cannot; empty when all can."""
+    with LedgerReader(path) as ledger:
+        report = ledger.verify()
+        return [row for row in ledger.rows() if row.seq <= report.rows], report.reason
+
+
+def show(session: Path, selection: Selection, *, as_json: bool) -> int:
+    """Show a ledger; the exit status: 0, or 1 when its chain is broken (what is before the break is shown).
+
+    Raises
+    ------
+    UserError
+        No such ledger, or nothing fits the selection.
+    """
+    path = ledger_path(session)
+    rows, broken = believed(path)
+    chosen = selection.rows(rows)
+    if as_json:
+        document = {"ledger": str(path), "ok": not broken, "reason": broken or None,
+                    "rows": [{**told(row).to_dict(), "body": row.body} for row in chosen]}  # fmt: skip
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    else:
+        console = Console()
+        console.print(_table([told(row) for row in chosen]) if console.width >= WIDE else _list(chosen))
+        ending = f"broken: {broken}" if broken else "the chain holds"
+        console.print(f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False)
+    return 1 if broken else 0
+
+
+WIDE = 160
+"""Characters of a terminal from which a table is easier to read than a list."""
+
+
+def _table(lines: list[Told]) -> Table:
+    """A table with a column for each question."""
+    table = Table(box=None, pad_edge=False)
+    for head in COLUMNS:
+        table.add_column(escape(head), justify="right" if head in {"row", "time [s]"} else "left", overflow="fold")
+    for line in lines:
+        values = line.to_dict() | {"when_s": f"{line.when_s:,.1f}"}
+        table.add_row(*(escape(str(values[name])) for name in COLUMNS.values()))
+    return table
+
+
+def _list(rows: list[Row]) -> str:
+    """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
+    out = []
+    for line in map(told, rows):
+        out.append(escape(f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {line.region}".rstrip()))
+        change = f"{line.old} -> {line.new}" if line.old and line.new else line.new
+        out += [f"       {escape(text)}" for text in (line.why, change, line.evidence, line.verdict) if text]
+    return "\n".join(out)
+
+
+def export(session: Path, *, as_csv: Path | None, as_jsonl: Path | None) -> int:
+    """Write a ledger's rows into a file; status 0, or 1 when the chain is broken (the rows before the break).
+
+    Raises
+    ------
+    UserError
+        Not exactly one format was given, or the file is there already.
+    """
+    path = ledger_path(session)
+    if (as_csv is None) == (as_jsonl is None):
+        raise UserError("give --csv FILE or --jsonl FILE")
+    target = as_csv or as_jsonl
+    assert target is not None
+    if target.exists():
+        raise UserError(f"{target}: is there already; give another name")
+    if not target.parent.is_dir():
+        raise UserError(f"{target}: the folder {target.parent} does not exist; make it first")
+    rows, broken = believed(path)
+    write_whole(target, _csv(rows) if as_csv else "".join(_json_line(row) for row in rows))
+    ending = f"; broken: {broken}" if broken else ""
+    sys.stdout.write(f"{target}: {len(rows)} rows of {path}{ending}\n")
+    return 1 if broken else 0
+
+
+def _csv(rows: list[Row]) -> str:
+    """The rows in words, with the whole body and the hash beside them."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    names = [field.name for field in fields(Told)]
+    writer.writerow([*names, "body", "hash"])
+    for row in rows:
+        line = told(row).to_dict()
+        writer.writerow([*(_no_formula(line[name]) for name in names), row.text, row.hash])
+    return stream.getvalue()
+
+
+def _no_formula(value: object) -> object:
+    """A text that a spreadsheet would take for a formula gets an apostrophe in front."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@"} else value
+
+
+def _json_line(row: Row) -> str:
+    """A row as it stands in the ledger, on one line."""
+    document = {"seq": row.seq, "clock_s": row.clock_s, "kind": row.kind, "body": row.body,
+                "previous": row.previous, "hash": row.hash}  # fmt: skip
+    return json.dumps(document, allow_nan=False) + "\n"

@@ -1,0 +1,69 @@
+"""What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
+
+Whether a proposal is still open is said here as far as the ledger goes; the session that takes the order looks again.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from retuner.adaptive.decision import Action
+from retuner.adaptive.proposal import Proposal, Standing
+from retuner.ledger import Row
+from retuner.order_desk import Change
+from retuner.recorded_session import without_place
+from retuner.replaying import canonical
+from retuner.retuner_events import gains_of
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(slots=True)
+class Shown:
+    """proposals : by hash. changes : by number of the decision. tried : region by hash of the decision that changed it.
+    in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row, s.
+    approved : hashes that were taken already.
+    """
+
+    proposals: dict[str, Proposal] = field(default_factory=dict)
+    changes: dict[int, Change] = field(default_factory=dict)
+    tried: dict[str, str] = field(default_factory=dict)
+    in_force: dict[str, PidGains] = field(default_factory=dict)
+    last_s: float = 0.0
+    approved: set[str] = field(default_factory=set)
+
+    def standing(self, proposal: Proposal, expires_after_s: float) -> Standing:
+        """Whether a proposal is open, as far as the ledger tells."""
+        return proposal.standing(self.in_force.get(proposal.region, proposal.before), self.last_s, expires_after_s)
+
+    def open(self, expires_after_s: float) -> list[Proposal]:
+        """The open ones that nobody has approved yet, oldest first."""
+        return [p for p in self.proposals.values()
+                if p.digest not in self.approved and self.standing(p, expires_after_s) is Standing.OPEN]  # fmt: skip
+
+
+def shown(rows: Iterable[Row]) -> Shown:
+    """Read it off the rows of a ledger."""
+    found = Shown()
+    for row in rows:
+        found.last_s = max(found.last_s, row.clock_s)
+        if row.kind == "decision":
+            _decision(found, without_place(row.body))
+        elif row.kind == "committed" and row.body.get("why") != "schedule":
+            found.in_force[str(row.body["region"])] = gains_of(row.body["gains"])
+        elif row.kind == "order" and row.body.get("accepted") is True:
+            found.approved.add(str(row.body.get("digest")))
+    return found
+
+
+def _decision(found: Shown, body: Mapping[str, Any]) -> None:
+    """One decision."""
+    number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
+    digest = hashlib.sha256(canonical(body)).hexdigest()
+    found.changes[number] = Change(region, before)
+    found.in_force[region] = before
+    if body["action"] == Action.ADVISE and body["gains_after"] is not None:
+        found.proposals[digest] = Proposal(digest, number, region, float(body["t_s"]), before,
+                                           gains_of(body["gains_after"]), body.get("promise"))  # fmt: skip
+    elif body["action"] == Action.COMMIT:
+        found.tried[digest] = region
