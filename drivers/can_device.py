@@ -95,7 +95,7 @@ class CanDevice:
         for message in self.link.receive_all():
             frame = self._codec.decode(message)
             if isinstance(frame, Refused):
-                self.refused_frames += frame.refusal is not Refusal.FOREIGN
+                self.refused_frames += not self._joiner.tap.take(message) and frame.refusal is not Refusal.FOREIGN
             elif isinstance(frame, frames.DeviceFrame):
                 self._contact.heard_s = now_s
                 self._take(frame, now_s)
@@ -122,8 +122,7 @@ class CanDevice:
                 self._requests.on_challenge(frame)
             case frames.Ack():
                 event = self._requests.on_ack(frame, self._belief.epoch)
-                if event is not None:
-                    self._events.append(event)
+                self._events += [event] if event is not None else []
 
     def _on_foreign(self) -> None:
         """Somebody else commands this controller."""
@@ -150,9 +149,8 @@ class CanDevice:
         if joined is None:
             return
         self._sample_s = now_s
-        if joined.lost:
-            self._events.append(SamplesLost(joined.lost, joined.sample.t_s))
-        self._events.append(joined.sample)
+        self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
+        self._events += [*self._joiner.tap.news(), joined.sample]
         running = self._belief.running
         if running is not None and joined.sample.revision != running.seq and not self._requests.write.busy:
             self._belief.doubt()

@@ -4,6 +4,8 @@ import math
 import secrets
 from dataclasses import dataclass, field
 
+from retuner.drivers.signal_source import ScheduleInputs
+
 TIMES = ("sample_time_s", "reply_samples", "reply_floor_s", "silent_samples", "connect_samples", "connect_floor_s",
          "lease_samples", "lease_floor_s")  # fmt: skip
 OWNERS = 65535  # the owner's number has 16 bits; 0 is nobody
@@ -19,7 +21,7 @@ class CanDeviceSettings:
     ----------
     node : address of the controller, 1..63.
     sample_time_s : its sample time in s; another one found there is refused.
-    variable : scheduling variable for LoopSample.x: "sp", "pv" or "co".
+    variable : scheduling variable for LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.
     reply_samples : samples to wait for an answer before the next try.
     reply_floor_s : the same at least in s, for controllers faster than an operating system answers.
     silent_samples : samples without any frame of the node after which it counts as silent.
@@ -39,7 +41,7 @@ class CanDeviceSettings:
 
     node: int = 1
     sample_time_s: float = 2.0
-    variable: str = "sp"
+    variable: str | ScheduleInputs = "sp"
     reply_samples: float = 3.0
     reply_floor_s: float = 0.1
     silent_samples: float = 6.0

@@ -130,6 +130,15 @@ class DeviceConflict:
 
 
 @dataclass(frozen=True, slots=True)
+class VariableChanged:
+    """A scheduling variable that is a signal on the bus has become unknown (stale), or is known again."""
+
+    name: str
+    known: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class SamplesLost:
     """count samples before t_s never arrived: a window that spans them is not for identification."""
 
@@ -165,6 +174,7 @@ Event = (
     | ForeignHost
     | DeviceConflict
     | SamplesLost
+    | VariableChanged
     | CommandDone
     | CommandFailed
 )

@@ -107,7 +107,7 @@ class LinearPlant:
             raise ValueError(f"pv = {pv} needs co = {co:.3g} %; the actuator gives {low} to {high} %")
         return co
 
-    def linearise(self, pv: float) -> LinearProcess:  # noqa: ARG002  the same everywhere: that is what linear means
+    def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:  # noqa: ARG002  linear: everywhere the same
         """The process itself: see plant.Plant."""
         return self.process
 

@@ -192,7 +192,7 @@ class OvenPlant:
             low, high = (middle, high) if self.settings.power(middle) < needed else (low, middle)
         return (low + high) / 2
 
-    def linearise(self, pv: float) -> LinearProcess:
+    def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:  # noqa: ARG002  it depends on temperature
         """Gain p'(co)/loss', lags C/loss' and the sensor's, theta at that temperature: see plant.Plant."""
         settings = self.settings
         x = self.steady_co(pv) / 100.0

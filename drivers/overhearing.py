@@ -16,6 +16,7 @@ from retuner.drivers.identity import mismatch
 from retuner.drivers.page_reader import PageReader, ReadBack
 from retuner.drivers.running_belief import Belief, RunningBelief
 from retuner.drivers.sample_joiner import Joined, SampleJoiner
+from retuner.drivers.signal_source import ScheduleInputs
 
 
 class Overhearing:
@@ -32,7 +33,9 @@ class Overhearing:
         No such node or variable.
     """
 
-    def __init__(self, node: int, sample_time_s: float, variable: str = "sp", *, as_host: bool = True) -> None:
+    def __init__(
+        self, node: int, sample_time_s: float, variable: str | ScheduleInputs = "sp", *, as_host: bool = True
+    ) -> None:
         self._codec = Codec(node)
         self._reader = PageReader()
         self._belief = RunningBelief(node)
@@ -58,6 +61,7 @@ class Overhearing:
         """Note a frame; the sample that it completes, with the number of samples lost before it."""
         frame = self._codec.decode(message)
         if isinstance(frame, Refused):
+            self._joiner.tap.take(message)
             return None
         self.frames += 1
         match frame:

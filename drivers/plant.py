@@ -2,7 +2,7 @@
 
 import math
 import random
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from retuner.adaptive.process import LinearProcess
 
@@ -45,8 +45,21 @@ class Plant(Protocol):
         """
         ...
 
-    def linearise(self, pv: float) -> LinearProcess:
-        """The true model for small moves about rest at this pv: k in pv units per percent, sensor included."""
+    def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:
+        """The true model for small moves about rest at this pv: k in pv units per percent, sensor included.
+
+        load : where the process depends on it, percent as in `step`.
+        """
+        ...
+
+
+@runtime_checkable
+class MeasuresMore(Protocol):
+    """A plant with a second measurement, which the device publishes beside pv."""
+
+    @property
+    def aux(self) -> float:
+        """The reading of the last step, in its own unit, noise included."""
         ...
 
 

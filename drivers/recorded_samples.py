@@ -1,8 +1,8 @@
 """Samples out of recorded loops of any origin: tables (CSV, Parquet) and logs of bus traffic.
 
 A table needs t, sp, pv and co. What else a controller knows is taken where it is there (the columns of a run's trend:
-x, mode, limited, kp, ki, kd) and else follows from the rest: x is the scheduling variable, mode is automatic, limited
-is where co stands at a limit. In a log of bus traffic the protocol has all of it.
+x, x2, mode, limited, kp, ki, kd) and else follows from the rest: x is the scheduling variable, mode is automatic,
+limited is where co stands at a limit. In a log of bus traffic the protocol has all of it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.sample import FloatArray, LoopMode, LoopSample
 from retuner.drivers.frame_log import read_frames
 from retuner.drivers.overhearing import Overhearing
 from retuner.drivers.recording import LARGEST, ROLES, RecordingError, read_columns
+from retuner.drivers.signal_source import ScheduleInputs
 from retuner.schedule.gains import PidGains
 
 GAINS = ("kp", "ki", "kd")
@@ -39,7 +40,7 @@ class LoopFacts:
     """
 
     sample_time_s: float
-    variable: str
+    variable: str | ScheduleInputs
     co_min: float
     co_max: float
     node: int
@@ -54,11 +55,14 @@ def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> I
         The file is malformed, or sampled at another rate than the controller.
     """
     names = {role: columns.get(role, role) for role in ROLES}
-    further = [name for name in ("x", "mode", "limited", *GAINS) if name not in names.values()]
+    further = [name for name in ("x", "x2", "mode", "limited", *GAINS) if name not in names.values()]
     table = read_columns(path, [*names.values(), *further], list(names.values()))
     t, sp, pv, co = (table[names[role]] for role in ROLES)
     _check(path, t, (sp, pv, co), facts)
-    x = table.get("x", {"sp": sp, "pv": pv, "co": co}[facts.variable])
+    inputs = ScheduleInputs.of(facts.variable)
+    own = {"sp": sp, "pv": pv, "co": co, "": np.zeros(len(t))}
+    x, x2 = (_scheduled(path, table, name, own.get(variable))
+             for name, variable in (("x", inputs.variable), ("x2", inputs.variable2)))  # fmt: skip
     mode = table.get("mode", np.full(len(t), float(LoopMode.AUTO)))
     beyond = np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0))
     limited = table.get("limited", beyond)
@@ -66,7 +70,16 @@ def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> I
     for i in range(len(t)):
         gains = _gains(path, i, *(float(table[name][i]) for name in GAINS)) if known else None
         yield Recorded(LoopSample(float(t[i]), float(sp[i]), float(pv[i]), float(co[i]), int(mode[i]),
-                                  int(limited[i]), float(x[i])), gains)  # fmt: skip
+                                  int(limited[i]), float(x[i]), 0, float(x2[i])), gains)  # fmt: skip
+
+
+def _scheduled(path: Path, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:
+    """A scheduling variable: its column, else what the loop's own signals say of it."""
+    found = table.get(name, own)
+    if found is None:
+        raise RecordingError(f'{path}: no column "{name}": the scheduling variable is a signal on the bus, which sp, '
+                             "pv and co do not tell; add the column")  # fmt: skip
+    return found
 
 
 def _gains(path: Path, i: int, kp: float, ki: float, kd: float) -> PidGains:

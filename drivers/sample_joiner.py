@@ -7,12 +7,16 @@ heartbeats in a row say that the counter stands far behind, they are right and a
 whatever the counter does, across a restart of the device as well.
 """
 
+import math
 from typing import NamedTuple
 
 from retuner.adaptive.sample import LoopSample
 from retuner.drivers.arrival_check import Arrival, ArrivalCheck
 from retuner.drivers.checksum import sample_crc
 from retuner.drivers.frames import RUNNING_TAG, TelemetryPv, TelemetrySp
+from retuner.drivers.signal_source import ScheduleInputs
+from retuner.drivers.signal_tap import SignalTap
+from retuner.schedule.axis import CAN
 
 WRAP = 256  # of the counter in the telemetry frames
 HALF = WRAP // 2
@@ -35,7 +39,7 @@ class SampleJoiner:
     Parameters
     ----------
     sample_time_s : of the controller, s.
-    variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co".
+    variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.
     node : of the device, for the CRC.
 
     Raises
@@ -44,11 +48,11 @@ class SampleJoiner:
         No such variable.
     """
 
-    def __init__(self, sample_time_s: float, variable: str = "sp", node: int = 1) -> None:
-        if variable not in {"sp", "pv", "co"}:
-            raise ValueError(f'variable = "{variable}"; give "sp", "pv" or "co"')
+    def __init__(self, sample_time_s: float, variable: str | ScheduleInputs = "sp", node: int = 1) -> None:
+        inputs = ScheduleInputs.of(variable)
         self._sample_time_s, self._node = sample_time_s, node
-        self._variable = variable
+        self._variable, self._variable2 = inputs.variable, inputs.variable2
+        self.tap = SignalTap(inputs.signals)
         self._offset = 0
         self._reference: int | None = None
         self._last: int | None = None
@@ -126,9 +130,10 @@ class SampleJoiner:
         else:
             self._halves.clear()
         t_s = (number + self._offset) * self._sample_time_s
-        x = pv.pv if self._variable == "pv" else pv.co if self._variable == "co" else sp.sp
-        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, x, self._revision(sp.running))
-        return Joined(sample, lost)
+        x = _value(self._variable, pv, sp)
+        x2 = _value(self._variable2, pv, sp) if self._variable2 else 0.0
+        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, x, self._revision(sp.running), x2)
+        return Joined(self.tap.fill(sample), lost)
 
     def _revision(self, tag: int) -> int:
         """The sequence number with these low bits: the known one's, the ordered one's, else the next one upwards."""
@@ -136,3 +141,10 @@ class SampleJoiner:
             if known is not None and known % RUNNING_TAG == tag:
                 return known
         return (self.running + (tag - self.running) % RUNNING_TAG) % SEQUENCES
+
+
+def _value(variable: str, pv: TelemetryPv, sp: TelemetrySp) -> float:
+    """A scheduling variable as the telemetry has it; NaN for one that comes otherwise."""
+    if variable == "pv":
+        return pv.pv
+    return pv.co if variable == "co" else math.nan if variable == CAN else sp.sp

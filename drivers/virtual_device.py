@@ -51,7 +51,8 @@ from retuner.drivers.frames import (
 )
 from retuner.drivers.gain_pages import GainPages, GainSet
 from retuner.drivers.lease_desk import NOBODY, LeaseDesk
-from retuner.drivers.plant import Plant
+from retuner.drivers.plant import MeasuresMore, Plant
+from retuner.drivers.signal_source import plant_message
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, StateTuple, change, start, step, track
 
@@ -139,7 +140,12 @@ class VirtualDevice:
         frames += self._telemetry()
         if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
             frames += self._life_sign()
-        return [self._encode(frame) for frame in frames]
+        return [*self._measured_more(), *map(self._encode, frames)]
+
+    def _measured_more(self) -> list[can.Message]:
+        """What the plant measures beside pv, before the telemetry of its sample."""
+        plant = self.plant
+        return [plant_message(self.settings.node, plant.aux)] if isinstance(plant, MeasuresMore) else []
 
     def receive(self, message: can.Message) -> list[can.Message]:
         """Take a frame from the bus; the frames that answer it. Anything whatsoever may come."""

@@ -10,7 +10,9 @@ from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.config import Config
-from retuner.config.bench import OvenPlantConfig
+from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
+from retuner.config.signals import signal_source
+from retuner.drivers.boiler_plant import BoilerPlant
 from retuner.drivers.bus import LinkSettings
 from retuner.drivers.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.gain_box import GainBox
@@ -18,6 +20,7 @@ from retuner.drivers.key_file import read_key
 from retuner.drivers.linear_plant import LinearPlant
 from retuner.drivers.oven_plant import OvenPlant
 from retuner.drivers.plant import Plant
+from retuner.drivers.signal_source import ScheduleInputs
 from retuner.drivers.virtual_device import VirtualDeviceSettings
 from retuner.errors import UserError
 from retuner.schedule.table import GainTable
@@ -69,6 +72,8 @@ def make_plant(config: Config) -> Plant:
     plant, seed = config.device.plant, config.device.seed
     if isinstance(plant, OvenPlantConfig):
         return OvenPlant(plant.settings(), plant.start_c, seed)
+    if isinstance(plant, BoilerPlantConfig):
+        return BoilerPlant(plant.settings(), plant.start_c, seed)
     process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
     return LinearPlant(process, start_pv=plant.start_pv, start_co=plant.start_co_pct, noise=plant.noise, seed=seed,
                        co_min=config.loop.co_min_pct, co_max=config.loop.co_max_pct)  # fmt: skip
@@ -92,6 +97,20 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         trial_samples=round(config.device.confirm_within_s / loop.sample_time_s) if config.device else 0,
         key=commit_key(config),
     )
+
+
+def schedule_inputs(config: Config) -> ScheduleInputs:
+    """What the scheduling variables are, and where on the bus those come from that are other signals there.
+
+    Raises
+    ------
+    DbcError
+        A DBC has not what the configuration names (loading a configuration from a file says so first, by line and key).
+    """
+    axes, node = config.schedule.axes, config.bus.node
+    signals = [signal_source(axis, node) for axis in axes]
+    names = [str(axis.variable) for axis in axes]
+    return ScheduleInputs(names[0], names[1] if len(names) > 1 else "", tuple(signals))
 
 
 def commit_key(config: Config) -> bytes | None:
@@ -130,7 +149,7 @@ def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
         standard,
         node=config.bus.node,
         sample_time_s=config.loop.sample_time_s,
-        variable=config.schedule.variable,
+        variable=schedule_inputs(config),
         reply_floor_s=standard.reply_floor_s * speed,
         connect_floor_s=standard.connect_floor_s * speed,
         lease_floor_s=config.bus.lease_s * speed,

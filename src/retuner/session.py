@@ -7,7 +7,7 @@ write, one at a time; a decision changes the table only when the controller has 
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Protocol
 
@@ -29,6 +29,7 @@ from retuner.drivers.device import (
     RunningChanged,
     RunningSet,
     SamplesLost,
+    VariableChanged,
     WriteDone,
     WriteFailed,
     WriteRefusedError,
@@ -52,7 +53,7 @@ HOLD_SAMPLES = 30
 
 DECISIONS_KEPT = 5000
 """Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""
-HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict)
+HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
 
 
 class Why(StrEnum):
@@ -82,8 +83,8 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
         case RunningChanged() | Reverted():
             kind = "reverted" if isinstance(event, Reverted) else "foreign"
             return kind, {"gains": gains_dict(event.running.gains)}
-        case LeaseChanged():
-            return "lease", {"ours": event.ours, "owner": event.owner}
+        case LeaseChanged() | VariableChanged():
+            return "lease" if isinstance(event, LeaseChanged) else "variable", asdict(event)
         case ForeignHost():
             return "foreign_host", {"commands": event.count}
         case DeviceConflict():
@@ -249,7 +250,7 @@ class Session:
             self._record("dropped", self._t_s, {"decision": decision.digest(), "reason": reason})
         if self._t_s < self._retry_at_s:
             return None
-        gains = self.table.at(region, self.trend.rows[-1][4]) if self.trend.rows else self.table.gains_of(region)
+        gains = self.table.at(region, *self.retuner.scheduled)
         step = INTERPOLATION_STEP if self.table.lookup == Lookup.INTERPOLATED else SAME_GAINS
         return (Why.SCHEDULE, region, gains, None) if change_factor(running, gains) > step else None
 

@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from retuner.config.setting import Many, Problem, Section, setting
+from retuner.drivers.boiler_plant import BoilerSettings
 from retuner.drivers.oven_plant import OvenSettings
 
-OVEN = OvenSettings()  # the defaults of the oven are the plant's own
+OVEN, BOILER = OvenSettings(), BoilerSettings()  # the defaults of oven and boiler are the plants' own
 NODES = 63  # the identifier is node << 5 | command in 11 bits; node 0 is for all
 
 
@@ -117,6 +118,45 @@ class LinearPlantConfig(Section):
                           "and integrators; a plant needs at least as many of these")  # fmt: skip
 
 
+class BoilerPlantConfig(Section):
+    """[device.plant] with kind = "boiler": a continuous-flow boiler: gain by temperature, lag and delay by flow."""
+
+    kind: Literal["boiler"] = setting("Which plant; a load is the change of its flow", unit="-", source="the user")
+    start_c: float = setting("Temperature at the start", unit="degC", low=0, high=500, default=30.0, source="the user")
+    inlet_c: float = setting(
+        "Temperature of the water that comes in", unit="degC", low=-50, high=500, default=BOILER.inlet_c, source="plant"
+    )
+    power_max_c: float = setting(
+        "How much full power heats the nominal flow", unit="K", above=0, high=1e4, default=BOILER.power_max_c,
+        source="plant",
+    )  # fmt: skip
+    rangeability: float = setting(
+        "Rangeability of the fuel valve (equal percentage)", unit="1", low=1.001, high=1000,
+        default=BOILER.rangeability, source="plant",
+    )  # fmt: skip
+    tank_s: float = setting(
+        "Lag of the tank at nominal flow", unit="s", above=0, high=1e5, default=BOILER.tank_s, source="plant"
+    )
+    pipe_s: float = setting(
+        "Delay of the pipe at nominal flow", unit="s", above=0, high=1e5, default=BOILER.pipe_s, source="plant"
+    )
+    tau_sensor_s: float = setting(
+        "Sensor lag", unit="s", above=0, high=1e5, default=BOILER.tau_sensor_s, source="plant"
+    )
+    noise_c: float = setting(
+        "Standard deviation of the measurement noise", unit="degC", low=0, high=100, default=BOILER.noise_c,
+        source="plant",
+    )  # fmt: skip
+    flow_noise_pct: float = setting(
+        "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux", unit="%", low=0,
+        high=100, default=BOILER.flow_noise_pct, source="plant",
+    )  # fmt: skip
+
+    def settings(self) -> BoilerSettings:
+        """The boiler's physics as the plant takes it."""
+        return BoilerSettings(**self.model_dump(exclude={"kind", "start_c"}))
+
+
 class DeviceConfig(Section):
     """[device]: the virtual controller. Leave the section out when a real one hangs on the bus."""
 
@@ -126,7 +166,7 @@ class DeviceConfig(Section):
         low=0, high=1e6, default=0.0, source="off",
     )  # fmt: skip
     seed: int = setting("Seed of the measurement noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
-    plant: Annotated[OvenPlantConfig | LinearPlantConfig, Field(discriminator="kind")] = setting(
+    plant: Annotated[OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig, Field(discriminator="kind")] = setting(
         "The simulated plant behind the virtual device", unit="-", source="the user"
     )
 

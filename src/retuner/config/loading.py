@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from retuner.config.messages import key_name, problems_of
 from retuner.config.model import SCHEMA, Config
 from retuner.config.setting import Problem
+from retuner.config.signals import signal_problems
 from retuner.config.toml_lines import Path, toml_lines
 from retuner.errors import ConfigError, one_line
 
@@ -52,7 +53,7 @@ def load_with_text(path: str | FilePath) -> tuple[Config, str]:
     """
     try:
         text = read_text(path)
-        return parse_config(text), text
+        return with_signals(parse_config(text), text), text
     except UnusableError as unusable:
         raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
 
@@ -106,6 +107,21 @@ def parse_config(text: str) -> Config:
         problems = problems_of(error.errors(include_url=False), document)
     lines = toml_lines(text)
     raise UnusableError(sorted((_placed(problem, lines) for problem in problems), key=lambda finding: finding.line))
+
+
+def with_signals(config: Config, text: str) -> Config:
+    """The configuration, once the signals on the bus that it names have been found in their DBC files.
+
+    Raises
+    ------
+    UnusableError
+        With every signal that is not there.
+    """
+    lines = toml_lines(text)
+    findings = [_placed(problem, lines) for problem in signal_problems(config)]
+    if findings:
+        raise UnusableError(findings)
+    return config
 
 
 def _parsed(text: str) -> dict[str, object]:
