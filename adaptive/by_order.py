@@ -1,85 +1,116 @@
-"""What people order, looked at once more before it is written: an approved proposal, or the way back.
+"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock taken off.
 
-Both are changes like any other: absolute limits, direction, and Ms on what is known of the process now. An approval is
-also held to the limits per change and must still start from the gains in force; the way back leads to a set that has
-run before, so it is whole or not at all, and only a set that would make the known process unstable is refused.
+An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
+approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
+the limits per change hold it. Then it is on trial as any change.
+The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
+set that would make the known process unstable is refused. While a change is on trial the way back is to undo that.
 """
 
 import math
-from dataclasses import dataclass, field
 
-from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
+from retuner.adaptive.change_request import change_request
+from retuner.adaptive.decision import Decision
+from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.proposal import SAME_GAINS, Proposal, Standing
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.tracker import predicted
+from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.promise import Promise
 from retuner.schedule.gains import PidGains
 
-WHOLE = 1 - 1e-6
-"""Share of a change that is all of it: the logarithms round."""
+WHOLE = 1.001
+"""A proof that would let through another set than the approved one, by this factor, does not let that one through."""
 
 
-@dataclass(frozen=True, slots=True)
-class OrderRuling:
-    """accepted : whether it may be written. code : for machines. reason : the sentence. numbers : what was weighed."""
+def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
+    """A person approved a proposal: the decision to write it, or why not. t_s : now.
 
-    accepted: bool
-    code: str
-    reason: str
-    numbers: dict[str, float] = field(default_factory=dict)
-
-
-def approval_ruling(
-    proposal: Proposal, in_force: PidGains, process: LinearProcess | None, settings: GuardSettings
-) -> OrderRuling:
-    """Whether an approved proposal may be written.
-
-    in_force : gains of its region now. process : what is known of the region now, sampling included; None for nothing.
+    Raises
+    ------
+    ValueError
+        There is no such region.
     """
-    short = proposal.digest[:8]
+    region = retuner.table.index(proposal.region)
+    verdict = _proof(retuner, region, proposal, t_s)
+    short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
+    if reason:
+        return retuner.ordered(region, Outcome("approval_refused", f"proposal {short} is not written: {reason}"))
+    promised = Promise.from_dict(proposal.promise) if proposal.promise else None
+    outcome = Outcome(
+        "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by a person", verdict=verdict
+    )
+    return retuner.ordered(region, outcome, proposal.after, promised)
+
+
+def _proof(retuner: Retuner, region: int, proposal: Proposal, t_s: float) -> Verdict | None:
+    """The guard's word on the approved gains; None where nothing is known of the region."""
+    if region not in retuner.beliefs:
+        return None
+    tables = (retuner.table, retuner.commissioned)
+    wanted = Tuning("approved", "parallel", proposal.after)
+    settings = retuner.settings
+    return prove(change_request(wanted, region, tables, retuner.beliefs, None, t_s, settings), settings.guard)
+
+
+def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict | None) -> str:
+    """Why an approved proposal is not written; empty when it is."""
+    in_force = retuner.table.gains_of(region)
+    if proposal.promise is None:
+        return "it promises nothing that a trial could hold it to"
     if change_factor(in_force, proposal.before) > SAME_GAINS:
-        return OrderRuling(False, "approval_other_gains", f"proposal {short} is not written: {Standing.OTHER_GAINS}")
-    moved = within_limits(in_force, proposal.after, 1.0, settings)
-    if moved is None or moved[1] < WHOLE:
-        return OrderRuling(False, "approval_outside_limits", f"proposal {short} is not written: it lies outside the "
-                           "limits of a change as they are set now")  # fmt: skip
-    before, after = _ms(process, in_force), _ms(process, proposal.after)
-    numbers = _numbers(before, after)
-    if after > settings.ms_nominal and not after < before:
-        reason = f"Ms would be {_text(after)} on the process as it is known now, the limit is {settings.ms_nominal:g}"
-        return OrderRuling(False, "approval_not_robust", f"proposal {short} is not written: {reason}", numbers)
-    return OrderRuling(True, "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved", numbers)
+        return str(Standing.OTHER_GAINS)
+    if verdict is None:
+        moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard)
+        whole = moved is not None and change_factor(moved[0], proposal.after) < WHOLE
+        return "" if whole else "it lies outside the limits of a change as they are set now"
+    if verdict.gains is None:
+        return verdict.sentence
+    if change_factor(verdict.gains, proposal.after) > WHOLE:
+        return "with what is known now only a smaller step would be proved"
+    return ""
 
 
-def revert_ruling(
-    gains: PidGains, in_force: PidGains, process: LinearProcess | None, settings: GuardSettings
-) -> OrderRuling:
-    """Whether a region may go back to these gains, which were in force before. Arguments as approval_ruling."""
+def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decision | None:
+    """A person wants gains back that were in force before: the decision to write them, or why not. t_s : now."""
+    phase = retuner.desk.phase(region)
+    if phase in UNDECIDED or phase is TrialPhase.WAITING:
+        return retuner.taken_back(region)
+    reason = _no_way_back(retuner, region, gains, t_s)
+    if reason:
+        return retuner.ordered(region, Outcome("revert_refused", f"the way back is not taken: {reason}"))
+    return retuner.ordered(region, Outcome("ordered_back", "a person ordered the way back to these gains"), gains)
+
+
+def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
+    """Why a region does not go back to these gains; empty when it does."""
+    in_force, settings = retuner.table.gains_of(region), retuner.settings
+    guard: GuardSettings = settings.guard
     if gains.direction != in_force.direction:
-        return OrderRuling(False, "revert_wrong_sign", "the way back is not taken: these gains act the other way round")
+        return "these gains act the other way round"
     if change_factor(gains, in_force) <= SAME_GAINS:
-        return OrderRuling(False, "revert_in_force", "nothing to take back: these gains are in force")
-    if not settings.kc_min <= abs(gains.kp) <= settings.kc_max:
-        return OrderRuling(
-            False, "revert_outside_limits", "the way back is not taken: it lies outside kc_min and kc_max"
-        )
-    before, after = _ms(process, in_force), _ms(process, gains)
-    numbers = _numbers(before, after)
-    if math.isinf(after) and not math.isinf(before):
-        return OrderRuling(False, "revert_unstable", "the way back is not taken: on the process as it is known now "
-                           "these gains would be unstable", numbers)  # fmt: skip
-    return OrderRuling(True, "ordered_back", "a person ordered the way back to these gains", numbers)
+        return "they are in force"
+    if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
+        return f"kc {gains.kp:g} lies outside kc_min and kc_max"
+    belief = retuner.beliefs.get(region)
+    if belief is None:
+        return ""
+    process = predicted(belief, t_s, settings.tracker).model().linear()
+    sampled = LinearProcess(process.k, process.lags_s, process.leads_s, process.theta_s + settings.sample_time_s / 2,
+                            process.integrators)  # fmt: skip
+    unstable = math.isinf(sensitivity_peak(sampled, gains)) and math.isfinite(sensitivity_peak(sampled, in_force))
+    return "on the process as it is known now they would be unstable" if unstable else ""
 
 
-def _ms(process: LinearProcess | None, gains: PidGains) -> float:
-    """Ms, 0 where no process is known."""
-    return 0.0 if process is None else sensitivity_peak(process, gains)
+def accept(retuner: Retuner, region: int, t_s: float) -> bool:
+    """A person approved what was tried and has passed; whether the region had been waiting for that."""
+    return retuner.desk.event(region, TrialEvent.APPROVED, t_s)
 
 
-def _numbers(before: float, after: float) -> dict[str, float]:
-    """Ms before and after, where they are finite and a process is known."""
-    return {name: ms for name, ms in (("ms_before", before), ("ms_after", after)) if 0 < ms < math.inf}
-
-
-def _text(ms: float) -> str:
-    """Ms in words."""
-    return "infinite (unstable)" if math.isinf(ms) else f"{ms:.2f}"
+def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
+    """A person lets a locked-out region change again; whether it had been locked."""
+    return retuner.desk.event(region, TrialEvent.UNLOCKED, t_s)

@@ -18,7 +18,7 @@ def change_request(
     region: int,
     tables: tuple[GainTable, GainTable],
     beliefs: Mapping[int, Belief],
-    learned: Learned,
+    learned: Learned | None,
     t_s: float,
     settings: RetunerSettings,
 ) -> ChangeRequest:
@@ -27,11 +27,11 @@ def change_request(
     Parameters
     ----------
     region : index. tables : in force, and as commissioned. beliefs : of all regions, the asked one's as it is now.
-    learned : outcome of the last record. t_s : now.
+    learned : outcome of the last record; None when none is at hand. t_s : now.
     """
     in_force, commissioned = tables
     known = {index: _allowed(belief, t_s, settings) for index, belief in beliefs.items()}
-    odd = learned.surprise == Surprise.ODD
+    odd = learned is not None and learned.surprise == Surprise.ODD
     return ChangeRequest(
         in_force=in_force.gains_of(region),
         commissioned=commissioned.gains_of(region),
@@ -41,7 +41,7 @@ def change_request(
         evidence=Evidence(
             records=beliefs[region].records,
             age_s=max(t_s - beliefs[region].t_s, 0.0),
-            innovation=learned.innovation if odd else 0.0,
+            innovation=learned.innovation if learned is not None and odd else 0.0,
             gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),

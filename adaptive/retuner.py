@@ -25,6 +25,7 @@ from retuner.adaptive.sample import LoopSample
 from retuner.adaptive.trial.desk import TrialDesk
 from retuner.adaptive.trial.judge import Finding, Judgement
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.promise import Promise
 from retuner.adaptive.watcher import Completed, Left, Watcher, WatcherState
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
@@ -74,6 +75,11 @@ class Retuner:
     def region(self) -> int | None:
         """Index of the region that the loop is in, None before the first sample."""
         return self._watcher.region
+
+    @property
+    def scheduled(self) -> tuple[float, float]:
+        """The scheduling values in force, x and x2: filtered, and the last good ones while one is not known."""
+        return self._watcher.scheduled
 
     @property
     def phase(self) -> Phase | None:
@@ -132,6 +138,32 @@ class Retuner:
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions that were to be restored."""
         return self.desk.restored(self._now_s)
+
+    def ordered(
+        self, region: int, outcome: Outcome, gains: PidGains | None = None, promised: Promise | None = None
+    ) -> Decision:
+        """The decision on what a person ordered (see by_order.py): gains to be written, None when it is not done.
+
+        promised : what the gains are held to on trial; without a promise they are written and not on trial.
+        """
+        phase = self.desk.phase(region)
+        free = self.desk.may_change(region, self._now_s, urgent=promised is None) or (
+            promised is None and phase == TrialPhase.LOCKED
+        )
+        if gains is not None and not free:
+            gains, outcome = None, Outcome(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
+        decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
+        if gains is None:
+            return decision
+        if promised is not None:
+            self.desk.begin(region, decision.gains_before, gains, promised, self._now_s)
+        phase = self.desk.phase(region)
+        return replace(decision, action=Action.COMMIT, gains_after=gains, promise=promised, trial=str(phase))
+
+    def taken_back(self, region: int) -> Decision | None:
+        """A person wants the change back that is undecided, or waits for approval; None when there is none."""
+        back = self.desk.event(region, TrialEvent.ORDERED_BACK, self._now_s)
+        return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 
     @property
     def _now_s(self) -> float:

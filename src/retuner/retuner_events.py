@@ -7,7 +7,9 @@ the way back, a line a kind of row; a kind that is not here told the retuner not
 from collections.abc import Mapping
 from typing import Any
 
+from retuner.adaptive.by_order import accept, approve, revert, unlock
 from retuner.adaptive.decision import Decision
+from retuner.adaptive.proposal import Proposal
 from retuner.adaptive.retuner import Retuner
 from retuner.schedule.gains import PidGains
 
@@ -20,10 +22,28 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
     KeyError, TypeError, ValueError
         The row is not what a session writes.
     """
-    del t_s
     match kind, body.get("why"):
         case "committed", "retune":
             retuner.committed(retuner.table.index(str(body["region"])), gains_of(body["gains"]))
+        case "order", _:
+            return _order(retuner, body, t_s) if body["accepted"] and body["due"] else None
+        case _:
+            pass
+    return None
+
+
+def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:
+    """What a person ordered."""
+    region = retuner.table.index(str(body["region"]))
+    match body["order"]:
+        case "approve" if body["proposal"] is not None:
+            return approve(retuner, Proposal.from_dict(body["proposal"]), t_s)
+        case "approve":
+            accept(retuner, region, t_s)
+        case "revert":
+            return revert(retuner, region, gains_of(body["gains"]), t_s)
+        case "unlock":
+            unlock(retuner, region, t_s)
         case _:
             pass
     return None
