@@ -46,11 +46,11 @@ class BoilerSettings:
 
     inlet_c: float = 10.0
     power_max_c: float = 160.0
-    rangeability: float = 30.0
+    rangeability: float = 20.0
     tank_s: float = 40.0
     pipe_s: float = 8.0
     tau_sensor_s: float = 4.0
-    noise_c: float = 0.05
+    noise_c: float = 0.1
     flow_noise_pct: float = 0.5
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from retuner.errors import UserError
 from retuner.outputs import TREND
 from retuner.recorded_session import RecordedSession
 from retuner.scores import Columns
-from retuner.trend import COLUMNS, NO_PYARROW
+from retuner.trend import COLUMNS, COLUMNS_2, NO_PYARROW
 
 FROM_LOG = ("t", "sp", "pv", "co", "region")
 """Columns that a bus log gives; the region is not in it and reads 0."""
@@ -41,13 +41,14 @@ def _csv(path: Path) -> Columns:
     """A trend as write_trend wrote it."""
     with path.open(encoding="utf-8") as file:
         head = file.readline().strip()
-        if head != ",".join(COLUMNS):
+        names = next((known for known in (COLUMNS, COLUMNS_2) if head == ",".join(known)), None)
+        if names is None:
             raise UserError(f"{path}: line 1: is not the head of a trend that a run has left")
         try:
             table = np.loadtxt(file, delimiter=",", ndmin=2)
         except ValueError as error:
             raise UserError(f"{path}: is damaged: {error}") from None
-    return _checked(path, {name: table[:, i] for i, name in enumerate(COLUMNS)} if table.size else {})
+    return _checked(path, {name: table[:, i] for i, name in enumerate(names)} if table.size else {})
 
 
 def _parquet(path: Path) -> Columns:

@@ -2,7 +2,8 @@
 
 IAE is compared with the same run (same noise, same scenario) under fixed gains. Where the plant is simulated its true
 linear model is known at every operating point, and Ms is the largest over the setpoints visited in the region, with
-half a sampling interval of dead time added for the sampled controller.
+half a sampling interval of dead time added for the sampled controller; under the gains in force there, which with an
+interpolated table are no region's own.
 """
 
 import math
@@ -18,7 +19,8 @@ from retuner.adaptive.sample import FloatArray
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 
-Linearise = Callable[[float], LinearProcess]
+Linearise = Callable[..., LinearProcess]
+"""True process at a pv, and at a load where that is not 0."""
 Columns = dict[str, FloatArray]
 SETTLING = 10
 """Samples after a setpoint step in which another event still counts as the same one."""
@@ -60,25 +62,29 @@ def _stable(value: float | None) -> bool | None:
 
 def region_scores(
     before: GainTable, after: GainTable, commits: list[tuple[float, int]], run: Columns, fixed: Columns | None,
-    linearise: Linearise | None, half_sample_s: float, tau_f_s: float = 0.0,
+    linearise: Linearise | None, half_sample_s: float, tau_f_s: float = 0.0, loads: FloatArray | None = None,
 ) -> list[RegionScore]:  # fmt: skip
     """Score every region.
 
     before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column.
     linearise : true linear process at a pv, where the plant is simulated. tau_f_s : filter of the derivative, s.
+    loads : load on the plant in each row of run, percent; None for none.
     """
     scores = []
     for i, name in enumerate(before.regions.names):
-        old, new = before.gains_of(i), after.gains_of(i)
-        truths = _truths(linearise, run, i, half_sample_s)
+        truths = _truths(linearise, run, i, half_sample_s, loads)
+
+        def worst(table: GainTable, truths: list[Truth] = truths, region: int = i) -> float | None:
+            return max((sensitivity_peak(t.process, t.gains(table, region), tau_f_s) for t in truths), default=None)
+
         scores.append(
             RegionScore(
                 region=name,
-                before=old,
-                after=new,
+                before=before.gains_of(i),
+                after=after.gains_of(i),
                 changes=sum(1 for _, region in commits if region == i),
-                ms_before=max((sensitivity_peak(p, old, tau_f_s) for p in truths), default=None),
-                ms_after=max((sensitivity_peak(p, new, tau_f_s) for p in truths), default=None),
+                ms_before=worst(before),
+                ms_after=worst(after),
                 iae=iae(run, i),
                 iae_fixed=None if fixed is None else iae(fixed, i),
             )
@@ -86,13 +92,38 @@ def region_scores(
     return scores
 
 
-def _truths(linearise: Linearise | None, run: Columns, region: int, half_sample_s: float) -> list[LinearProcess]:
-    """True processes over the setpoints visited in a region."""
-    visited = run["sp"][run["region"] == region]
-    if linearise is None or not visited.size:
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The true process at one operating point, and the scheduling values there."""
+
+    process: LinearProcess
+    x: float
+    x2: float
+
+    def gains(self, table: GainTable, region: int) -> PidGains:
+        """What the table puts in force there; the region's own set where a scheduling value was not known."""
+        known = math.isfinite(self.x) and math.isfinite(self.x2)
+        return table.at(region, self.x, self.x2) if known else table.gains_of(region)
+
+
+def _truths(
+    linearise: Linearise | None, run: Columns, region: int, half_sample_s: float, loads: FloatArray | None
+) -> list[Truth]:
+    """True processes over the setpoints visited in a region, under each load that was on it."""
+    inside = np.flatnonzero(run["region"] == region)
+    if linearise is None or not inside.size:
         return []
-    processes = [linearise(float(pv)) for pv in np.linspace(visited.min(), visited.max(), POINTS)]
-    return [replace(p, theta_s=p.theta_s + half_sample_s) for p in processes]
+    found = []
+    loaded = np.zeros(len(inside)) if loads is None else loads[inside]
+    for load in np.unique(loaded).tolist():
+        rows = inside[loaded == load]
+        visited = run["sp"][rows]
+        for pv in np.linspace(visited.min(), visited.max(), POINTS).tolist():
+            process = linearise(pv, load) if load else linearise(pv)
+            row = int(rows[np.argmin(np.abs(visited - pv))])
+            x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
+            found.append(Truth(replace(process, theta_s=process.theta_s + half_sample_s), x, x2))
+    return found
 
 
 def iae(columns: Columns, region: int) -> float:

@@ -25,6 +25,7 @@ from retuner.ledger import Ledger
 from retuner.outputs import BUS_LOG, CONFIG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, give_back, write_json
 from retuner.report import ReportData, render
 from retuner.running import Run, nothing
+from retuner.scenario import loads_at
 from retuner.schedule.document import to_toml
 from retuner.scores import RegionScore, region_scores
 from retuner.session import Recorder, Session
@@ -111,7 +112,7 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
 
     def on_sample(session: Session, sample: LoopSample) -> None:
         region = session.retuner.region or 0
-        screen.sample(sample, session.scenario.progress, config.schedule.region[region].name)
+        screen.sample(sample, session.scenario.progress, session.table.regions.names[region])
 
     record = _recorder(ledger, screen, lambda: job_run.session)
     job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample)
@@ -197,7 +198,7 @@ def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
 TOLD = {
     "refused": ("region", "reason"), "link": ("state", "reason"), "restart": ("epoch",), "lost": ("samples",),
     "command": ("command", "reason"), "unknown": ("reason",), "foreign": ("gains",), "dropped": ("reason",),
-    "bus": ("fault", "times"),
+    "bus": ("fault", "times"), "variable": ("name", "reason"),
 }  # fmt: skip
 """Rows beside decisions that a person at the screen should see, and which of their values."""
 
@@ -212,7 +213,8 @@ def _leave(
     linearise = make_plant(config).linearise if config.device else None
     fixed_columns = fixed.trend.columns() if fixed else None
     scores = region_scores(before, session.table, session.commits, columns, fixed_columns, linearise,
-                           config.loop.sample_time_s / 2, config.loop.tau_f_s)  # fmt: skip
+                           config.loop.sample_time_s / 2, config.loop.tau_f_s,
+                           loads_at(config.scenario, columns["t"]))  # fmt: skip
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
     facts = _facts(job, ledger, trend.name)
