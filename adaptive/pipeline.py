@@ -14,9 +14,9 @@ from retuner.adaptive.admission import Admission, admit, inside_region
 from retuner.adaptive.belief import Belief
 from retuner.adaptive.change_request import change_request
 from retuner.adaptive.decision import Basis
-from retuner.adaptive.diagnosis.cause import Diagnosis
-from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, unconfirmed
-from retuner.adaptive.diagnosis.online import Standing, hidden_cause, swing_cause, swings
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, thinned, unconfirmed
+from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
 from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
 from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.guard import Verdict, prove
@@ -29,6 +29,9 @@ from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
+
+FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
+"""Causes that leave nothing in a record from which the process could be learned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +88,24 @@ def decide(case: Case, settings: RetunerSettings) -> Outcome:
             admission.ground.name.lower(), admission.sentence, diagnosis=admission.diagnosis(),
             numbers=admission.numbers,
         )  # fmt: skip
-    if swings(case.response, settings.swing):
-        cause, standing = swing_cause(
-            case.samples, case.response, case.in_force, case.standing, settings.swing, settings.diagnosis
-        )
-        if cause is not None:
-            return Outcome(str(cause.cause), cause.reason, diagnosis=cause, standing=standing)
+    cause, standing = _swing(case, settings)
+    if cause is not None:
+        return Outcome(str(cause.cause), cause.reason, diagnosis=cause, standing=standing)
+    waiting = thinned(case.response, case.excitation, settings.swing)
+    if waiting is not None:
+        counted = case.excitation.with_response(case.response)
+        return Outcome("waiting", waiting.reason, diagnosis=waiting, excitation=counted)
     return _learned(case, settings)
+
+
+def _swing(case: Case, settings: RetunerSettings) -> tuple[Diagnosis | None, Standing | None]:
+    """Why the loop swings on without a setpoint step, where that is none of tuning."""
+    again = goes_on(case.response, case.standing, settings.swing)
+    if again is not None:
+        return again, case.standing
+    if not swings(case.response, settings.swing):
+        return None, None
+    return swing_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
 
 
 def _learned(case: Case, settings: RetunerSettings) -> Outcome:
@@ -103,23 +117,30 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
         return Outcome("fit_failed", f"the fit failed: {error}")
     left = learned.estimate.residual_std / learned.estimate.noise_std
     if left > settings.swing.unexplained:
-        hidden = hidden_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
+        hidden, standing = hidden_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
         if hidden is not None:
-            return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden)
+            return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden, standing=standing)
     if learned.belief is None:
         return Outcome("not_identifiable", learned.estimate.reason, learned)
-    fresh = learned.surprise in {Surprise.FIRST, Surprise.CHANGED}
-    excitation = (Excitation() if fresh else case.excitation).with_response(case.response)
-    outcome = _tuned(case, learned, learned.belief, settings)
+    return _weighed(case, learned, learned.belief, left, settings)
+
+
+def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings: RetunerSettings) -> Outcome:
+    """What is known decides; before gains change, a case that is not clear is put to the whole diagnosis."""
+    known = Excitation() if learned.surprise == Surprise.CHANGED else case.excitation
+    excitation = known.with_response(case.response)
+    outcome = _tuned(case, learned, belief, settings)
     loads = len(learned.estimate.load_times_s)
     accepted = outcome.verdict is not None and outcome.verdict.accepted
-    if accepted and not is_clear(case.samples, case.response, left, loads, settings.swing):
-        doubt, excitation = unconfirmed(
-            case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
-        )
-        if doubt is not None:
-            outcome = Outcome("unconfirmed", doubt.reason, learned, diagnosis=doubt, proposal=outcome.proposal)
-    return replace(outcome, belief=learned.belief, excitation=excitation)
+    if not accepted or is_clear(case.samples, case.response, left, loads, settings.swing):
+        return replace(outcome, belief=belief, excitation=excitation)
+    doubt, excitation = unconfirmed(
+        case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
+    )
+    if doubt is None:
+        return replace(outcome, belief=belief, excitation=excitation)
+    taken = None if doubt.cause in FOREIGN else belief
+    return Outcome("unconfirmed", doubt.reason, learned, taken, doubt, outcome.proposal, excitation=excitation)
 
 
 def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettings) -> Outcome:

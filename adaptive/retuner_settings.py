@@ -29,7 +29,8 @@ class RetunerSettings:
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
-    swing : when something else than the tuning is asked for; diagnosis : how.
+    swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
+        line: a change is on trial there.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
@@ -56,7 +57,7 @@ class RetunerSettings:
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
-    diagnosis: DiagnosisSettings = field(default_factory=DiagnosisSettings)
+    diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
     cause: CauseSettings = field(default_factory=CauseSettings)
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)

@@ -4,7 +4,8 @@
                  any load step
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
-                 load responses at the earliest. When it does not, it is asked again after twice as many.
+                 load responses at the earliest. When it does not, nothing is learned from loads until there were twice
+                 as many.
 
 What an outside sinusoid or a valve does to a loop looks like a load response for the first cycles (measured: without
 this stage 6 of 10 loops with good gains were changed).
@@ -64,6 +65,18 @@ def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: Swi
     return outside <= settings.restless * len(before)
 
 
+def thinned(response: Response, excitation: Excitation, settings: SwingSettings) -> Diagnosis | None:
+    """Why a load response need not be looked at: the diagnosis did not name the tuning a short while ago."""
+    due = settings.again * excitation.asked
+    if response.sp_changed or excitation.loads + 1 >= due:
+        return None
+    reason = (
+        f"the diagnosis after {excitation.asked} load responses did not name the tuning; it is asked again after "
+        f"{due:.0f}, or at a setpoint step"
+    )
+    return _unknown(reason, excitation)
+
+
 def unconfirmed(
     samples: Sequence[LoopSample],
     response: Response,
@@ -78,12 +91,6 @@ def unconfirmed(
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
-        return _unknown(reason, excitation), excitation
-    if not response.sp_changed and excitation.loads < swing.again * excitation.asked:
-        reason = (
-            f"the diagnosis after {excitation.asked} load responses did not name the tuning; it is asked again after "
-            f"{swing.again * excitation.asked:.0f}, or at a setpoint step"
-        )
         return _unknown(reason, excitation), excitation
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s)

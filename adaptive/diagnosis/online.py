@@ -87,7 +87,6 @@ def swing_cause(
     samples: Sequence[LoopSample],
     response: Response,
     gains: PidGains,
-    standing: Standing | None,
     swing: SwingSettings,
     settings: DiagnosisSettings,
 ) -> tuple[Diagnosis | None, Standing | None]:
@@ -97,9 +96,6 @@ def swing_cause(
     """
     period_s, now_s = response.period_s, response.t_end_s
     assert period_s is not None
-    if standing is not None and _goes_on(standing, period_s, now_s, swing):
-        again = f"the oscillation of {standing.period_s:.3g} s goes on: {standing.reason}"
-        return Diagnosis(standing.cause, 0.8, {"period_s": period_s}, again), standing
     seen = stretch(samples, now_s - swing.most_cycles * period_s)
     cycles = (now_s - seen[0].t_s) / period_s
     if cycles < swing.cycles:
@@ -111,11 +107,17 @@ def swing_cause(
     return found, Standing(found.cause, period_s, now_s, found.reason)
 
 
-def _goes_on(standing: Standing, period_s: float, now_s: float, settings: SwingSettings) -> bool:
-    """Whether this is still the oscillation that was explained."""
-    ratio = period_s / standing.period_s
-    recent = now_s - standing.t_s < settings.remembered_cycles * standing.period_s
-    return recent and 1 / settings.alike < ratio < settings.alike
+def goes_on(response: Response, standing: Standing | None, settings: SwingSettings) -> Diagnosis | None:
+    """The cause that was found a short while ago, for a load response while that oscillation goes on; else None."""
+    if standing is None or response.sp_changed:
+        return None
+    if response.t_end_s - standing.t_s > settings.remembered_cycles * standing.period_s:
+        return None
+    ratio = (response.period_s or standing.period_s) / standing.period_s
+    if not 1 / settings.alike < ratio < settings.alike:
+        return None
+    again = f"the oscillation of {standing.period_s:.3g} s goes on: {standing.reason}"
+    return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, again)
 
 
 def hidden_cause(
@@ -124,9 +126,14 @@ def hidden_cause(
     gains: PidGains,
     swing: SwingSettings,
     settings: DiagnosisSettings,
-) -> Diagnosis | None:
+) -> tuple[Diagnosis | None, Standing | None]:
     """What hides under a response that the linear fit does not explain: stiction or a tone, or None."""
     length_s = response.t_end_s - response.t_start_s
     window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
-    return against_rivals(found[0], screen(window, gains), settings).verdict
+    seen = screen(window, gains)
+    verdict = against_rivals(found[0], seen, settings).verdict
+    if verdict is None:
+        return None, None
+    period_s = seen.period_s or response.period_s or length_s
+    return verdict, Standing(verdict.cause, period_s, response.t_end_s, verdict.reason)
