@@ -14,7 +14,7 @@ th{background:#f4f6f8} td.n,th.n{text-align:right;white-space:nowrap} .good{colo
 .twins{display:flex;flex-wrap:wrap;gap:1em} .twins img{flex:1 1 340px;max-width:560px} tr.commit td{background:#fff8e6}
 code{background:#f4f6f8;padding:0 .25em;overflow-wrap:anywhere}
 .columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(430px,1fr));gap:0 2.2em;align-items:start}
-.columns section{min-width:0} article h2{margin-top:.4em} article td:not(:first-child){overflow-wrap:anywhere}
+.columns section{min-width:0} article td.long{overflow-wrap:anywhere} .good,.bad{white-space:nowrap}
 .badge{display:inline-block;border:1.5px solid;border-radius:1em;padding:0 .7em;font-size:.85em;font-weight:600}
 details.page{border:1px solid #ddd;border-radius:.4em;margin:.5em 0;padding:.3em .9em}
 details.page[open]{padding-bottom:1.2em} details.page>summary{cursor:pointer} svg{display:block;margin:.4em 0}
@@ -58,7 +58,8 @@ def text_table(heads: Iterable[str], rows: Iterable[Iterable[object]], classes: 
 
 def pairs(rows: Sequence[tuple[str, object]]) -> str:
     """A table of names and values without a head; rows without a value are left out, and no rows are no table."""
-    lines = "".join(f"<tr><th>{escaped(name)}</th><td>{escaped(value)}</td></tr>" for name, value in rows if value)
+    lines = "".join(f"<tr><th>{escaped(name)}</th><td class=\"long\">{escaped(value)}</td></tr>"
+                    for name, value in rows if value)  # fmt: skip
     return f"<table>{lines}</table>" if lines else ""
 
 

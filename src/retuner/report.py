@@ -12,10 +12,11 @@ from retuner.explain import cause_text, change_text, document_of, model_text, on
 from retuner.explained.page import article
 from retuner.explained.reading import Document, number, words
 from retuner.explained.view import DecisionView
-from retuner.explained.views import view_of, worth_pages
+from retuner.explained.views import view_of, what_came_of, worth_pages
 from retuner.html_parts import OPEN_TARGET, escaped, image, paragraph, table
 from retuner.html_parts import document as html_document
 from retuner.plots import trend_png, twin_png
+from retuner.region_overview import overview
 from retuner.schedule.table import GainTable
 from retuner.scores import Columns, RegionScore, twin_steps
 
@@ -48,19 +49,22 @@ class ReportData:
 
 def render(data: ReportData) -> str:
     """The page as text."""
-    views = worth_pages((view_of(decision, data.run, data.unit) for decision in data.decisions), MOST_PAGES)
+    documents = [document_of(decision) for decision in data.decisions]
+    views = [view_of(one, data.run, data.unit, later=what_came_of(one, documents))
+             for one in worth_pages(documents, MOST_PAGES)]  # fmt: skip
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
         paragraph(_lead(data), "lead"),
         "<h2>Regions</h2>",
         _scores_table(data),
+        overview(data.after, documents),
         "<h2>The whole run</h2>",
         image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit), "Trend with region bands"),
         _twins(data),
         "<h2>Decisions</h2>",
         paragraph("One row per recognised response; rows that write or advise other gains are shaded. A number with a "
                   "link has a page that shows the whole reasoning.", "muted"),
-        _decisions_table(data.decisions, {view.number for view in views}),
+        _decisions_table(documents, {view.number for view in views}),
         _pages(views),
         "<h2>Provenance</h2>",
         table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
@@ -126,11 +130,11 @@ def _twins(data: ReportData) -> str:
     return f'<h2>The same step, first and last time</h2><div class="twins">{"".join(images)}</div>'
 
 
-def _decisions_table(decisions: Sequence[Decision | Document], paged: set[int]) -> str:
+def _decisions_table(documents: Sequence[Document], paged: set[int]) -> str:
     """A row for each decision; paged : numbers of those that have a page."""
     heads = ("no.", "time [s]", "region", "response", "cause", "reason", "process", "change")
     rows, classes = [], []
-    for document in map(document_of, decisions):
+    for document in documents:
         name = f"{number(document, 'number') or 0:.0f}"
         link = f'<a href="#{_anchor(int(name))}">{name}</a>' if int(name) in paged else name
         when = f"{number(document, 't_s') or 0.0:,.0f}"

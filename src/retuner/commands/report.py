@@ -11,7 +11,7 @@ from retuner.assembly import make_plant
 from retuner.errors import UserError, user_input
 from retuner.explained.page import page
 from retuner.explained.reading import gains_of, number, part, words
-from retuner.explained.views import view_of
+from retuner.explained.views import view_of, what_came_of
 from retuner.files import write_whole
 from retuner.ledger import Row
 from retuner.outputs import GAINS, REPORT, SUMMARY
@@ -41,7 +41,8 @@ def report(session: Path, *, decision: int | None, out: Path | None, as_json: bo
         path = out or recorded.folder / f"decision-{decision}.html"
         row = _named(recorded, rows, decision)
         document = without_place(row.body)
-        text = page(view_of(document, columns, recorded.config.loop.pv_unit, (row.seq, row.hash)))
+        later = what_came_of(document, [without_place(one.body) for one in rows])
+        text = page(view_of(document, columns, recorded.config.loop.pv_unit, (row.seq, row.hash), later))
     write_whole(path, text)
     told = {"session": str(recorded.folder), "file": str(path), "decisions": len(rows), "decision": decision}
     line = json.dumps(told, indent=2) if as_json else f"{path}"

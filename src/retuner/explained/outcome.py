@@ -1,45 +1,92 @@
-"""What a change promised, and what came of it: the trial's judgement, or why the old settings were put back."""
+"""What a change promised, and what came of it: later responses against the promise, and the undo if there was one."""
 
-from collections.abc import Mapping
-
-from retuner.explained.reading import finite, number, part, parts, words
+from retuner.explain import change_text
+from retuner.explained.reading import Document, number, numbers_or_none, part, words
 from retuner.explained.view import DecisionView
-from retuner.html_parts import pairs, paragraph, section, text_table
+from retuner.html_parts import paragraph, section, text_table
+
+MEASURES = {
+    "overshoot": ("overshoot (-E2/E1)", 100.0, " %"), "damping": ("damping", 1.0, ""),
+    "decay": ("ratio of successive peaks", 1.0, ""), "iae": ("IAE per unit of the upset", 1.0, ""),
+    "travel": ("travel of co per unit", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
+}  # fmt: skip
+"""Numbers of a promise in words, with their factor and unit."""
+UPSETS = ("setpoint", "load")
+FINDINGS = {"better": "better than promised", "as_promised": "as promised", "worse": "worse than promised",
+            "inconclusive": "not judged"}  # fmt: skip
 
 
 def promise_section(view: DecisionView) -> str:
     """The promise that later responses are judged against."""
     promise = part(view.document, "promise")
-    return section("Promise", pairs([(name.replace("_", " "), _plain(value)) for name, value in promise.items()]))
-
-
-def trial_section(view: DecisionView) -> str:
-    """The trial that this decision judged or ended."""
-    trial = part(view.document, "trial")
-    if not trial:
+    rows = [(label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
+            for name, (label, factor, unit) in MEASURES.items()]  # fmt: skip
+    rows = [row for row in rows if any(row[1:])]
+    if not rows:
         return ""
-    rows = [(words(one, "name").replace("_", " "), _plain(one.get("promised")), _plain(one.get("measured")),
-             _plain(one.get("limit"))) for one in parts(trial, "compared")]  # fmt: skip
-    compared = text_table(("", "promised", "measured", "limit"), rows) if rows else ""
-    rest = [(name.replace("_", " "), _plain(value)) for name, value in trial.items()
-            if name not in {"compared", "reason"}]  # fmt: skip
-    return section("Trial", paragraph(words(trial, "reason")), compared, pairs(rest))
+    models = number(promise, "models")
+    over = f" over the {models:.0f} models that the records allow" if models else ", from what was seen"
+    spread = f"In brackets the least and the greatest{over}."
+    heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
+    return section("Promise, for the next responses to be judged against", text_table(heads, rows),
+                   paragraph(spread, "muted"))  # fmt: skip
 
 
-def _plain(value: object) -> str:
-    """A value of a document in a cell."""
-    known = finite(value)
-    if known is not None:
-        return f"{known:.4g}"
-    if isinstance(value, Mapping):
-        mean, std = number(value, "mean"), number(value, "std")
-        if mean is not None:
-            return f"{mean:.4g} +- {std:.2g}" if std is not None else f"{mean:.4g}"
-        return ", ".join(f"{name} {_plain(one)}" for name, one in value.items())
-    if isinstance(value, str):
-        return value.replace("_", " ")
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value))
-    return ""
+def _promised(promise: Document, upset: str, name: str, factor: float, unit: str) -> tuple[str, str]:
+    """One number for one kind of upset: promised with its spread, and the settings before."""
+    spread = numbers_or_none(part(promise, upset), name)
+    before = numbers_or_none(part(promise, f"{upset}_before"), name)
+    was = _in(before[0], factor, unit) if before else ""
+    if len(spread) != 3:
+        return "", was
+    best, low, high = (_in(value, factor) for value in spread)
+    return f"{best}{unit if spread[0] is not None else ''} ({low} .. {high})", was
+
+
+def _in(value: float | None, factor: float = 1.0, unit: str = "") -> str:
+    """A number with its unit; null in a document is a loop that never comes to rest."""
+    return "never at rest" if value is None else f"{factor * value:.4g}{unit}"
+
+
+def judgement_section(view: DecisionView) -> str:
+    """The response against the promise of the settings that it ran under."""
+    judgement = part(view.document, "judgement")
+    if not judgement:
+        return ""
+    rows = judged_rows(part(judgement, "numbers"))
+    shown = text_table(("", "measured", "promised", "limit", "the settings before"), rows) if rows else ""
+    lead = paragraph(_told(judgement))
+    return section("The trial: this response against the promise", lead, shown)
+
+
+def _told(judgement: Document) -> str:
+    """The finding and its reason, which begins with it as a rule."""
+    finding, reason = FINDINGS.get(words(judgement, "finding"), ""), words(judgement, "reason")
+    told = reason if reason.lower().startswith(finding.lower()) else f"{finding}: {reason}"
+    return f"{told[:1].upper()}{told[1:]}." if told else ""
+
+
+def judged_rows(found: Document) -> list[tuple[str, ...]]:
+    """Measured, promised, limit and before, a row for each number that was weighed."""
+    rows = []
+    for name, (label, factor, unit) in MEASURES.items():
+        if number(found, name) is None:
+            continue
+        beside = (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before"))
+        rows.append((label, *("" if one is None else _in(None if one < 0 and name != "overshoot" else one, factor, unit)
+                              for one in beside)))  # fmt: skip
+    return rows
+
+
+def later_section(view: DecisionView) -> str:
+    """What came of a change: the later responses that were judged, and the undo."""
+    rows = []
+    for later in view.later:
+        undone = words(later, "action") == "restore"
+        told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
+        reason = " UNDONE: ".join(one for one in told if one)
+        when = f"{number(later, 't_s') or 0.0:,.0f}"
+        rows.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
+    return section(
+        "What came of it", text_table(("decision", "time [s]", "what it showed", "then"), rows) if rows else ""
+    )

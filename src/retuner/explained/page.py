@@ -11,7 +11,7 @@ from retuner.adaptive.rules.rule import Wishes
 from retuner.adaptive.tracker import Surprise
 from retuner.evidence_words import evidence_table
 from retuner.explain import settings_text
-from retuner.explained.outcome import promise_section, trial_section
+from retuner.explained.outcome import judgement_section, later_section, promise_section
 from retuner.explained.reading import finite, gains_of, number, numbers, part, parts, words
 from retuner.explained.response_drawing import response_svg
 from retuner.explained.robustness_drawing import new_name, old_name, robustness_svg
@@ -26,6 +26,8 @@ MS_LIMIT = 1.8
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
 FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
 """Groups of evidence that are shown at once; the others unfold."""
+LARGE = 1e4
+"""Numbers from here on are written out in full."""
 SAME = 1e-6
 """Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
 
@@ -45,6 +47,7 @@ def article(view: DecisionView) -> str:
         f'<p>{badge(view)} <span class="muted">{escaped(_place(view))}</span></p>',
         paragraph(headline(view), "lead"),
         section("The response", response, paragraph(_how_it_ended(view), "muted")),
+        judgement_section(view),
         '<div class="columns">',
         section("What is known of the process", _learned(view)),
         section("Cause", _cause(view)),
@@ -53,7 +56,7 @@ def article(view: DecisionView) -> str:
         "</div>",
         section("Robustness and predicted responses", drawing, _margins(view)),
         promise_section(view),
-        trial_section(view),
+        later_section(view),
         section("Where it stands", _whereabouts(view)),
     ]
     return f"<article>{''.join(body)}</article>"
@@ -229,7 +232,9 @@ def _proof(view: DecisionView) -> str:
 def _value(value: object, none: str) -> str:
     """A number, or what its absence means."""
     known = finite(value)
-    return f"{known:.4g}" if known is not None else none
+    if known is None:
+        return none
+    return f"{known:,.0f}" if abs(known) >= LARGE else f"{known:.4g}"
 
 
 def _margins(view: DecisionView) -> str:
@@ -247,6 +252,7 @@ def _whereabouts(view: DecisionView) -> str:
     loads = len(numbers(view.estimate, "loads"))
     return pairs([
         ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
-        ("gains before, parallel", settings_text(view.before) if view.before else ""),
+        ("gains in force then", settings_text(view.before) if view.before else ""),
         ("code", words(view.document, "code")), ("load steps in the record", str(loads) if loads else ""),
+        ("the region then", words(view.document, "trial")),
     ])  # fmt: skip

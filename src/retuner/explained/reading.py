@@ -41,6 +41,12 @@ def numbers(document: Document, name: str) -> list[float]:
     return [one for one in map(finite, value) if one is not None]
 
 
+def numbers_or_none(document: Document, name: str) -> list[float | None]:
+    """The numbers of a list, None where one is null; empty where there is no list."""
+    value = document.get(name)
+    return [finite(one) for one in value] if isinstance(value, list | tuple) else []
+
+
 def words(document: Document, name: str) -> str:
     """A text, empty where there is none."""
     value = document.get(name)

@@ -23,10 +23,11 @@ def response_svg(view: DecisionView) -> str:
         return ""
     modelled = view.samples.explained is not None
     with settings(f"response {view.number}"):
-        figure = Figure(figsize=(11.4, 5.6 if modelled else 4.6))
+        height = 5.6 if modelled else 4.7
+        figure = Figure(figsize=(11.4, height))
         heights = (2.6, 0.9, 1.0) if modelled else (2.6, 1.0)
         panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        figure.subplots_adjust(left=0.075, right=0.985, top=0.93, bottom=0.085, hspace=0.13)
+        figure.subplots_adjust(left=0.075, right=0.985, top=1 - 0.4 / height, bottom=0.48 / height, hspace=0.13)
         _draw(panels, view, view.samples)
         return svg(figure, "The response with its peaks, the model over it, what the model leaves, controller output")
 

@@ -79,7 +79,10 @@ def how_far(view: DecisionView) -> str:
     step = number(view.verdict, "step")
     if view.after is None or step is None or step > WHOLE_STEP:
         return ""
-    return f"This is {step:.0%} of the way (in the logarithms of the gains) to what the rule gives."
+    notes = view.verdict.get("notes")
+    cut = "; ".join(one for one in notes if isinstance(one, str)) if isinstance(notes, list) else ""
+    why = f" ({cut})" if cut else ""
+    return f"This is {step:.0%} of the way, in the logarithms of the gains, to what the rule gives{why}."
 
 
 def robustness(view: DecisionView) -> str:
@@ -136,7 +139,7 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
     for label, name, unit, usual in (
         ("Ms", "ms", "", "at most 1.8"), ("gain margin", "gm", "", "at least 2"),
         ("phase margin", "pm_deg", " deg", "at least 45 deg"),
-        ("delay margin", "delay_margin_s", " s", "more than theta"),
+        ("delay margin", "delay_margin_s", " s", f"more than theta, {view.process.theta_s:.3g} s"),
     ):  # fmt: skip
         rows.append((label, *(_margin(one, name, unit) for one in columns), usual))
     return rows

@@ -42,7 +42,7 @@ class DecisionView:
     ----------
     document : what Decision.to_dict() gives. samples : of the response, None where they were not kept.
     unit : of pv. sample_time_s : of the loop; half of it counts as dead time. row, hash : in the ledger, None and empty
-        where not known.
+        where not known. later : documents of the decisions that judged or undid this one.
     """
 
     document: Document
@@ -51,6 +51,7 @@ class DecisionView:
     sample_time_s: float
     row: int | None = None
     hash: str = ""
+    later: tuple[Document, ...] = ()
 
     @property
     def number(self) -> int:
@@ -124,17 +125,6 @@ class DecisionView:
     def tried(self) -> PidGains | None:
         """Gains of which the page shows what they would do: those let through, else those that were proposed."""
         return self.after or gains_of(part(part(self.document, "proposal"), "parallel"))
-
-    @property
-    def changes(self) -> bool:
-        """Whether gains are written, put back or advised."""
-        return self.action in {"commit", "advise", "restore"}
-
-    @property
-    def worth_a_page(self) -> bool:
-        """Whether there is more to tell than one line: gains change, or a proof or a cause spoke against it."""
-        cause = words(part(self.document, "diagnosis"), "cause")
-        return self.changes or bool(self.verdict) or cause not in {"", "ok"}
 
     def _sampled(self, model: ProcessModel) -> LinearProcess:
         return replace(model, theta_s=model.theta_s + self.sample_time_s / 2).linear()

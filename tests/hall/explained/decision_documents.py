@@ -6,6 +6,31 @@ import numpy as np
 
 from retuner.explained.view import DecisionView, Samples
 
+FOUND = {
+    "overshoot": [0.05, 0.0, 0.08],
+    "damping": [0.1, 0.0, 0.2],
+    "decay": [0.1, 0.0, 0.2],
+    "iae": [106.5, 103.0, 110.0],
+    "travel": [1.6, 1.5, 1.7],
+    "settle_s": [165.0, 163.0, None],
+}
+SWINGING = {**FOUND, "iae": [None, None, None], "overshoot": [0.61, 0.5, 0.7]}
+PROMISE = {"setpoint": FOUND, "load": FOUND, "setpoint_before": SWINGING, "load_before": SWINGING, "models": 5}
+WORSE = {
+    "finding": "worse",
+    "reason": "worse than promised: successive peaks in the ratio 0.60",
+    "numbers": {
+        "overshoot": 0.61,
+        "damping": 0.6,
+        "decay": 0.6,
+        "decay_limit": 0.25,
+        "decay_promised": 0.1,
+        "decay_before": -1.0,
+        "iae": 212.0,
+        "iae_promised": 106.5,
+        "iae_before": 300.0,
+    },
+}
 N, DT = 300, 2.0
 START, END = 1100.0, 1500.0
 MODEL = {"type": "sopdt", "k": 2.0, "tau1": 240.0, "tau2": 9.0, "theta": 26.0}
@@ -25,7 +50,7 @@ COMMIT: dict[str, object] = {
     "surprise": "agrees", "records": 2,
     "diagnosis": {"cause": "aggressive", "confidence": 0.99, "retune": True, "reason": "too much gain",
                   "evidence": {"ms": 2.88, "gm": 1.72, "pm_deg": 30.7, "ki_ratio": 0.36, "kp_ratio": 0.59}},
-    "basis": "model",
+    "basis": "model", "promise": PROMISE, "judgement": None, "trial": "writing",
     "proposal": {"rule": "simc", "form": "series", "gains": {"kc": 1.5, "tau_i": 250.0, "tau_d": 0.0},
                  "parallel": WANTED, "tau_c": 36.0},
     "verdict": {"accepted": True, "ruling": "accepted", "step": 0.625, "tau_c_s": 36.0, "reason": "proved: robust",
@@ -44,12 +69,14 @@ def changed(**parts: object) -> dict[str, object]:
 REFUSED = changed(
     action="none", gains_after=None, code="not_robust", reason="refused: not robust on every model",
     verdict={"accepted": False, "ruling": "not_robust", "step": 0.0, "tau_c_s": 36.0, "reason": "refused: not robust",
-             "ms": {"nominal": 1.3, "worst": None, "before": 1.3}},
+             "ms": {"nominal": 1.3, "worst": None, "before": 1.3}}, promise=None, trial="idle",
 )  # fmt: skip
 ADVISED = changed(action="advise", mode="advise")
 RESTORED = changed(
     action="restore", code="worse_than_promised", reason="the loop answers worse than was promised", proposal=None,
-    verdict=None, estimate=None, diagnosis=None, response=None, basis=None, surprise=None, records=0,
+    verdict=None, estimate=None, diagnosis=None, response=None, basis=None, surprise=None, records=0, promise=None,
+    judgement=WORSE, trial="restoring the verified set", number=9, t_s=END + 900.0, gains_before=WANTED,
+    gains_after=BEFORE,
 )  # fmt: skip
 PATTERN = changed(basis="pattern", estimate=None, surprise=None, records=0, verdict=None, diagnosis=None,
                   proposal={"rule": "pattern", "form": "ideal", "parallel": WANTED, "tau_c": None})  # fmt: skip

@@ -3,11 +3,12 @@
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from html.parser import HTMLParser
 from typing import Any
 
 import pytest
-from decision_documents import ADVISED, BORROWED, COMMIT, EVERY_KIND, PATTERN, REFUSED, RESTORED, changed, view
+from decision_documents import ADVISED, BORROWED, COMMIT, EVERY_KIND, PATTERN, REFUSED, RESTORED, WORSE, changed, view
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +17,7 @@ from retuner.explained import page as page_module
 from retuner.explained.page import article, ms_limit, page
 from retuner.explained.telling import headline
 from retuner.explained.view import DecisionView
+from retuner.explained.views import what_came_of, worth_pages
 
 VOID = {"meta", "img", "br"}
 
@@ -61,7 +63,7 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
     ("document", "said", "unsaid"),
     [
         (COMMIT, ["Written to the controller: Kc from 2.4 to 1.5 (x 0.625), tau_I from 150 to 250 s (x 1.67).",
-                  "the loop overshot by 53% of the first peak, damping 0.45", "62% of the way",
+                  "the loop overshot by 53% of the first peak, damping 0.45", "62% of the way, in the logarithms",
                   "Ms 2.88 before, Ms 1.65 after; at worst, on the models still allowed, Ms 2.03"], ["Advised"]),
         (ADVISED, ["Advised, not written: Kc from 2.4 to 1.5"], ["Written"]),
         (REFUSED, ["Refused: not robust on every model.", "Nothing was changed.", "at worst unstable"], ["Written"]),
@@ -111,6 +113,42 @@ def test_no_text_becomes_markup() -> None:
     document = changed(loop=bad, region=bad, reason=bad, mode=bad, code=bad)
     assert "script" not in elements(page(view(document, unit="<b>&$x$</b>")))
     assert "<b>&$x" not in page(view(document, unit="<b>&$x$</b>"))
+
+
+def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
+    text = words_of(article(view(drawn=False)))
+    for told in ("106.5 (103 .. 110)", "5 % (0 .. 8)", "61 %", "165 s (163 .. never at rest)", "never at rest",
+                 "over the 5 models"):  # fmt: skip
+        assert told in text, told
+
+
+def test_a_judged_response_shows_measured_beside_promised() -> None:
+    text = article(view(RESTORED, drawn=False))
+    assert "<td>ratio of successive peaks</td><td>0.6</td><td>0.1</td><td>0.25</td><td>never at rest</td>" in text
+    assert "<p>Worse than promised: successive peaks in the ratio 0.60.</p>" in text
+    assert "Kc from 1.5 to 2.4" in text
+
+
+def test_the_page_of_a_change_tells_what_came_of_it() -> None:
+    told = changed(
+        number=10, t_s=2500.0, action="none", judgement={**WORSE, "finding": "inconclusive", "reason": "cut"}
+    )
+    elsewhere = changed(number=11, region="low", judgement=WORSE)
+    later = what_came_of(COMMIT, [COMMIT, told, elsewhere, {**RESTORED, "number": 12}, {**told, "number": 13}])
+    assert [one["number"] for one in later] == [10, 12]
+    text = article(replace(view(drawn=False), later=later))
+    assert "Not judged: cut." in text
+    assert "UNDONE: restore Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
+    assert what_came_of(REFUSED, [COMMIT, told]) == ()
+
+
+def test_pages_are_for_what_changes_and_the_newest_of_the_rest() -> None:
+    fine = changed(number=1, action="none", verdict=None, diagnosis={"cause": "ok"})
+    cause = changed(number=2, t_s=1.0, action="none", verdict=None, diagnosis={"cause": "external"})
+    refused, commit = {**REFUSED, "number": 3, "t_s": 2.0}, {**COMMIT, "number": 4, "t_s": 0.5}
+    found = [fine, cause, refused, commit]
+    assert [one["number"] for one in worth_pages(found, 9)] == [2, 3, 4]
+    assert [one["number"] for one in worth_pages(found, 2)] == [3, 4]
 
 
 def test_the_circle_is_the_guards_limit() -> None:
