@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from online import batch, changes, harm, walks
+from online import batch, changes, harm, injected, walks
 from online.runner import collect
 
 
@@ -63,7 +63,15 @@ def _walks(options: argparse.Namespace) -> tuple[list[walks.Row], bool]:
     return rows, whole
 
 
-PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm}
+def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
+    kinds = injected.KINDS if options.kind == "all" else (options.kind,)
+    tasks = [task for kind in kinds for task in injected.tasks(options.seed, kind, options.loops)][:: options.every]
+    rows, whole = collect(injected.run, tasks, options.jobs, options.out, injected.line)
+    _say([f"bad changes injected, seed {options.seed}", *injected.table(rows)])
+    return rows, whole
+
+
+PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm, "injected": _injected}
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -93,4 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     four = parts.add_parser("walks", parents=[common], help="setpoint walks over a process that varies by 4")
     four.add_argument("--walks", type=int, default=10)
     four.add_argument("--setpoints", type=int, default=walks.SETPOINTS, help="of each walk")
+    five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
+    five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
+    five.add_argument("--loops", type=int, default=40, help="changes of each kind")
     return parser

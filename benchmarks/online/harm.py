@@ -259,7 +259,8 @@ def line(row: Row) -> str:
 def table(rows: list[Row]) -> list[str]:
     """Changes and harm a kind, with the upper end of the exact 95 % interval of the share of loops harmed."""
     lines = [f"{'kind':<12}{'loops':>6}{'samples':>10}{'responses':>10}{'changes':>9}{'loops changed':>15}"
-             f"{'worse Ms':>10}{'worse IAE':>11}{'put back':>10}{'lost':>6}   loops harmed"]  # fmt: skip
+             f"{'worse Ms':>10}{'worse IAE':>11}{'left spec':>11}{'put back':>10}{'lost':>6}"
+             "   loops harmed"]  # fmt: skip
     for kind in KINDS:
         of = [row for row in rows if row["kind"] == kind]
         if not of:
@@ -269,7 +270,9 @@ def table(rows: list[Row]) -> list[str]:
         lines.append(
             f"{kind:<12}{len(of):>6}{sum(r['samples'] for r in of):>10}{sum(r['records'] for r in of):>10}"
             f"{len(found):>9}{sum(bool(r['effects']) for r in of):>15}{sum(x['ms_worse'] for x in found):>10}"
-            f"{sum(x['iae_worse'] for x in found):>11}{sum(x['restored'] for x in found):>10}"
+            f"{sum(x['iae_worse'] for x in found):>11}"
+            f"{sum(x['before']['in_spec'] and not x['after']['in_spec'] for x in found):>11}"
+            f"{sum(x['restored'] for x in found):>10}"
             f"{sum(r['lost'] for r in of):>6}   {harmed} of {len(of)}, at most {at_most(harmed, len(of)):.2%}"
         )
     causes: Counter[str] = Counter()

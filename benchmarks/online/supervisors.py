@@ -59,4 +59,7 @@ class Watching:
 
     def written(self, region: int, gains: PidGains) -> None:
         """Tell retuner, as a session does after reading back."""
-        self.retuner.committed(region, gains)
+        if self.writes and self.writes[-1].action == Action.RESTORE:
+            self.retuner.restored()
+        else:
+            self.retuner.committed(region, gains)

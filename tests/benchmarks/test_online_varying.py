@@ -1,4 +1,4 @@
-"""Processes that vary: against exact held responses, against their own linearisation, and the changes drawn for them."""
+"""Processes that vary: against exact held responses, their own linearisation, and the changes drawn for them."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,240 @@
+"""Deliberately bad changes: does the trial take them back, when, and what did they do meanwhile?
+
+A loop in spec is given a bad set of gains, with a promise that is a lie of one of two kinds, half of the runs each:
+
+wrong model   the bad set is SIMC of a wrong model, and the promise is that model's, as if identification were fooled
+wrong set     the promise is the right model's for SIMC, but another set is in force, as if something went wrong later
+
+Setpoint and load steps in turn follow, one every 60 effective dead times. What puts it on trial, watches and judges is
+retuner's own (adaptive/trial).
+
+gain        Kc too large by 2.5 to 6: most of these loops are unstable
+integral    tau_I too short by 4 to 10
+both        Kc too large by 2 to 4 and tau_I too short by 2 to 4
+sluggish    Kc too small by 4 to 10
+mild        Kc too large by 1.5 to 2: out of spec, stable, and near enough to a promise to pass for kept
+
+Time runs from the write to the moment at which the controller runs the old set again. Excursion is the largest
+|sp - pv| in that time, over the same under the old set with the same upsets and noise.
+"""
+
+import math
+import statistics
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from cases.plant import HeldPlant
+from cases.processes import FAMILIES, log_uniform
+from cases.setting import Loop, draw_loop, scaled
+
+from online.counting import counted
+from online.judge import Judge
+from online.loop import FixedGains, LostLoop, WatchedLoop
+from online.supervisors import Watching, one_region, settings
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.process import LinearProcess, ProcessModel
+from retuner.adaptive.reduction import half_rule
+from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.promise import promise
+from retuner.schedule.gains import PidGains
+
+Row = dict[str, Any]
+KINDS = ("gain", "integral", "both", "sluggish", "mild")
+LIES = ("wrong model", "wrong set")
+UPSETS = 6
+LENGTH_THETA = 60.0
+SAMPLES_PER_THETA = 8
+NOISE = 0.01
+PV_SPAN = 10.0
+TRIES = 100
+LOST = 100.0
+"""A loop further from its setpoint than this many steps has been lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One change."""
+
+    kind: str
+    seed: int
+    index: int
+
+
+def tasks(seed: int, kind: str, count: int) -> list[Task]:
+    """The first `count` changes of a kind."""
+    return [Task(kind, seed, index) for index in range(count)]
+
+
+class OnTrial(Watching):
+    """Retuner, live, with one change put on trial that it did not decide."""
+
+    def __init__(self, gains: PidGains, dt_s: float) -> None:
+        super().__init__(one_region(gains), settings(dt_s, PV_SPAN))
+        self.t_s = 0.0
+        self.due: PidGains | None = None
+        self.restored_s: float | None = None
+        self.cause = ""
+        self.passed = False
+
+    def inject(self, bad: PidGains, believed: Plausible, said: PidGains) -> None:
+        """Put a set on trial with the promise that a model makes for the set that it is said to be."""
+        old = self.retuner.table.gains_of(0)
+        promised = promise([believed], old, said, self.retuner.settings.sample_time_s / 2)
+        self.retuner.desk.begin(0, old, bad, promised, self.t_s)
+        self.due = bad
+
+    def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
+        """As live; after the trial of the injected set nothing more is written, so that what follows is its doing."""
+        self.t_s = sample.t_s
+        if self.due is not None:
+            due, self.due = self.due, None
+            self.retuner.observe(sample)
+            return 0, due
+        before = self.retuner.desk.phase(0)
+        wish = super().observe(sample)
+        after = self.retuner.desk.phase(0)
+        self.passed |= before is TrialPhase.TRIAL and after in {TrialPhase.IDLE, TrialPhase.WRITING}
+        if self.decided:
+            return None
+        return wish
+
+    @property
+    def decided(self) -> bool:
+        """Whether the trial is over."""
+        return self.passed or self.restored_s is not None
+
+    def written(self, region: int, gains: PidGains) -> None:
+        """As read back."""
+        restoring = self.retuner.desk.phase(0) is TrialPhase.RESTORING
+        if restoring:
+            self.cause, self.restored_s = str(self.retuner.desk.trial(0).cause), self.t_s
+            self.retuner.restored()
+        else:
+            self.retuner.committed(region, gains)
+
+
+def run(task: Task) -> Row:
+    """One injected change; keys rolled_back, passed, theta (time in effective dead times), loops, excursion, cause."""
+    rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 32])
+    loop, bad, wrong = drawn(task.kind, rng)
+    judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+    trial = OnTrial(loop.best, loop.dt_s)
+    n = int(LENGTH_THETA * SAMPLES_PER_THETA)
+    noise = [(NOISE * rng.standard_normal(n)).tolist() for _ in range(UPSETS + 1)]
+    load = judge.load_like_setpoint()
+    lie = LIES[task.index % len(LIES)]
+    if lie == "wrong set":
+        believed, said = Plausible(half_rule(loop.process), 0.0), loop.best
+    else:
+        believed, said = wrong, bad
+    tried = watched(loop, trial, noise, load, (bad, believed, said))
+    usual = watched(loop, None, noise, load, None)
+    upto = len(tried) if trial.restored_s is None else int(trial.restored_s / loop.dt_s)
+    excursion = max(tried[:upto], default=0.0) / max(usual[: max(upto, n + 1)], default=1.0)
+    back = trial.restored_s is not None
+    took_s = trial.restored_s - n * loop.dt_s if trial.restored_s is not None else math.nan
+    verdict = judge.of(bad)
+    return {
+        "part": "injected", "kind": task.kind, "lie": lie, "seed": task.seed, "index": task.index,
+        "family": loop.family, "ms": verdict.ms, "j": verdict.j, "rolled_back": back,
+        "passed": trial.passed and not back, "phase": str(trial.retuner.desk.phase(0)), "cause": trial.cause,
+        "lost": tried[-1] >= LOST,
+        "theta": took_s / loop.theta_s, "upsets": took_s / (n * loop.dt_s), "excursion": excursion,
+        "verified": trial.retuner.table.gains_of(0) == loop.best,
+    }  # fmt: skip
+
+
+def drawn(kind: str, rng: np.random.Generator) -> tuple[Loop, PidGains, Plausible]:
+    """A loop in spec, a bad set, and the wrong model that calls it good."""
+    for _ in range(TRIES):
+        family = str(rng.choice([x for x in FAMILIES if x != "oscillatory"]))
+        loop = draw_loop(rng, family, (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
+        kc, tau_i = _factors(kind, rng)
+        model = half_rule(loop.process)
+        if tau_i < 1 and not model.tau1_s:
+            continue  # no wrong lag makes an integrating process ask for a short tau_I
+        judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+        bad = scaled(loop.best, kc, tau_i)
+        if judge.of(loop.best).in_spec and not judge.of(bad).in_spec:
+            return loop, bad, Plausible(_wrong(model, kc, tau_i), 0.0)
+    raise RuntimeError(f"no loop fits {kind} in {TRIES} draws")
+
+
+def _factors(kind: str, rng: np.random.Generator) -> tuple[float, float]:
+    """On Kc and tau_I."""
+    return {
+        "gain": lambda: (log_uniform(rng, 2.5, 6.0), 1.0),
+        "integral": lambda: (1.0, 1 / log_uniform(rng, 4.0, 10.0)),
+        "both": lambda: (log_uniform(rng, 2.0, 4.0), 1 / log_uniform(rng, 2.0, 4.0)),
+        "sluggish": lambda: (1 / log_uniform(rng, 4.0, 10.0), 1.0),
+        "mild": lambda: (log_uniform(rng, 1.5, 2.0), 1.0),
+    }[kind]()
+
+
+def _wrong(model: ProcessModel, kc: float, tau_i: float) -> ProcessModel:
+    """A model on which kc times too much gain and tau_i times the integral time look as SIMC does on the true one."""
+    if tau_i == 1.0:
+        return replace(model, k=model.k / kc)
+    return replace(model, k=model.k * tau_i / kc, tau1_s=model.tau1_s * tau_i, theta_s=model.theta_s * tau_i)
+
+
+def watched(
+    loop: Loop,
+    trial: OnTrial | None,
+    noise: list[list[float]],
+    load: float,
+    bad: tuple[PidGains, Plausible, PidGains] | None,
+) -> list[float]:
+    """|sp - pv| without noise of every sample, the change written after the first of the stretches."""
+    process: LinearProcess = loop.process
+    supervisor = trial or FixedGains()
+    watched_loop = WatchedLoop(HeldPlant(process, loop.dt_s), one_region(loop.best), loop.dt_s, supervisor, lost=LOST)
+    errors: list[float] = []
+    sp = now = 0.0
+    try:
+        for i, stretch in enumerate(noise):
+            if i == 1 and trial and bad:
+                trial.inject(*bad)
+            if i:
+                sp, now = (1.0 - sp, now) if i % 2 else (sp, load - now)
+            trace = watched_loop.run(sp, now, stretch)
+            errors += [abs(sp - pv + more) for (pv, _), more in zip(trace, stretch, strict=True)]
+            if trial and trial.decided:
+                break
+    except LostLoop:
+        errors.append(LOST)
+    return errors
+
+
+def line(row: Row) -> str:
+    """A change that was not taken back, or did much, for people."""
+    if row["rolled_back"] and row["excursion"] < 5:
+        return ""
+    ms = f"Ms {row['ms']:.2f}" if math.isfinite(row["ms"]) else "unstable"
+    head = f"{row['kind']} {row['index']} {row['lie']} {row['family']}: {ms} J {row['j']:.2f} {row['phase']}"
+    return (f"{head} {row['cause']} {row['theta']:.0f} dead times, excursion {row['excursion']:.1f}")  # fmt: skip
+
+
+def table(rows: list[Row]) -> list[str]:
+    """A line a kind."""
+    lines = [f"{'kind':<10}{'lie':<12}{'changes':>8}{'unstable':>9}{'passed':>8}{'lost':>6}{'median':>9}"
+             f"{'90 %':>7}{'most':>7} dead times{'median':>9}{'most':>7} excursion   rolled back"]  # fmt: skip
+    for kind, lie in product(KINDS, LIES):
+        of = [row for row in rows if (row["kind"], row["lie"]) == (kind, lie)]
+        if not of:
+            continue
+        back = [row for row in of if row["rolled_back"]]
+        times = sorted(row["theta"] for row in back) or [math.nan]
+        peaks = [row["excursion"] for row in of]
+        lines.append(
+            f"{kind:<10}{lie:<12}{len(of):>8}{sum(math.isinf(r['ms']) for r in of):>9}{sum(r['passed'] for r in of):>8}"
+            f"{sum(r['lost'] for r in of):>6}{statistics.median(times):>9.0f}{times[int(0.9 * (len(times) - 1))]:>7.0f}"
+            f"{times[-1]:>7.0f}{'':11}{statistics.median(peaks):>9.1f}{max(peaks):>7.1f}{'':13}"
+            f"{counted(len(back), len(of))}"
+        )
+    wrong = sum(row["rolled_back"] and not row["verified"] for row in rows)
+    lines.append(f"restored to anything but the verified set: {wrong}")
+    return lines
