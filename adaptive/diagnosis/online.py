@@ -31,7 +31,7 @@ class SwingSettings:
         quarter of the amplitude after a period; what is left of a well-tuned loop is far less).
     cycles : cycles of a swing that are waited for before anything is said; 3 to 10, default 4.
     most_cycles : cycles of the stretch that are looked at; 5 to 30, default 12.
-    alike : periods within this factor are the same oscillation; 1.05 to 1.5, default 1.25.
+    alike : periods within this factor are the same oscillation; 1.05 to 1.5, default 1.5.
     remembered_cycles : cycles for which an explained oscillation need not be explained again; default 40.
     unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
         default 1.5.
@@ -46,7 +46,7 @@ class SwingSettings:
     damping: float = 0.5
     cycles: float = 4.0
     most_cycles: float = 12.0
-    alike: float = 1.25
+    alike: float = 1.5
     remembered_cycles: float = 40.0
     unexplained: float = 1.5
     lookback: float = 3.0
