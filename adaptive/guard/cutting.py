@@ -18,12 +18,13 @@ from retuner.schedule.gains import PidGains
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Gains to go to.
+    """Gains to go to. wanted : before they were cut, locks apart.
 
     notes : what was cut. cut_by, numbers : the first limit that cut it. no_room : that limit turned it back.
     """
 
     gains: PidGains
+    wanted: PidGains
     tau_c_s: float
     notes: tuple[str, ...] = ()
     cut_by: Ruling | None = None
@@ -49,7 +50,7 @@ def goals(
     """
     unlocked = _locked(wanted, request)
     if unlocked.kp == 0.0 or wanted.kp == 0.0:
-        return [Goal(unlocked, tau_c_s)]
+        return [Goal(unlocked, unlocked, tau_c_s)]
     limits = _Limits(request, settings, over_limit)
     kc, tau_i = abs(unlocked.kp), unlocked.kp / unlocked.ki if unlocked.ki else math.inf
     tau_d = unlocked.kd / unlocked.kp
@@ -60,7 +61,7 @@ def goals(
     notes = tuple(_note(name, was, now, by) for name, was, now, by in cuts if by is not None)
     turned, cut_by, numbers = _limiting(cuts, request)
     made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
-    first = Goal(made, tau_c_s, notes, cut_by, numbers, turned)
+    first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
     if tau_i_by is None or request.locks.kc or turned:
         return [first]
     kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
@@ -101,16 +102,16 @@ class _Limits:
         high = Bound(s.tau_d_max_s, "tau_d_max", Ruling.OUTSIDE_LIMITS)
         low = Bound(0.0, "nothing", None)
         now, by = _cut(tau_d, *self._with_total(low, high, start, down=not self._over, up=True))
-        return (0.0, Bound(least, "the sampling time", None)) if now < least else (now, by)
+        return (0.0, by or Bound(least, "the sampling time", None)) if now < least else (now, by)
 
     def _with_total(self, low: Bound, high: Bound, start: float, *, down: bool, up: bool) -> tuple[Bound, Bound]:
         """Narrowed by the ratio to the commissioned value, as far as the absolute limits leave room for that."""
         ratio = self._settings.total_ratio_max
         if start:
-            if up and low.value <= start * ratio < high.value:
-                high = Bound(start * ratio, "the commissioned set", Ruling.OUTSIDE_TOTAL)
-            if down and low.value < start / ratio <= high.value:
-                low = Bound(start / ratio, "the commissioned set", Ruling.OUTSIDE_TOTAL)
+            if up and start * ratio < high.value:
+                high = Bound(max(start * ratio, low.value), "the commissioned set", Ruling.OUTSIDE_TOTAL)
+            if down and low.value < start / ratio:
+                low = Bound(min(start / ratio, high.value), "the commissioned set", Ruling.OUTSIDE_TOTAL)
         return low, high
 
 

@@ -24,6 +24,8 @@ class Parameter(StrEnum):
 
 MORE_WHEN_LARGER = {Parameter.KC: True, Parameter.TAU_I: False, Parameter.TAU_D: True, Parameter.INTEGRAL: True}
 """Whether a larger value is more action."""
+ROUNDING = 1e-12
+"""By how much tau_I may shorten and count as unchanged."""
 GAIN_NAMES = ("kp", "ki", "kd")
 
 
@@ -79,10 +81,9 @@ def within_limits(
     return (moved, share) if settings.kc_min <= abs(moved.kp) <= settings.kc_max else None
 
 
-def within_factor(old: PidGains, new: PidGains, factor: float) -> tuple[PidGains, float]:
-    """The same with one limit for every parameter, both ways."""
-    share = _share(old, new, lambda _parameter, _more: math.log(factor))
-    return _along(old, new, share), share
+def within_factor(old: PidGains, new: PidGains, factor: float) -> PidGains:
+    """The point on the way that one limit for every parameter allows."""
+    return _along(old, new, _share(old, new, lambda _parameter, _more: math.log(factor)))
 
 
 def _share(old: PidGains, new: PidGains, room: Callable[[Parameter, bool], float]) -> float:
@@ -120,11 +121,17 @@ def change_factor(old: PidGains, new: PidGains) -> float:
     return max(factors, default=1.0)
 
 
+def extent(old: PidGains, new: PidGains) -> float:
+    """Natural logarithm of the largest factor among the parameters that both have."""
+    start, goal = logs(old), logs(new)
+    return max((abs(goal[p] - start[p]) for p in start.keys() & goal.keys()), default=0.0)
+
+
 def less_of_everything(old: PidGains, new: PidGains) -> bool:
     """Whether no gain grows and tau_I does not shorten: less action for certain."""
     pairs = ((abs(getattr(old, name)), abs(getattr(new, name))) for name in GAIN_NAMES)
     if any(after > before for before, after in pairs):
         return False
-    start, goal = logs(old), logs(new)
-    slack = 1e-12
-    return goal.get(Parameter.TAU_I, math.inf) >= start.get(Parameter.TAU_I, math.inf) - slack or not new.ki
+    if not new.ki or not old.ki:
+        return True
+    return abs(new.kp * old.ki) >= abs(old.kp * new.ki) * (1 - ROUNDING)

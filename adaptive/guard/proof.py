@@ -21,7 +21,7 @@ from retuner.adaptive.guard.allowed import sampled
 from retuner.adaptive.guard.border import at_border
 from retuner.adaptive.guard.cutting import Goal, goals, nothing_left
 from retuner.adaptive.guard.loops import Loops
-from retuner.adaptive.guard.parameters import change_factor, less_of_everything, within_factor, within_limits
+from retuner.adaptive.guard.parameters import change_factor, extent, less_of_everything, within_factor, within_limits
 from retuner.adaptive.guard.questions import evidence_checks, evidence_doubt, limit_checks
 from retuner.adaptive.guard.request import Border, ChangeRequest, Support
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
@@ -210,14 +210,21 @@ def _why_not(case: _Case, tried: list[Candidate]) -> tuple[Ruling, dict[str, flo
     }
 
 
+def _share(old: PidGains, new: PidGains, goal: Goal) -> float:
+    """How much of the way that was wanted has been gone, in the parameter that goes farthest."""
+    whole = extent(old, goal.wanted)
+    return min(extent(old, new) / whole, 1.0) if whole and new != goal.wanted else 1.0
+
+
 def _unproved(case: _Case, goal: Goal) -> Verdict:
     """A small step where no model can prove one: the pattern's."""
     request, s = case.request, case.settings
-    gains, share = within_factor(request.in_force, goal.gains, s.pattern_step_max)
+    gains = within_factor(request.in_force, goal.gains, s.pattern_step_max)
     numbers = {"factor": change_factor(request.in_force, gains), "limit": s.pattern_step_max}
     checks = tuple(limit_checks(request, gains, s, factor=s.pattern_step_max))
     way_out = request.urgent and less_of_everything(request.in_force, gains)
-    return Verdict(Ruling.UNPROVED_STEP, gains, share, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
+    step = _share(request.in_force, gains, goal)
+    return Verdict(Ruling.UNPROVED_STEP, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
                    goal.notes, (), way_out)  # fmt: skip
 
 
@@ -231,13 +238,14 @@ def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
     borders = (_border_check(case, border, gains) for border in request.borders)
     checks = (
         *evidence_checks(request, s),
-        *limit_checks(request, gains, s, urgent=candidate.beyond),
+        *limit_checks(request, gains, s, over_limit=case.over, urgent=candidate.beyond),
         Check("ms_nominal", "Ms on the process", nominal, s.ms_nominal, nominal <= s.ms_nominal),
         Check("ms_worst", "Ms on the worst model that the records allow", worst, s.ms_worst, worst <= s.ms_worst),
         *(check for check in borders if check is not None),
     )
     urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
-    return Verdict(ruling, gains, candidate.share, nominal, worst, before, candidate.goal.tau_c_s, numbers, checks,
+    step = _share(request.in_force, gains, candidate.goal)
+    return Verdict(ruling, gains, step, nominal, worst, before, candidate.goal.tau_c_s, numbers, checks,
                    candidate.goal.notes, tuple(request.models), urgent)  # fmt: skip
 
 

@@ -37,20 +37,17 @@ def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Rul
 
 
 def limit_checks(
-    request: ChangeRequest,
-    gains: PidGains,
-    settings: GuardSettings,
-    *,
-    urgent: bool = False,
-    factor: float | None = None,
-) -> list[Check]:
+    request: ChangeRequest, gains: PidGains, settings: GuardSettings, *, over_limit: bool = False,
+    urgent: bool = False, factor: float | None = None,
+) -> list[Check]:  # fmt: skip
     """Size of the step, ratio to the commissioned set, absolute limits, sampling time.
 
+    over_limit : the loop in force is over its Ms limit: the commissioned set does not hold it up from below.
     urgent : no limit per change towards less action. factor : one limit per change for all, instead of the settings'.
     """
     return [
         *_steps(request.in_force, gains, settings, urgent, factor),
-        *_totals(request.commissioned, gains, settings),
+        *_totals(request.commissioned, gains, settings, over_limit),
         *_absolute(request, gains, settings),
     ]
 
@@ -72,16 +69,18 @@ def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor:
     return found
 
 
-def _totals(start: PidGains, new: PidGains, s: GuardSettings) -> list[Check]:
+def _totals(start: PidGains, new: PidGains, s: GuardSettings, over_limit: bool) -> list[Check]:
     """Against the commissioned set."""
     found = []
     before, after = logs(start), logs(new)
     for parameter in (Parameter.KC, Parameter.TAU_I, Parameter.TAU_D):
         if parameter in before and parameter in after:
-            value = math.exp(abs(after[parameter] - before[parameter]))
+            way = after[parameter] - before[parameter]
+            less = (way > 0) != MORE_WHEN_LARGER[parameter]
+            value, limit = math.exp(abs(way)), math.inf if over_limit and less else s.total_ratio_max
             words = f"factor of {parameter} against the commissioned set"
-            passed = value <= s.total_ratio_max * (1 + ROUNDING)
-            found.append(Check(f"total_{parameter.name.lower()}", words, value, s.total_ratio_max, passed))
+            passed = value <= limit * (1 + ROUNDING)
+            found.append(Check(f"total_{parameter.name.lower()}", words, value, limit, passed))
     return found
 
 

@@ -1,0 +1,166 @@
+"""Both sides of a border: what is between two processes, and what holds there."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from guard_cases import BEST, GAINS, MODEL, SETTINGS, known, request, times
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.guard import Border, GuardSettings, Ruling, borders_of, prove
+from retuner.adaptive.guard.border import at_border, between_models
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.simc import simc
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
+
+SOPDT = ProcessModel(ProcessType.SOPDT, 2.0, 30.0, 20.0, 5.0)
+SWINGS = ProcessModel(ProcessType.SOPDT, 2.0, 20.0, 20.0, 5.0, 0.6)
+LEVEL = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)
+LAGGED = ProcessModel(ProcessType.INTEGRATING_LAG, 0.04, 0.0, 8.0, 5.0)
+KINDS = [MODEL, SOPDT, SWINGS, LEVEL, LAGGED]
+
+
+@pytest.mark.parametrize("model", KINDS)
+def test_between_a_process_and_itself_is_itself(model: ProcessModel) -> None:
+    found = between_models(model, model, 0.3)
+    assert found is not None
+    assert found.type == model.type
+    for name in ("k", "tau1_s", "tau2_s", "theta_s", "zeta"):
+        assert getattr(found, name) == pytest.approx(getattr(model, name))
+
+
+@pytest.mark.parametrize("one", KINDS)
+@pytest.mark.parametrize("other", KINDS)
+def test_the_ends_are_the_processes_themselves(one: ProcessModel, other: ProcessModel) -> None:
+    for share, wanted in ((0.0, one), (1.0, other)):
+        found = between_models(one, other, share)
+        assert found is not None
+        for gains in (GAINS, times(0.3, 0.2)):
+            there, here = (sensitivity_peak(m.linear(), gains) for m in (found, wanted))
+            assert there == pytest.approx(here, rel=1e-6)
+
+
+def test_half_way_is_the_geometric_mean() -> None:
+    found = between_models(
+        replace(MODEL, k=1.0, tau1_s=20.0, theta_s=2.0), replace(MODEL, tau1_s=80.0, theta_s=8.0), 0.5
+    )
+    assert found is not None
+    assert (found.tau1_s, found.theta_s) == (pytest.approx(40.0), pytest.approx(4.0))
+    assert found.k / found.tau1_s == pytest.approx(math.sqrt(1 / 20 * 2 / 80))
+    negative = between_models(replace(MODEL, k=-1.0), replace(MODEL, k=-4.0), 0.5)
+    assert negative is not None
+    assert negative.k == pytest.approx(-2.0)
+
+
+def test_what_has_no_mean_is_not_asked() -> None:
+    assert between_models(MODEL, ProcessModel(ProcessType.DELAY, 1.0, theta_s=1.0), 0.5) is None
+    assert between_models(MODEL, replace(MODEL, k=-2.0), 0.5) is None
+
+
+def border(model: ProcessModel | None, reach: float = 0.5, gains: PidGains = GAINS, mixed: bool = False) -> Border:
+    return Border("hot", gains, (Plausible(model, 0.0),) if model else (), reach, mixed)
+
+
+OWN = (Plausible(MODEL, 0.0),)
+HOT = replace(MODEL, k=6.0)
+
+
+def test_a_hard_border_is_met_by_the_new_gains_alone() -> None:
+    middle = between_models(MODEL, HOT, 0.5)
+    assert middle is not None
+    expected = sensitivity_peak(replace(middle, theta_s=5.5).linear(), GAINS)
+    ms, passed = at_border(border(HOT), OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)
+    assert ms == pytest.approx(expected)
+    assert ms > 2.1
+    assert not passed
+    near, passed_near = at_border(border(HOT, 0.1), OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)
+    assert near < 2.1
+    assert passed_near
+
+
+def test_what_was_worse_before_does_not_hold_up_what_is_better() -> None:
+    ms, passed = at_border(border(HOT), OWN, GAINS, times(1.2, 1.2), 2.1, 1.0)
+    assert ms > 2.1
+    assert passed
+
+
+def test_an_interpolation_is_met_by_the_mean_of_both_sets() -> None:
+    hot_gains = times(1 / 3, 1 / 3)
+    ms, passed = at_border(border(HOT, 1.0, hot_gains, mixed=True), OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)
+    shares = []
+    for w in (0.25, 0.5, 0.75):
+        between = between_models(MODEL, HOT, w)
+        assert between is not None
+        mean = PidGains((1 - w) * GAINS.kp + w * hot_gains.kp, (1 - w) * GAINS.ki + w * hot_gains.ki)
+        shares.append(sensitivity_peak(replace(between, theta_s=5.5).linear(), mean))
+    assert ms == pytest.approx(max(shares))
+    assert passed == (max(shares) <= 2.1)
+
+
+def test_an_interpolation_into_the_unknown_is_proved_half_way_on_the_own_process() -> None:
+    wild = times(8.0, 8.0)
+    ms, passed = at_border(border(None, 1.0, wild, mixed=True), OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)
+    mean = PidGains((GAINS.kp + wild.kp) / 2, (GAINS.ki + wild.ki) / 2)
+    assert ms == pytest.approx(sensitivity_peak(replace(MODEL, theta_s=5.5).linear(), mean))
+    assert not passed
+    assert math.isnan(at_border(border(None), OWN, GAINS, GAINS, 2.1, 1.0)[0])
+    assert math.isnan(at_border(border(HOT), (), GAINS, GAINS, 2.1, 1.0)[0])
+
+
+def test_every_model_of_both_sides_is_asked() -> None:
+    one = Border("hot", GAINS, (Plausible(MODEL, 0.0), Plausible(HOT, 3.0)), 0.5)
+    assert not at_border(one, OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)[1]
+    two = (Plausible(MODEL, 0.0), Plausible(HOT, 3.0))
+    assert not at_border(border(MODEL), two, GAINS, times(0.5, 0.5), 2.1, 1.0)[1]
+    assert at_border(border(MODEL), OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)[1]
+
+
+def test_the_border_slows_the_change_before_it_refuses_it() -> None:
+    warm = replace(MODEL, k=4.0)
+    asked = replace(request(times(0.6, 0.6)), borders=(border(warm, 0.6),))
+    verdict = prove(asked, SETTINGS)
+    assert verdict.ruling == Ruling.ACCEPTED
+    assert verdict.gains is not None
+    assert verdict.gains.kp < GAINS.kp
+    ms, passed = at_border(border(warm, 0.6), asked.models, verdict.gains, asked.in_force, SETTINGS.ms_border, 1.0)
+    assert passed
+    assert ms <= SETTINGS.ms_border
+    assert prove(asked, GuardSettings(ms_border=3.0)).gains == GAINS
+
+
+@given(w=st.floats(0, 1), k=st.floats(0.5, 2.5), theta=st.floats(0.6, 1.6))
+def test_a_proved_interpolation_holds_everywhere_between(w: float, k: float, theta: float) -> None:
+    """Not only at the weights that were asked: the slack is what a coarse grid may miss."""
+    there = ProcessModel(ProcessType.FOPDT, 2.0 * k, 50.0, 0.0, 5.0 * theta)
+    gains = simc(replace(there, theta_s=there.theta_s + 0.5)).gains
+    limit = 2.1
+    _, passed = at_border(border(there, 1.0, gains, mixed=True), OWN, BEST.gains, BEST.gains, limit, 1.0)
+    between = between_models(MODEL, there, w)
+    assert between is not None
+    mean = PidGains((1 - w) * GAINS.kp + w * gains.kp, (1 - w) * GAINS.ki + w * gains.ki)
+    assert (
+        not passed or sensitivity_peak(replace(between, theta_s=between.theta_s + 0.5).linear(), mean) <= limit + 0.02
+    )
+
+
+def test_the_table_says_how_far_the_gains_reach() -> None:
+    regions = Regions("pv", "C", ("cold", "warm", "hot"), 0.0, (20.0, 60.0), 100.0, 4.0, 0.0)
+    table = GainTable("oven", regions, (GAINS, times(0.5, 0.5), times(0.3, 0.3)))
+    models = {2: known()}
+    below, above = borders_of(table, 1, models)
+    assert (below.name, below.gains, below.models, below.interpolated) == ("cold", GAINS, (), False)
+    assert below.reach == pytest.approx((20 + 4) / 30)
+    assert (above.name, above.gains, above.models) == ("hot", times(0.3, 0.3), known())
+    assert above.reach == pytest.approx((20 + 4) / 40)
+    mixed = borders_of(replace(table, lookup=Lookup.INTERPOLATED), 0, models)
+    assert [(b.name, b.reach, b.interpolated) for b in mixed] == [("warm", 1.0, True)]
+
+
+def test_a_border_reaches_no_farther_than_the_neighbour() -> None:
+    with pytest.raises(ValueError, match="reach"):
+        Border("hot", GAINS, (), 1.1)

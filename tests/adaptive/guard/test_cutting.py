@@ -1,0 +1,178 @@
+"""Locks, absolute limits, the commissioned set and the sampling time: one parameter is cut, and it is said."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from guard_cases import GAINS, SETTINGS, known, request, times
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
+from retuner.adaptive.guard.cutting import Goal, goals
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.schedule.forms import IdealGains
+from retuner.schedule.gains import PidGains
+
+OLD = IdealGains(1.0, 20.0).to_parallel()
+
+
+def cut(wanted: PidGains, limits: GuardSettings = SETTINGS, old: PidGains = OLD, over: bool = False,
+        locks: Locks = NO_LOCKS, commissioned: PidGains | None = None) -> list[Goal]:  # fmt: skip
+    asked = replace(request(old, commissioned=commissioned), locks=locks)
+    return goals(wanted, 5.0, asked, limits, over_limit=over)
+
+
+def times_of(gains: PidGains) -> tuple[float, float, float]:
+    return gains.kp, gains.kp / gains.ki, gains.kd / gains.kp
+
+
+def test_within_the_limits_nothing_is_cut() -> None:
+    wanted = IdealGains(2.0, 30.0, 3.0).to_parallel()
+    (goal,) = cut(wanted, old=IdealGains(1.0, 20.0, 2.0).to_parallel())
+    assert (goal.gains, goal.notes, goal.cut_by, goal.no_room) == (wanted, (), None, False)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "limits", "result", "note"),
+    [
+        ((9.0, 20.0, 0.0), GuardSettings(kc_max=3.0), (3.0, 20.0, 0.0), "kc cut from 9 to 3 by kc_max"),
+        ((0.4, 20.0, 0.0), GuardSettings(kc_min=0.5), (0.5, 20.0, 0.0), "kc cut from 0.4 to 0.5 by kc_min"),
+        ((9.0, 20.0, 0.0), SETTINGS, (4.0, 20.0, 0.0), "kc cut from 9 to 4 by the commissioned set"),
+        ((0.1, 20.0, 0.0), SETTINGS, (0.25, 20.0, 0.0), "kc cut from 0.1 to 0.25 by the commissioned set"),
+        ((1.0, 100.0, 0.0), SETTINGS, (1.0, 80.0, 0.0), "tau_I cut from 100 to 80 by the commissioned set"),
+        ((1.0, 3.0, 0.0), SETTINGS, (1.0, 5.0, 0.0), "tau_I cut from 3 to 5 by the commissioned set"),
+        ((1.0, 8.0, 0.0), GuardSettings(tau_i_min_s=9.0), (1.0, 9.0, 0.0), "tau_I cut from 8 to 9 by tau_i_min"),
+        ((1.0, 40.0, 0.0), GuardSettings(tau_i_max_s=30.0), (1.0, 30.0, 0.0), "tau_I cut from 40 to 30 by tau_i_max"),
+        ((1.0, 20.0, 6.0), GuardSettings(tau_d_max_s=4.0), (1.0, 20.0, 4.0), "tau_D cut from 6 to 4 by tau_d_max"),
+        ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D cut from 0.5 to 0 by the sampling time"),
+    ],
+)
+def test_only_what_exceeds_is_cut_and_it_is_said(
+    wanted: tuple[float, float, float], limits: GuardSettings, result: tuple[float, float, float], note: str
+) -> None:
+    goal = cut(IdealGains(*wanted).to_parallel(), limits)[0]
+    assert times_of(goal.gains) == pytest.approx(result)
+    assert goal.notes == (note,)
+    assert not goal.no_room
+    assert goal.wanted == IdealGains(*wanted).to_parallel()
+
+
+def test_a_cut_tau_i_leaves_two_ways_and_the_proof_decides() -> None:
+    held, moved = cut(IdealGains(1.0, 100.0).to_parallel())
+    assert times_of(held.gains) == pytest.approx((1.0, 80.0, 0.0))
+    assert times_of(moved.gains) == pytest.approx((0.8, 80.0, 0.0))
+    assert moved.notes[-1] == "kc moved with tau_I"
+    (only,) = cut(IdealGains(1.0, 100.0).to_parallel(), locks=Locks(kc=True))
+    assert times_of(only.gains) == pytest.approx((1.0, 80.0, 0.0))
+
+
+def test_below_the_sampling_time_the_integral_action_is_kept_first() -> None:
+    old = IdealGains(0.1, 1.0).to_parallel()
+    first, second = cut(IdealGains(0.12, 1.0).to_parallel(), old=old)
+    assert times_of(first.gains) == pytest.approx((0.24, 2.0, 0.0))
+    assert first.gains.ki == pytest.approx(0.12)
+    assert times_of(second.gains) == pytest.approx((0.12, 2.0, 0.0))
+    assert first.cut_by is None
+
+
+def test_the_commissioned_set_does_not_hold_up_a_loop_over_its_limit() -> None:
+    less = IdealGains(0.1, 100.0).to_parallel()
+    assert times_of(cut(less, over=True)[0].gains) == pytest.approx((0.1, 100.0, 0.0))
+    more = IdealGains(9.0, 3.0, 9.0).to_parallel()
+    held = cut(more, over=True, old=IdealGains(1.0, 20.0, 2.0).to_parallel())[0]
+    assert times_of(held.gains) == pytest.approx((4.0, 5.0, 8.0))
+
+
+def test_a_limit_that_turns_a_parameter_back_leaves_no_room() -> None:
+    (goal,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
+    assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
+    assert goal.numbers == {"wanted": 2.0, "limit": 0.5}
+    (far,) = cut(IdealGains(2.0, 20.0).to_parallel(), commissioned=IdealGains(0.1, 20.0).to_parallel())
+    assert (far.no_room, far.cut_by) == (True, Ruling.OUTSIDE_TOTAL)
+    (rounded,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))
+    assert not rounded.no_room
+    (back,) = cut(IdealGains(0.6, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
+    assert not back.no_room
+    assert back.gains.kp == 0.5
+
+
+def test_no_derivative_allowed_at_all() -> None:
+    old = IdealGains(1.0, 20.0, 2.0).to_parallel()
+    (more,) = cut(IdealGains(1.0, 20.0, 3.0).to_parallel(), GuardSettings(tau_d_max_s=0.0), old)
+    assert more.no_room
+    (less,) = cut(IdealGains(1.0, 20.0, 1.5).to_parallel(), GuardSettings(tau_d_max_s=0.0), old)
+    assert less.gains.kd == 0.0
+
+
+@pytest.mark.parametrize("locks", [Locks(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)])
+def test_locked_parameters_stay_as_they_are(locks: Locks) -> None:
+    old = IdealGains(-1.0, 20.0, 2.0).to_parallel()
+    goal = cut(IdealGains(-1.5, 30.0, 3.0).to_parallel(), old=old, locks=locks)[0]
+    expected = (-1.0 if locks.kc else -1.5, 20.0 if locks.tau_i else 30.0, 2.0 if locks.tau_d else 3.0)
+    assert times_of(goal.gains) == pytest.approx(expected)
+
+
+def test_no_derivative_means_none_where_there_is_none() -> None:
+    assert cut(IdealGains(1.5, 30.0, 3.0).to_parallel(), locks=NO_DERIVATIVE)[0].gains.kd == 0.0
+    assert Locks(tau_i=True, tau_d=True) == KC_ONLY
+
+
+def test_an_integral_controller_has_no_times_to_hold_or_cut() -> None:
+    integral = PidGains(0.0, 0.1)
+    assert cut(PidGains(0.0, 5.0), old=integral)[0].gains == PidGains(0.0, 5.0)
+    assert cut(PidGains(0.0, 5.0), old=integral, locks=Locks(tau_i=True))[0].gains == integral
+    assert cut(PidGains(1.0, 0.05, 3.0), old=integral, locks=NO_DERIVATIVE)[0].gains == PidGains(1.0, 0.05)
+    proportional = PidGains(1.0, 0.0)
+    assert cut(PidGains(2.0, 0.0), old=proportional)[0].gains == PidGains(2.0, 0.0)
+
+
+def test_a_cut_change_is_written_and_says_so() -> None:
+    limits = GuardSettings(kc_max=0.9 * GAINS.kp)
+    verdict = prove(request(times(0.6, 0.6)), limits)
+    assert verdict.accepted
+    assert verdict.gains is not None
+    assert verdict.gains.kp == pytest.approx(0.9 * GAINS.kp)
+    assert "by kc_max" in verdict.sentence
+    assert verdict.step < 1.0
+
+
+def test_at_the_limit_nothing_is_left_and_the_limit_is_named() -> None:
+    at = prove(request(times(0.6, 0.6)), GuardSettings(kc_max=0.6 * GAINS.kp, tau_i_max_s=times(1, 1).kp / GAINS.ki))
+    assert at.ruling == Ruling.OUTSIDE_LIMITS
+    total = prove(request(times(0.6, 0.6), commissioned=times(0.15, 0.15)), SETTINGS)
+    assert total.ruling == Ruling.OUTSIDE_TOTAL
+    assert total.numbers["wanted"] == pytest.approx(GAINS.kp)
+
+
+GAIN = st.floats(0.01, 100)
+TIME = st.floats(0.1, 1000)
+
+
+@settings(deadline=None)
+@given(kc=GAIN, tau_i=TIME, tau_d=st.floats(0, 50), kc0=GAIN, tau_i0=TIME, over=st.booleans(),
+       kc_max=st.sampled_from([0.5, 5.0, math.inf]), tau_i_max=st.sampled_from([30.0, math.inf]))  # fmt: skip
+def test_every_goal_is_inside_whatever_is_asked(
+    kc: float, tau_i: float, tau_d: float, kc0: float, tau_i0: float, over: bool, kc_max: float, tau_i_max: float
+) -> None:
+    start = IdealGains(kc0, tau_i0).to_parallel()
+    limits = GuardSettings(kc_max=kc_max, tau_i_max_s=tau_i_max)
+    for goal in cut(IdealGains(kc, tau_i, tau_d).to_parallel(), limits, start, over):
+        new_kc, new_tau_i, new_tau_d = times_of(goal.gains)
+        assert new_kc <= kc_max * (1 + 1e-9)
+        assert 2.0 * (1 - 1e-9) <= new_tau_i <= tau_i_max * (1 + 1e-9)
+        assert new_tau_d == 0.0 or new_tau_d >= 1.0 * (1 - 1e-9)
+        assert new_kc <= 4 * kc0 * (1 + 1e-9)
+        assert new_tau_i >= min(tau_i0 / 4, tau_i_max) * (1 - 1e-9)
+        assert over or new_kc >= min(kc0 / 4, kc_max) * (1 - 1e-9)
+
+
+def test_a_request_is_checked_at_the_door() -> None:
+    proposal = Tuning("simc", "series", GAINS, 5.0)
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="sample_time_s"):
+            ChangeRequest(GAINS, GAINS, proposal, known(), wrong)
+    with pytest.raises(ValueError, match="first the least"):
+        ChangeRequest(GAINS, GAINS, proposal, tuple(reversed(known())), 1.0)
+    with pytest.raises(ValueError, match="finite"):
+        ChangeRequest(GAINS, GAINS, proposal, (replace(known()[0], excess=math.nan),), 1.0)

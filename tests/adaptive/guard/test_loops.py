@@ -1,0 +1,114 @@
+"""What safer means: smaller Ms on the process and at worst, larger on no model."""
+
+import math
+from dataclasses import replace
+
+from guard_cases import GAINS, MODEL, times
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.adaptive.guard.loops import Loops
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.rules.simc import simc
+from retuner.schedule.gains import PidGains
+
+FAST = replace(MODEL, k=3.0).linear()
+PLAIN = MODEL.linear()
+LEVEL = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0).linear()
+LEVEL_GAINS = simc(ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)).gains
+
+
+def test_nominal_and_worst() -> None:
+    loops = Loops([PLAIN, FAST])
+    assert loops.nominal(GAINS) == sensitivity_peak(PLAIN, GAINS)
+    assert loops.worst(GAINS) == sensitivity_peak(FAST, GAINS) > loops.nominal(GAINS)
+    assert len(loops) == 2
+    nothing = Loops([])
+    assert math.isnan(nothing.nominal(GAINS))
+    assert math.isnan(nothing.worst(GAINS))
+    assert not nothing.all_over(GAINS, 1.0)
+    assert not nothing.safer(times(2, 2), GAINS, GAINS)
+
+
+def test_both_limits_count() -> None:
+    loops = Loops([PLAIN, FAST])
+    nominal, worst = loops.nominal(GAINS), loops.worst(GAINS)
+    assert loops.within(GAINS, nominal, worst)
+    assert not loops.within(GAINS, nominal - 1e-6, worst)
+    assert not loops.within(GAINS, nominal, worst - 1e-6)
+    assert loops.within(GAINS, nominal, worst)
+    assert loops.all_over(GAINS, nominal - 1e-6)
+    assert not loops.all_over(GAINS, nominal)
+
+
+def test_safer_is_not_less_gain() -> None:
+    """A level loop that swings slowly is made safer by more gain, and the contrary makes it worse."""
+    loops = Loops([LEVEL])
+    swinging = PidGains(LEVEL_GAINS.kp / 4, LEVEL_GAINS.ki)
+    calmer, worse = PidGains(LEVEL_GAINS.kp / 2, LEVEL_GAINS.ki), PidGains(LEVEL_GAINS.kp / 8, LEVEL_GAINS.ki)
+    assert loops.safer(swinging, calmer, LEVEL_GAINS)
+    assert not loops.safer(swinging, worse, LEVEL_GAINS)
+
+
+def test_every_model_has_a_say() -> None:
+    """Less gain at the same integral action: safer on a fast process, not on one that is slow to answer."""
+    old, new = times(2.0, 1.0), times(0.5, 1.0)
+    other = ProcessModel(ProcessType.INTEGRATING, 0.008, theta_s=1.0).linear()
+    assert Loops([PLAIN]).safer(times(3.0, 1.0), times(1.5, 1.0), GAINS)
+    assert sensitivity_peak(other, new) > sensitivity_peak(other, old)
+    assert not Loops([PLAIN, other]).safer(old, new, GAINS)
+    assert not Loops([other, PLAIN]).safer(old, new, GAINS)
+
+
+def test_the_same_is_not_safer() -> None:
+    assert not Loops([PLAIN]).safer(GAINS, GAINS, GAINS)
+
+
+def test_a_model_that_cannot_tell_does_not_hold_it_up() -> None:
+    """Ms is 1 before and after on a process that hardly answers; the worst of all models is another one."""
+    frozen = LinearProcess(1e-9, (1.0,))
+    assert Loops([PLAIN, frozen]).safer(times(1.2, 1.2), GAINS, GAINS)
+
+
+def test_unstable_before_and_after_less_of_everything_is_safer() -> None:
+    wild, less = times(40.0, 40.0), times(20.0, 20.0)
+    far = times(30.0, 30.0)
+    loops = Loops([PLAIN])
+    assert math.isinf(loops.nominal(less))
+    assert loops.safer(wild, less, far)
+    assert not loops.safer(less, wild, far)
+    shifted = times(20.0, 35.0)  # tau_I shortens
+    assert not loops.safer(wild, shifted, far)
+    assert loops.safer(wild, shifted, GAINS)  # on the way to a goal that is stable
+
+
+def test_nothing_stable_becomes_unstable() -> None:
+    assert not Loops([PLAIN, LEVEL]).safer(times(0.9, 0.9), times(40.0, 40.0), GAINS)
+
+
+FACTOR = st.floats(0.05, 20)
+
+
+@settings(deadline=None, max_examples=150)
+@given(a=st.tuples(FACTOR, FACTOR), b=st.tuples(FACTOR, FACTOR), k=st.floats(0.3, 3), theta=st.floats(0.3, 3))
+def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float], k: float, theta: float) -> None:
+    models = [PLAIN, replace(MODEL, k=2.0 * k, theta_s=5.0 * theta).linear()]
+    old, new = times(*a), times(*b)
+    loops = Loops(models)
+    if not loops.safer(old, new, GAINS):
+        return
+    before, after = ([sensitivity_peak(m, g) for m in models] for g in (old, new))
+    assert all(now <= then for now, then in zip(after, before, strict=True))
+    if not any(map(math.isinf, after)):
+        assert after[0] < before[0]
+        assert max(after) < max(before)
+    assert not loops.safer(new, old, GAINS) or any(map(math.isinf, after))
+
+
+@settings(deadline=None, max_examples=80)
+@given(factor=st.floats(1.5, 15), share=st.floats(0.05, 1))
+def test_every_step_from_a_hot_loop_towards_its_settings_is_safer(factor: float, share: float) -> None:
+    old = times(factor, factor)
+    new = times(factor ** (1 - share), factor ** (1 - share))
+    assert Loops([PLAIN]).safer(old, new, GAINS)

@@ -1,0 +1,164 @@
+"""Limits per change: what they are per parameter, and that a step stays on the way and within them."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
+from retuner.adaptive.guard.parameters import Parameter, extent, less_of_everything, logs, step_limit, within_factor
+from retuner.adaptive.guard.settings import RANGES
+from retuner.schedule.gains import PidGains
+
+SETTINGS = GuardSettings()
+FACTOR = st.floats(0.01, 100)
+
+
+def moved(old: PidGains, new: PidGains, settings: GuardSettings = SETTINGS, **options: bool) -> PidGains:
+    found = within_limits(old, new, 1.0, settings, **options)
+    assert found is not None
+    return found[0]
+
+
+def test_the_four_parameters_are_the_ideal_form() -> None:
+    found = logs(PidGains(-2.0, -0.5, -6.0))
+    values = {p: pytest.approx(v) for p, v in (("kc", 2.0), ("tau_I", 4.0), ("tau_D", 3.0), ("kc/tau_I", 0.5))}
+    assert {str(p): math.exp(v) for p, v in found.items()} == values
+    assert set(logs(PidGains(0.0, 0.5))) == {Parameter.INTEGRAL}
+    assert set(logs(PidGains(2.0, 0.0, 6.0))) == {Parameter.KC, Parameter.TAU_D}
+
+
+@pytest.mark.parametrize(
+    ("goal", "wanted"),
+    [
+        (PidGains(10.0, 0.1), PidGains(2.0, 0.1 * 10**0.0)),  # kc up: twice
+        (PidGains(0.01, 0.1), PidGains(0.5, 0.1)),  # kc down at the same kc/tau_I shortens tau_I: that is more action
+        (PidGains(0.1, 0.01), PidGains(0.25, 0.025)),  # kc down at the same tau_I: a quarter
+        (PidGains(1.0, 10.0), PidGains(1.0, 0.2)),  # tau_I shorter: half
+        (PidGains(1.0, 0.001), PidGains(1.0, 0.025)),  # tau_I longer: four times
+    ],
+)
+def test_defaults_are_twice_towards_more_and_a_quarter_towards_less(goal: PidGains, wanted: PidGains) -> None:
+    found = moved(PidGains(1.0, 0.1), goal)
+    assert (found.kp, found.ki) == (pytest.approx(wanted.kp), pytest.approx(wanted.ki))
+
+
+def test_the_derivative_has_limits_of_its_own() -> None:
+    old = PidGains(1.0, 0.1, 2.0)
+    assert moved(old, PidGains(1.0, 0.1, 20.0)).kd == pytest.approx(4.0)
+    assert moved(old, PidGains(1.0, 0.1, 0.2)).kd == pytest.approx(0.5)
+    assert moved(old, PidGains(1.0, 0.1, 20.0), replace(SETTINGS, tau_d_up_max=3.0)).kd == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("parameter", list(Parameter))
+@pytest.mark.parametrize("more", [True, False])
+def test_every_parameter_can_have_its_own_limit(parameter: Parameter, more: bool) -> None:
+    names = {
+        Parameter.KC: ("kc_up_max", "kc_down_max"), Parameter.TAU_I: ("tau_i_shorter_max", "tau_i_longer_max"),
+        Parameter.TAU_D: ("tau_d_up_max", "tau_d_down_max"),
+        Parameter.INTEGRAL: ("integral_up_max", "integral_down_max"),
+    }  # fmt: skip
+    own = GuardSettings(**{names[parameter][not more]: 1.25})
+    for other in Parameter:
+        for way in (True, False):
+            hit = other == parameter and way == more
+            assert step_limit(other, more=way, settings=own) == (1.25 if hit else 2.0 if way else 4.0)
+
+
+def test_only_what_points_to_less_action_is_free_for_an_urgent_step() -> None:
+    old = PidGains(1.0, 0.1)
+    free = PidGains(0.01, 0.0001)
+    assert moved(old, free, less_unlimited=True) == free
+    assert moved(old, PidGains(10.0, 0.0001), less_unlimited=True).kp == pytest.approx(2.0)
+    assert moved(old, PidGains(0.01, 0.1), less_unlimited=True).kp == pytest.approx(0.5)
+
+
+def test_a_gain_that_comes_or_goes_takes_the_same_share() -> None:
+    coming = within_limits(PidGains(1.0, 0.1), PidGains(4.0, 0.4, 8.0), 1.0, SETTINGS)
+    assert coming is not None
+    assert coming[1] == pytest.approx(0.5)
+    assert coming[0].kd == pytest.approx(4.0)
+    going = within_limits(PidGains(1.0, 0.1, 8.0), PidGains(1.0, 0.1), 0.25, SETTINGS)
+    assert going is not None
+    assert going[0].kd == pytest.approx(6.0)
+    gone = within_limits(PidGains(1.0, 0.1, 8.0), PidGains(1.0, 0.1), 1.0, SETTINGS)
+    assert gone == (PidGains(1.0, 0.1), 1.0)
+    alone = within_limits(PidGains(0.0, 0.1), PidGains(1.0, 0.8), 1.0, SETTINGS)
+    assert alone is not None
+    assert (alone[0].kp, alone[0].ki) == (pytest.approx(1 / 3), pytest.approx(0.2))
+
+
+def test_absolute_limits_on_kc_leave_no_point() -> None:
+    assert within_limits(PidGains(1.0, 0.1), PidGains(2.0, 0.2), 1.0, GuardSettings(kc_max=1.5)) is None
+    assert within_limits(PidGains(-1.0, -0.1), PidGains(-0.5, -0.1), 1.0, GuardSettings(kc_min=0.75)) is None
+
+
+@given(o=st.tuples(FACTOR, FACTOR, FACTOR), n=st.tuples(FACTOR, FACTOR, FACTOR), share=st.floats(0.05, 1),
+       sign=st.sampled_from([1, -1]))  # fmt: skip
+def test_steps_lie_on_the_straight_way_within_every_limit(
+    o: tuple[float, float, float], n: tuple[float, float, float], share: float, sign: int
+) -> None:
+    old, new = (PidGains(*(sign * v for v in values)) for values in (o, n))
+    found = within_limits(old, new, share, SETTINGS)
+    assert found is not None
+    now, gone = found
+    assert 0 < gone <= share
+    start, goal, here = logs(old), logs(new), logs(now)
+    for parameter in Parameter:
+        way = goal[parameter] - start[parameter]
+        assert here[parameter] - start[parameter] == pytest.approx(gone * way, abs=1e-9)
+        more = (way > 0) == (parameter is not Parameter.TAU_I)
+        assert abs(here[parameter] - start[parameter]) <= math.log(2.0 if more else 4.0) + 1e-9
+    assert extent(old, now) == pytest.approx(gone * extent(old, new), abs=1e-9)
+
+
+@given(o=st.tuples(FACTOR, FACTOR), n=st.tuples(FACTOR, FACTOR), factor=st.floats(1.01, 3))
+def test_one_factor_holds_every_parameter(o: tuple[float, float], n: tuple[float, float], factor: float) -> None:
+    now = within_factor(PidGains(*o), PidGains(*n), factor)
+    assert extent(PidGains(*o), now) <= math.log(factor) + 1e-9
+    assert extent(PidGains(*o), now) == pytest.approx(min(extent(PidGains(*o), PidGains(*n)), math.log(factor)))
+
+
+def test_change_factor() -> None:
+    assert change_factor(PidGains(1, 2), PidGains(2, 2)) == 2
+    assert change_factor(PidGains(1, 2), PidGains(1, 0.5)) == 4
+    assert change_factor(PidGains(1, 2), PidGains(1, 2, 1)) == math.inf
+    assert change_factor(PidGains(1, 2), PidGains(1, 2)) == 1
+
+
+def test_less_of_everything() -> None:
+    old = PidGains(-1.0, -0.1, -2.0)
+    assert less_of_everything(old, old)
+    assert less_of_everything(old, PidGains(-0.5, -0.05, -1.0))
+    assert less_of_everything(old, PidGains(-0.5, -0.01))
+    assert less_of_everything(old, PidGains(-0.01, 0.0, -2.0))
+    assert not less_of_everything(old, PidGains(-0.5, -0.1, -1.0))  # tau_I halves
+    assert not less_of_everything(old, PidGains(-1.1, -0.1, -1.0))
+    assert not less_of_everything(old, PidGains(-1.0, -0.1, -2.1))
+    assert not less_of_everything(PidGains(1.0, 0.0), PidGains(0.5, 0.1))
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_settings_outside_their_range_are_refused(name: str) -> None:
+    low, high = RANGES[name]
+    for wrong in (low - 1, math.nan, *([high + 1] if math.isfinite(high) else [])):
+        with pytest.raises(ValueError, match=name):
+            GuardSettings(**{name: wrong})
+
+
+def test_settings_that_leave_no_room_are_refused() -> None:
+    with pytest.raises(ValueError, match="ms_nominal = 2 is above ms_worst"):
+        GuardSettings(ms_nominal=2.0, ms_worst=1.9)
+    with pytest.raises(ValueError, match="kc_min"):
+        GuardSettings(kc_min=2.0, kc_max=1.0)
+    with pytest.raises(ValueError, match="tau_i_min_s"):
+        GuardSettings(tau_i_min_s=2.0, tau_i_max_s=1.0)
+
+
+def test_opened_limits_are_open_for_every_parameter() -> None:
+    opened = GuardSettings(kc_up_max=1.5, tau_i_longer_max=1.2, kc_max=7.0).opened(8.0)
+    assert {step_limit(p, more=m, settings=opened) for p in Parameter for m in (True, False)} == {8.0}
+    assert opened.total_ratio_max == 8.0
+    assert opened.kc_max == 7.0

@@ -1,0 +1,294 @@
+"""What may pass, what may not, and that nothing passes unproved."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from guard_cases import BEST, GAINS, MODEL, SAMPLED, SETTINGS, known, request, times
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.adaptive.guard import (
+    KC_ONLY,
+    Border,
+    ChangeRequest,
+    Evidence,
+    GuardSettings,
+    Locks,
+    Ruling,
+    Support,
+    Verdict,
+    change_factor,
+    prove,
+)
+from retuner.adaptive.guard.ruling import ACCEPTING
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.schedule.gains import PidGains
+
+
+def ms_of(model: ProcessModel, gains: PidGains, sample_time_s: float = 1.0) -> float:
+    return sensitivity_peak(replace(model, theta_s=model.theta_s + sample_time_s / 2).linear(), gains)
+
+
+def worst_of(models: tuple[Plausible, ...], gains: PidGains) -> float:
+    return max(ms_of(p.model, gains) for p in models)
+
+
+def test_a_good_step_passes_whole() -> None:
+    verdict = prove(request(times(0.6, 0.6)), SETTINGS)
+    assert verdict.ruling == Ruling.ACCEPTED
+    assert verdict.step == 1.0
+    assert verdict.gains == GAINS
+    assert verdict.ms_nominal == pytest.approx(1.6014, abs=1e-4)
+    assert verdict.ms_nominal == pytest.approx(ms_of(MODEL, GAINS))
+    assert verdict.ms_before == pytest.approx(ms_of(MODEL, times(0.6, 0.6)))
+    assert verdict.ms_worst == pytest.approx(worst_of(known(), GAINS))
+    assert verdict.ms_worst > verdict.ms_nominal
+    assert verdict.tau_c_s == BEST.tau_c_s
+    assert not verdict.urgent
+
+
+def test_a_sluggish_loop_gets_twice_the_gain_and_no_more() -> None:
+    verdict = prove(request(times(0.1, 0.1)), SETTINGS)
+    assert verdict.gains is not None
+    assert verdict.gains.kp == pytest.approx(0.2 * GAINS.kp)
+    assert verdict.step == pytest.approx(math.log(2) / math.log(10))
+
+
+def test_doubt_slows_and_more_doubt_takes_a_smaller_step() -> None:
+    slowed = prove(request(times(0.6, 0.6), models=known(0.2)), SETTINGS)
+    assert slowed.ruling == Ruling.ACCEPTED
+    assert 5.5 < slowed.tau_c_s <= 1.3 * 5.5 * (1 + 1e-9)
+    assert slowed.step == 1.0
+    assert slowed.ms_worst <= SETTINGS.ms_worst < worst_of(known(0.2), GAINS)
+    smaller = prove(request(times(0.6, 0.6), models=known(0.3)), SETTINGS)
+    assert smaller.ruling == Ruling.ACCEPTED
+    assert smaller.step == pytest.approx(0.5)
+    refused = prove(request(times(0.9, 0.5), models=known(0.6)), SETTINGS)
+    assert refused.ruling in {Ruling.NOT_ROBUST, Ruling.SAFER}
+
+
+def test_the_smallest_tau_c_that_is_robust_is_taken() -> None:
+    verdict = prove(request(times(0.6, 0.6), models=known(0.2)), SETTINGS)
+    tighter = simc(SAMPLED, verdict.tau_c_s / SETTINGS.tau_c_max_ratio ** (1 / 3)).gains
+    assert worst_of(known(0.2), tighter) > SETTINGS.ms_worst
+
+
+def test_a_proposal_without_tau_c_has_half_steps_only() -> None:
+    fixed = Tuning("pattern", "parallel", times(1.6, 1.6))
+    verdict = prove(request(times(0.8, 0.8), fixed), SETTINGS)
+    assert verdict.gains is not None
+    assert verdict.step == pytest.approx(0.5)
+    assert verdict.gains.kp == pytest.approx(0.8 * 2**0.5 * GAINS.kp)
+    assert ms_of(MODEL, fixed.gains) > SETTINGS.ms_nominal
+    assert verdict.tau_c_s == 0.0
+
+
+def test_a_loop_over_its_limit_may_always_be_made_safer() -> None:
+    wild = times(4.0, 8.0)
+    verdict = prove(request(wild, models=known(0.6)), SETTINGS)
+    assert verdict.ruling == Ruling.SAFER
+    assert verdict.gains is not None
+    assert ms_of(MODEL, verdict.gains) < ms_of(MODEL, wild)
+
+
+def test_an_oscillating_loop_takes_the_whole_step_at_once() -> None:
+    wild = times(6.0, 40.0)
+    verdict = prove(request(wild), SETTINGS)
+    assert verdict.ruling == Ruling.URGENT
+    assert verdict.urgent
+    assert verdict.gains == GAINS
+    assert math.isinf(verdict.ms_before)
+    assert "unstable" in verdict.sentence
+
+
+def test_a_measured_oscillation_counts_where_the_model_does_not_see_it() -> None:
+    calm = Tuning("pattern", "parallel", times(0.1, 0.1))
+    wide = GuardSettings(total_ratio_max=100.0)
+    ordinary = prove(request(GAINS, calm), wide)
+    urgent = prove(replace(request(GAINS, calm), urgent=True), wide)
+    assert ordinary.gains is not None
+    assert urgent.gains is not None
+    assert ordinary.gains.kp == pytest.approx(GAINS.kp / 4)
+    assert urgent.gains == calm.gains
+    assert urgent.ruling == Ruling.URGENT
+
+
+def test_urgency_never_hurries_towards_more_action() -> None:
+    verdict = prove(replace(request(times(0.1, 0.1)), urgent=True), SETTINGS)
+    assert verdict.ruling == Ruling.ACCEPTED
+    assert not verdict.urgent
+    assert verdict.gains is not None
+    assert verdict.gains.kp == pytest.approx(0.2 * GAINS.kp)
+
+
+def test_an_urgent_step_is_held_by_the_limits_that_point_to_more_action() -> None:
+    slow = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)
+    good = simc(replace(slow, theta_s=5.5))
+    swinging = PidGains(good.gains.kp / 8, good.gains.ki)
+    verdict = prove(request(swinging, good, known(0.02, slow), good.gains), SETTINGS)
+    assert verdict.ruling == Ruling.SAFER
+    assert verdict.urgent
+    assert verdict.gains is not None
+    assert verdict.gains.kp == pytest.approx(2 * swinging.kp)
+
+
+def test_no_dead_band_for_a_loop_over_its_limit() -> None:
+    over = PidGains(GAINS.kp * 1.04, GAINS.ki * 1.04)
+    tight = GuardSettings(ms_nominal=1.62, ms_target=1.6)
+    assert ms_of(MODEL, over) > 1.62 > ms_of(MODEL, GAINS)
+    assert prove(request(over), SETTINGS).ruling == Ruling.TOO_SMALL
+    verdict = prove(request(over), tight)
+    assert verdict.ruling == Ruling.ACCEPTED
+    assert verdict.gains is not None
+    assert verdict.gains.kp < over.kp
+
+
+def test_a_loop_over_its_limit_is_not_written_what_it_has() -> None:
+    same = Tuning("pattern", "parallel", times(1.5, 1.5))
+    assert prove(request(times(1.5, 1.5), same), SETTINGS).ruling == Ruling.TOO_SMALL
+
+
+def neighbour(model: ProcessModel, gains: PidGains = GAINS, interpolated: bool = False) -> Border:
+    return Border("hot", gains, (Plausible(model, 0.0),), 1.0 if interpolated else 0.6, interpolated)
+
+
+FASTER = replace(MODEL, k=6.0)
+BIG = PidGains(1e300, 1e-300)
+REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
+    Ruling.ACCEPTED: (request(times(0.6, 0.6)), SETTINGS),
+    Ruling.URGENT: (request(times(6.0, 40.0)), SETTINGS),
+    Ruling.SAFER: (request(times(2.5, 2.5), models=known(0.6)), SETTINGS),
+    Ruling.UNPROVED_STEP: (
+        replace(request(times(0.6, 0.6), models=()), evidence=Evidence(support=Support.PATTERN)), SETTINGS),
+    Ruling.TOO_SMALL: (request(times(0.97, 0.98)), SETTINGS),
+    Ruling.NOT_ROBUST: (request(times(0.9, 0.5), models=known(0.45)), SETTINGS),
+    Ruling.NOT_ROBUST_AT_BORDER: (replace(request(times(0.8, 0.8)), borders=(neighbour(FASTER),)), SETTINGS),
+    Ruling.OUTSIDE_LIMITS: (request(times(0.6, 0.6)), GuardSettings(kc_max=0.5 * GAINS.kp)),
+    Ruling.OUTSIDE_TOTAL: (request(times(0.6, 1.0), commissioned=times(0.15, 1.0)), SETTINGS),
+    Ruling.LOCKED: (replace(request(times(0.6, 0.6)), locks=Locks(kc=True)), SETTINGS),
+    Ruling.WRONG_SIGN: (request(times(-1.0, -1.0)), SETTINGS),
+    Ruling.NOT_FINITE: (request(times(0.6, 0.6), Tuning("x", "parallel", BIG)), SETTINGS),
+    Ruling.NO_MODEL: (request(times(0.6, 0.6), models=()), SETTINGS),
+    Ruling.TOO_FEW_RECORDS: (request(times(0.6, 0.6)), GuardSettings(records_min=2)),
+    Ruling.TOO_OLD: (replace(request(times(0.6, 0.6)), evidence=Evidence(age_s=3e6)), SETTINGS),
+    Ruling.CONTRADICTED: (
+        replace(request(times(0.6, 0.6)), evidence=Evidence(innovation=40.0, gate=20.0)), SETTINGS),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("ruling", list(Ruling))
+def test_every_ruling_is_reached_and_told_with_its_numbers(ruling: Ruling) -> None:
+    verdict = prove(*REACHED[ruling])
+    assert verdict.ruling == ruling
+    assert verdict.accepted == (ruling in ACCEPTING)
+    told = verdict.to_dict()
+    json.dumps(told, allow_nan=False)
+    assert told["code"] == told["ruling"] == ruling.name.lower()
+    assert "{" not in verdict.sentence
+    assert told["reason"] == verdict.sentence
+    assert all(0 < len(check.words) < 90 for check in verdict.checks)
+    if verdict.accepted:
+        assert all(check.passed for check in verdict.checks) or ruling == Ruling.SAFER
+    elif ruling in {Ruling.NOT_ROBUST, Ruling.NOT_ROBUST_AT_BORDER, Ruling.OUTSIDE_LIMITS, Ruling.TOO_OLD}:
+        assert not all(check.passed for check in verdict.checks)
+
+
+def test_the_proof_holds_every_question() -> None:
+    asked = {c.name for c in prove(replace(request(times(0.6, 0.6)), borders=(neighbour(MODEL),)), SETTINGS).checks}
+    assert asked >= {"records", "age", "innovation", "step_kc", "step_tau_i", "step_integral", "total_kc",
+                     "total_tau_i", "tau_i_min", "ms_nominal", "ms_worst", "ms_border"}  # fmt: skip
+
+
+def test_doubtful_evidence_still_lets_a_loop_over_its_limit_have_less() -> None:
+    doubted = Evidence(innovation=40.0, gate=20.0)
+    verdict = prove(replace(request(times(3.0, 3.0)), evidence=doubted), SETTINGS)
+    assert verdict.ruling == Ruling.SAFER
+    assert verdict.gains is not None
+    assert verdict.gains.kp < 3 * GAINS.kp
+    more = prove(replace(request(times(0.5, 3.0)), evidence=doubted), SETTINGS)
+    assert more.ruling == Ruling.CONTRADICTED
+
+
+def test_a_swinging_integrating_loop_gets_more_gain_as_the_safe_direction() -> None:
+    slow = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)
+    good = simc(replace(slow, theta_s=5.5))
+    swinging = PidGains(good.gains.kp / 2, good.gains.ki * 2)
+    verdict = prove(request(swinging, good, known(0.3, slow)), SETTINGS)
+    assert verdict.accepted
+    assert verdict.gains is not None
+    assert verdict.gains.kp > swinging.kp
+    assert ms_of(slow, verdict.gains) < ms_of(slow, swinging)
+
+
+GAIN = st.floats(0.02, 50)
+
+
+@settings(max_examples=120, deadline=None)
+@given(kp=GAIN, ki=GAIN, std=st.floats(0.001, 0.6), sign=st.sampled_from([1, -1]), urgent=st.booleans(),
+       kind=st.sampled_from(["fopdt", "integrating"]), ratio=st.sampled_from([1.5, 4.0, 1000.0]))  # fmt: skip
+def test_nothing_passes_unproved(
+    kp: float, ki: float, std: float, sign: int, urgent: bool, kind: str, ratio: float
+) -> None:
+    fopdt = ProcessModel(ProcessType.FOPDT, sign * 2.0, 50.0, 0.0, 5.0)
+    model = fopdt if kind == "fopdt" else ProcessModel(ProcessType.INTEGRATING, sign * 0.04, theta_s=5.0)
+    best = simc(replace(model, theta_s=5.5))
+    old, models = times(kp, ki, gains=best.gains), known(std, model)
+    asked = replace(request(old, best, models), urgent=urgent)
+    limits = GuardSettings(total_ratio_max=ratio)
+    verdict = prove(asked, limits)
+    over = ms_of(model, old) > limits.ms_nominal or worst_of(models, old) > limits.ms_worst
+    if verdict.gains is None:
+        assert verdict.step == 0.0
+        return
+    new = verdict.gains
+    assert_within_change_limits(old, new, limits, all(ms_of(p.model, old) > limits.ms_worst for p in models) or urgent)
+    assert_on_the_way(old, new, verdict)
+    if verdict.ruling in {Ruling.ACCEPTED, Ruling.URGENT}:
+        assert ms_of(model, new) <= limits.ms_nominal
+        assert worst_of(models, new) <= limits.ms_worst
+        assert change_factor(old, new) >= limits.smallest_change or over
+    else:
+        assert verdict.ruling == Ruling.SAFER
+        assert over
+        assert all(ms_of(p.model, new) <= ms_of(p.model, old) for p in models)
+
+
+def assert_within_change_limits(old: PidGains, new: PidGains, limits: GuardSettings, urgent: bool) -> None:
+    for before, after in ((old.kp, new.kp), (old.ki, new.ki), (old.ki / old.kp, new.ki / new.kp)):
+        assert after / before <= limits.step_up_max * (1 + 1e-9)
+        assert urgent or before / after <= limits.step_down_max * (1 + 1e-9)
+    assert abs(new.kp) <= limits.total_ratio_max * abs(old.kp) * (1 + 1e-9)
+    assert new.ki / new.kp <= limits.total_ratio_max * old.ki / old.kp * (1 + 1e-9)
+
+
+def assert_on_the_way(old: PidGains, new: PidGains, verdict: Verdict) -> None:
+    assert 0 < verdict.step <= 1
+    assert new.direction == old.direction
+    assert new.kp / new.ki >= SETTINGS.tau_i_samples * 1.0 * (1 - 1e-9) or new.kp / new.ki >= old.kp / old.ki
+
+
+@settings(max_examples=60, deadline=None)
+@given(kp=st.floats(1.0, 30), ki=st.floats(1.0, 30), std=st.floats(0.001, 0.3))
+def test_a_loop_that_is_too_hot_is_never_refused(kp: float, ki: float, std: float) -> None:
+    verdict = prove(request(times(kp, ki), models=known(std)), SETTINGS)
+    over = ms_of(MODEL, times(kp, ki)) > SETTINGS.ms_nominal
+    assert verdict.accepted or not over
+
+
+def test_kc_only_changes_kc_only() -> None:
+    verdict = prove(replace(request(times(0.5, 0.4)), locks=KC_ONLY), SETTINGS)
+    assert verdict.gains is not None
+    assert verdict.gains.kp / verdict.gains.ki == pytest.approx(times(0.5, 0.4).kp / times(0.5, 0.4).ki)
+    assert verdict.gains.kp > 0.5 * GAINS.kp
+
+
+def test_the_same_question_gets_the_same_answer_to_the_byte() -> None:
+    asked = replace(request(times(0.5, 0.4), models=known(0.2)), borders=(neighbour(FASTER),))
+    first, second = (json.dumps(prove(asked, SETTINGS).to_dict()) for _ in range(2))
+    assert first == second

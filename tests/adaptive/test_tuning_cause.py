@@ -1,0 +1,56 @@
+"""Which cause margins name, and how the rule's Ms limit feeds the guard."""
+
+import math
+
+import pytest
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.tuning_cause import CauseSettings, tuning_cause
+from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.simc import simc, simc_at_most_ms
+from retuner.schedule.gains import PidGains
+
+SETTINGS = GuardSettings()
+MODEL = ProcessModel(ProcessType.FOPDT, 2.0, 50.0, 0.0, 5.0)
+BEST = simc(MODEL).gains
+
+
+def times(gains: PidGains, kp: float, ki: float) -> PidGains:
+    return PidGains(gains.kp * kp, gains.ki * ki, gains.kd)
+
+
+CAUSES = CauseSettings()
+
+
+@pytest.mark.parametrize(
+    ("kp", "ki", "cause"),
+    [
+        (1.0, 1.0, Cause.OK),
+        (2.0, 2.0, Cause.AGGRESSIVE),
+        (5.0, 5.0, Cause.AGGRESSIVE),
+        (0.25, 0.25, Cause.SLUGGISH),
+        (1.0, 0.3, Cause.SLUGGISH),
+        (0.3, 1.5, Cause.SLOW_INTEGRATING),
+    ],
+)
+def test_margins_tell_the_causes_apart(kp: float, ki: float, cause: Cause) -> None:
+    found = tuning_cause(MODEL, times(BEST, kp, ki), BEST, 0.05, CAUSES)
+    assert found.cause == cause
+    assert found.retune == (cause != Cause.OK)
+    assert 0.5 <= found.confidence <= 1
+    assert found.to_dict()["cause"] == cause.value
+
+
+def test_a_diagnosis_refuses_what_is_no_number() -> None:
+    with pytest.raises(ValueError, match="confidence"):
+        Diagnosis(Cause.OK, 1.2, {}, "")
+    with pytest.raises(ValueError, match="ms is not a number"):
+        Diagnosis(Cause.OK, 1.0, {"ms": math.nan}, "")
+
+
+def test_simc_with_ms_limit_feeds_the_guard() -> None:
+    lagging = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)
+    tuning, ms = simc_at_most_ms(lagging, SETTINGS.ms_nominal, SETTINGS.tau_c_max_ratio)
+    assert ms <= SETTINGS.ms_nominal
+    assert tuning.tau_c_s == pytest.approx(5.0)
