@@ -39,10 +39,11 @@ class RecordPoint:
 class Belief:
     """What is known of a region.
 
-    known : by structure, the leading one first. records : how many records are in it. t_s : when it was last updated.
+    known : by structure, the leading one first. records : how many records are in it, 0 for a borrowed one.
+    t_s : when it was last updated.
     rival : what the odd record alone said, if the last one was odd.
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
-    by likelihood, the best first.
+    by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
     """
 
     known: tuple[Known, ...]
@@ -51,6 +52,8 @@ class Belief:
     rival: tuple[Known, ...] | None = None
     points: tuple[RecordPoint, ...] = field(default=())
     plausible: tuple[Plausible, ...] = field(default=())
+    identifiable: bool = True
+    reason: str = ""
 
     @property
     def log(self) -> LogModel:

@@ -23,6 +23,8 @@ def belief_out(belief: Belief) -> dict[str, object]:
             for p in belief.points
         ],
         "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in belief.plausible],
+        "identifiable": belief.identifiable,
+        "reason": belief.reason,
     }
 
 
@@ -45,6 +47,8 @@ def belief_in(body: Mapping[str, Any]) -> Belief:
         rival,
         tuple(_point_in(point) for point in body["points"]),
         tuple(Plausible(_model_in(p["model"]), float(p["excess"])) for p in body["plausible"]),
+        bool(body["identifiable"]),
+        str(body["reason"]),
     )
 
 

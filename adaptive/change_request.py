@@ -7,9 +7,10 @@ from retuner.adaptive.guard.allowed import allowed
 from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.request import ChangeRequest, Evidence
 from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.region_filter import gate
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.rules.tuning import Tuning
-from retuner.adaptive.tracker import SECONDS_PER_DAY, Learned, Surprise, gate, predicted
+from retuner.adaptive.tracker import SECONDS_PER_DAY, Learned, Surprise, predicted
 from retuner.schedule.table import GainTable
 
 

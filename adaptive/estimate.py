@@ -155,6 +155,7 @@ class ModelEstimate:
     load_times_s : when load steps entered. residual_std, noise_std : of the fit, and of the noise by itself, pv units.
     alternatives : the structures, best first. coloured : order of the whitening filter that the remainder asked for.
     plausible : models that the record (and the prior) still allow, the best first.
+    explained : share of pv's variance that the model explains.
     """
 
     identifiable: bool
@@ -165,6 +166,7 @@ class ModelEstimate:
     alternatives: tuple[Alternative, ...]
     coloured: int = 0
     plausible: tuple[Plausible, ...] = ()
+    explained: float = 1.0
 
     @property
     def best(self) -> Alternative:

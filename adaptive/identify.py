@@ -23,7 +23,7 @@ from retuner.adaptive.estimate import Alternative, LogModel, ModelEstimate, gain
 from retuner.adaptive.fit.candidate import Candidate
 from retuner.adaptive.fit.choice import ChoiceSettings, candidates
 from retuner.adaptive.fit.record import Record
-from retuner.adaptive.fit.refine import Prior
+from retuner.adaptive.fit.refine import Fit, Prior
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.fit.update import with_priors
 from retuner.adaptive.plausible import Plausible, plausible
@@ -126,20 +126,19 @@ def estimate_of(
     left = record.pv - fit.at.explained
     log = alternatives[0].log
     around = plausible(found, log.p, priors)
-    identifiable, reason = _judge(log, around, left, record, settings)
+    explained = 1 - float(np.var(left) / np.var(record.pv))
+    identifiable, reason = _judge(log, around, explained, record, settings)
     loads = tuple(origin_s + t for t in fit.load_times_s)
     return ModelEstimate(identifiable, reason, loads, float(np.std(left)), record.noise_std, alternatives,
-                         len(best.colour.ar), around)  # fmt: skip
+                         len(best.colour.ar), around, explained)  # fmt: skip
 
 
 def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     """Covariance, and compression for the Kalman filter."""
     fit = candidate.fit
     record, d = fit.misfit.record, SIZE[fit.misfit.type]
-    r = fit.at.r
-    floor = record.resolution / fit.misfit.sigma
-    inflation = max(_inflation(r[: len(record.pv)], len(fit.p)), floor)
-    information, score = _compress(fit.misfit.jacobian(fit.at) / inflation, r / inflation, fit.p, d)
+    inflation = inflation_of(fit)
+    information, score = _compress(fit.misfit.jacobian(fit.at) / inflation, fit.at.r / inflation, fit.p, d)
     precision = information.T @ information
     precision = precision + (_broad(d) if prior is None else prior.root.T @ prior.root)
     covariance = proper_covariance(np.asarray(np.linalg.inv(precision), dtype=np.float64))
@@ -147,6 +146,13 @@ def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     n = len(record.pv)
     evidence = candidate.criterion - d * math.log(n)
     return Alternative(log, evidence, information, score, n)
+
+
+def inflation_of(fit: Fit) -> float:
+    """Factor on sigma with which a fit's residuals count: above the noise, correlated, finer than the resolution."""
+    record = fit.misfit.record
+    floor = record.resolution / fit.misfit.sigma
+    return max(_inflation(fit.at.r[: len(record.pv)], len(fit.p)), floor)
 
 
 def _broad(d: int) -> FloatArray:
@@ -179,11 +185,10 @@ def _compress(jacobian: FloatArray, r: FloatArray, p: FloatArray, d: int) -> tup
 
 
 def _judge(
-    log: LogModel, around: tuple[Plausible, ...], left: FloatArray, record: Record, settings: FitSettings
+    log: LogModel, around: tuple[Plausible, ...], explained: float, record: Record, settings: FitSettings
 ) -> tuple[bool, str]:
     """Whether settings may follow from this estimate, and the sentence that says why."""
     model = log.model()
-    explained = 1 - float(np.var(left) / np.var(record.pv))
     if explained < settings.explained_limit:
         return False, f"the model explains {explained:.0%} of pv's variance; {settings.explained_limit:.0%} are needed"
     short = without_second_lag(model).theta_s

@@ -17,13 +17,10 @@ from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, thinned, unconfirmed
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
-from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
-from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.guard import Verdict, prove
-from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.rules.simc import simc_at_most_ms
+from retuner.adaptive.robust_proposal import propose
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
@@ -112,7 +109,7 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
     """Learning, unless something else hides under the response; then what is known decides."""
     try:
         known = case.beliefs.get(case.region)
-        learned = learn(known, case.window, case.in_force.direction, settings.tracker, settings.fit)
+        learned = learn(known, case.window, case.in_force, settings.tracker, settings.fit)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         return Outcome("fit_failed", f"the fit failed: {error}")
     left = learned.estimate.residual_std / learned.estimate.noise_std
@@ -146,7 +143,10 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
 def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettings) -> Outcome:
     """Whether the tuning is the cause, what the rule would give, and the proof."""
     log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
-    tuning, diagnosis = _diagnose(log, case.in_force, settings)
+    wanted = propose(belief, log, case.in_force, settings)
+    tuning, diagnosis = wanted.tuning, wanted.diagnosis
+    if not wanted.ready:
+        return Outcome("not_identifiable", belief.reason, learned)
     if not diagnosis.retune:
         return Outcome(str(diagnosis.cause), diagnosis.reason, learned, diagnosis=diagnosis)
     beliefs, now = {**case.beliefs, case.region: belief}, float(case.window.t_s[-1])
@@ -169,17 +169,3 @@ def _admission(case: Case, settings: RetunerSettings) -> Admission:
     if case.table.lookup == Lookup.INTERPOLATED:
         rules = replace(rules, changes_most=len(case.samples))
     return admit(case.window, case.samples, case.response, rules, inside_region(case.table.regions, case.region))
-
-
-def _diagnose(log: LogModel, in_force: PidGains, settings: RetunerSettings) -> tuple[Tuning, Diagnosis]:
-    """What the rule would give, and whether the tuning is the cause."""
-    model = _sampled(log.model(), settings)
-    guard = settings.guard
-    tuning, _ = simc_at_most_ms(model, min(guard.ms_target, guard.ms_nominal), guard.tau_c_max_ratio)
-    unsure = log.gain_uncertainty(settings.sample_time_s / 2)
-    return tuning, tuning_cause(model, in_force, tuning.gains, unsure, settings.cause)
-
-
-def _sampled(model: ProcessModel, settings: RetunerSettings) -> ProcessModel:
-    """The model with half a sampling interval of dead time added: what a sampled controller sees."""
-    return replace(model, theta_s=model.theta_s + settings.sample_time_s / 2)

@@ -9,6 +9,7 @@ from retuner.adaptive.diagnosis.online import SwingSettings
 from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identify import FitSettings
+from retuner.adaptive.robust_settings import RobustSettings
 from retuner.adaptive.tracker import TrackerSettings
 from retuner.adaptive.trial.trial_settings import TrialSettings
 
@@ -31,6 +32,9 @@ class RetunerSettings:
         change on what is left open, and later records narrow it.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
         line: a change is on trial there.
+    cause : from which excess a tuning is the cause; slack 1.2, because later records narrow what is known.
+    robust : how settings follow from what is known; less is held back for what the model cannot see than off line
+        (ms_nominal 1.75, as the guard's; ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
@@ -58,7 +62,10 @@ class RetunerSettings:
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
-    cause: CauseSettings = field(default_factory=CauseSettings)
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.2))
+    robust: RobustSettings = field(
+        default_factory=lambda: RobustSettings(ms_nominal=1.75, ms_third=1.85, hidden_share=0.1)
+    )
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
 

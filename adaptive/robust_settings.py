@@ -6,6 +6,7 @@ The first remedy for doubt is a larger tau_c (by at most so much); what is still
 for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from retuner.adaptive.estimate import ModelEstimate
@@ -52,10 +53,17 @@ class RobustTuning:
 
 def robust_simc(estimate: ModelEstimate, sample_time_s: float, settings: RobustSettings) -> RobustTuning:
     """PI settings for an estimate."""
+    return robust_simc_on(estimate.log.model(), estimate.plausible, sample_time_s, settings)
+
+
+def robust_simc_on(
+    process: ProcessModel, allowed: Sequence[Plausible], sample_time_s: float, settings: RobustSettings
+) -> RobustTuning:
+    """PI settings for the most likely model and all that are still allowed."""
     half = sample_time_s / 2
-    model = later(estimate.log.model(), half)
+    model = later(process, half)
     theta = without_second_lag(model).theta_s
-    others = [later(p.model, half) for p in believed(estimate.plausible, settings.believed)]
+    others = [later(p.model, half) for p in believed(allowed, settings.believed)]
 
     third = third_lag(model, settings.hidden_share)
 
@@ -103,6 +111,6 @@ def later(model: ProcessModel, delay_s: float) -> ProcessModel:
     return replace(model, theta_s=model.theta_s + delay_s)
 
 
-def believed(around: tuple[Plausible, ...], excess: float) -> list[Plausible]:
+def believed(around: Sequence[Plausible], excess: float) -> list[Plausible]:
     """Those that the record believes to within an excess."""
     return [p for p in around if p.excess <= excess]

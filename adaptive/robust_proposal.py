@@ -1,0 +1,55 @@
+"""What the rule proposes for what is known of a region, and whether the tuning in force is the cause at all.
+
+The proposal is the robust one (robust_settings.py) on the models that the records still allow, on line as off line. A
+region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
+model that is still allowed is made safer without waiting for a better record.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from retuner.adaptive.belief import Belief
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
+from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.robust_settings import believed, later, robust_simc_on
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class RobustProposal:
+    """tuning : what the rule gives. diagnosis : of the gains in force. ready : whether enough is known to go on."""
+
+    tuning: Tuning
+    diagnosis: Diagnosis
+    ready: bool
+
+
+def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
+    """Settings for a region, with half a sampling interval of dead time more: what a sampled controller sees.
+
+    Parameters
+    ----------
+    belief : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
+    """
+    dt_s, cause, best = settings.sample_time_s, settings.cause, log.model()
+    robust = replace(settings.robust, ms_nominal=min(settings.robust.ms_nominal, settings.guard.ms_nominal))
+    tuning = robust_simc_on(best, belief.plausible, dt_s, robust).tuning
+    diagnosis = tuning_cause(later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2), cause)
+    ready = belief.identifiable or (
+        diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
+        and over_limit(belief.plausible, in_force, dt_s, robust.believed, cause.ms_high)
+    )
+    return RobustProposal(tuning, diagnosis, ready)
+
+
+def over_limit(
+    allowed: Sequence[Plausible], in_force: PidGains, sample_time_s: float, excess: float, limit: float
+) -> bool:
+    """Whether the gains in force are over an Ms limit on every model that is believed to within an excess."""
+    models = [later(p.model, sample_time_s / 2) for p in believed(allowed, excess)]
+    return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)
