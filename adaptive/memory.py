@@ -21,7 +21,7 @@ from retuner.adaptive.watcher import WatcherState
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
 
-VERSION = 3
+VERSION = 4
 """Of this layout; newer ones are refused."""
 
 
@@ -39,6 +39,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "noise": _numbers_out(watcher.noise),
         "samples": [_numbers_out(sample) for sample in watcher.samples],
         "decisions": state.decisions,
+        "trials": retuner.desk.to_dict(),
         "standing": {
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
@@ -75,6 +76,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
         )
+        retuner.desk.resume(memory["trials"])
         retuner.resume(RetunerState(watcher, int(memory["decisions"])))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error

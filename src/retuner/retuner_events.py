@@ -11,6 +11,7 @@ from retuner.adaptive.by_order import accept, approve, revert, unlock
 from retuner.adaptive.decision import Decision
 from retuner.adaptive.proposal import Proposal
 from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialEvent
 from retuner.schedule.gains import PidGains
 
 
@@ -25,6 +26,13 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
     match kind, body.get("why"):
         case "committed", "retune":
             retuner.committed(retuner.table.index(str(body["region"])), gains_of(body["gains"]))
+        case ("refused", "retune") | ("dropped", "retune"):
+            if body.get("unchanged", True):
+                retuner.not_written(retuner.table.index(str(body["region"])))
+        case "abort", _:
+            return retuner.abort(TrialEvent[str(body["cause"]).upper()])
+        case "restored", _:
+            retuner.restored()
         case "order", _:
             return _order(retuner, body, t_s) if body["accepted"] and body["due"] else None
         case _:
