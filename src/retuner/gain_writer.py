@@ -75,6 +75,17 @@ class GainWriter:
         return self._under_way is not None
 
     @property
+    def free(self) -> bool:
+        """Whether what is asked for now would be begun at once: nothing under way, waiting, held or being restored."""
+        sound = self.t_s >= self._hold_until_s and not self.frozen and self.device.connected
+        return sound and not self.open and self._pending is None and not self.restoring
+
+    @property
+    def ready(self) -> bool:
+        """Whether a decision could be written now: none waits, the wire is free, the link has been sound."""
+        return self._pending is None and not self.open and not self.frozen and self.t_s >= self._hold_until_s
+
+    @property
     def restoring(self) -> bool:
         """Whether a verified set is not known to run again."""
         return bool(self.retuner.desk.restoring)

@@ -136,8 +136,9 @@ class Session:
             self._on_sample(sample)
         if decision is not None:
             self._decided(decision)
-        for ordered in self.orders(sample.t_s):
-            self._decided(ordered)
+        if self.writer.free:
+            for ordered in self.orders(sample.t_s):
+                self._decided(ordered)
 
     def _decided(self, decision: Decision) -> None:
         """Record a decision; what it wants written waits for the wire."""
