@@ -9,6 +9,7 @@ from retuner.adaptive.guard import GuardSettings, change_factor
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.config import Config
 from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
 from retuner.config.signals import signal_source
@@ -29,17 +30,28 @@ REGION_ROOM = 4.0
 """The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
 
 
+def guard_settings(config: Config) -> GuardSettings:
+    """The guard's limits: those of [adaptation] and of [adaptation.limits]; what is absent is no limit."""
+    a = config.adaptation
+    further = a.limits.model_dump(exclude_none=True)
+    general = {
+        name: getattr(a, name)
+        for name in ("ms_nominal", "ms_worst", "tau_c_max_ratio", "step_up_max", "step_down_max", "kc_min", "kc_max")
+        if getattr(a, name) is not None
+    }
+    general["ms_target"] = min(GuardSettings().ms_target, a.ms_nominal)
+    return GuardSettings(**general, **further)
+
+
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
     """The retuner's settings; mode overrides the configured one."""
     a, loop = config.adaptation, config.loop
-    guard = GuardSettings(
-        ms_nominal=a.ms_nominal,
-        ms_worst=a.ms_worst,
-        tau_c_max_ratio=a.tau_c_max_ratio,
-        step_up_max=a.step_up_max,
-        step_down_max=a.step_down_max,
-        kc_min=a.kc_min or 0.0,
-        kc_max=math.inf if a.kc_max is None else a.kc_max,
+    trial = TrialSettings(
+        responses=a.trial_responses,
+        level=a.trial_level,
+        timeout_s=a.trial_timeout_s,
+        cool_down_s=a.cool_down_s,
+        lock_out_after=a.lock_out_after,
     )
     return RetunerSettings(
         sample_time_s=loop.sample_time_s,
@@ -47,7 +59,10 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         mode=mode or Mode(a.mode),
         band=a.noise_band,
         wait_s=a.wait_s,
-        guard=guard,
+        setpoint_weight=loop.b,
+        filter_s=loop.tau_f_s,
+        trial=trial,
+        guard=guard_settings(config),
     )
 
 

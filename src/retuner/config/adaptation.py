@@ -3,14 +3,16 @@
 from collections.abc import Iterator
 from typing import Literal
 
-from retuner.config.setting import Problem, Section, setting
+from retuner.config.limits import LimitsConfig
+from retuner.config.setting import Many, Problem, Section, setting
 
 
 class AdaptationConfig(Section):
     """[adaptation]: mode, rule and limits of changes."""
 
-    mode: Literal["off", "advise", "auto"] = setting(
-        "off: only watch; advise: say what it would change; auto: write proved changes to the controller", unit="-",
+    mode: Literal["off", "advise", "trial", "auto"] = setting(
+        "off: only watch; advise: say what it would change, and write what a person approves; trial: write one proved "
+        "change a region, undo it when worse, else wait for a person; auto: the same, and go on", unit="-",
         default="advise", source="nothing changes until somebody says so",
     )  # fmt: skip
     rule: Literal["simc"] = setting("Tuning rule", unit="-", default="simc", source="Skogestad 2003")
@@ -50,9 +52,34 @@ class AdaptationConfig(Section):
     step_down_max: float = setting(
         "Greatest factor of one change towards less action", unit="1", above=1, high=10, default=4.0, source="ABB ECA06"
     )
+    locked: Many[Literal["kc", "tau_i", "tau_d"]] = setting(
+        "Parameters that stay as they are: [\"tau_d\"] for no derivative, [\"tau_i\", \"tau_d\"] for kc only", unit="-",
+        default=(), source="user",
+    )  # fmt: skip
+    limits: LimitsConfig = setting("Further limits of a change", unit="-", default=LimitsConfig(), source="see there")
     approval_s: float = setting(
         "How long a proposal may be approved after it was made", unit="s", above=0, high=1e8, default=86400.0,
         source="a day: every shift sees it",
+    )  # fmt: skip
+    trial_responses: int = setting(
+        "Responses that must keep a change's promise before it has passed its trial", unit="responses", low=1, high=10,
+        default=1, source="more are surer and slower",
+    )  # fmt: skip
+    trial_level: float = setting(
+        "Standard deviations of noise beyond the promise from which a response is worse", unit="1", low=2, high=6,
+        default=3.0, source="one false alarm in 700 by noise alone",
+    )  # fmt: skip
+    trial_timeout_s: float = setting(
+        "An undecided trial is undone after this time", unit="s", low=1, high=1e8, default=86400.0,
+        source="a day: every shift sees it",
+    )  # fmt: skip
+    cool_down_s: float | None = setting(
+        "No change of a region for this long after one was undone, doubled each time; absent: 20 integral times",
+        unit="s", low=0, high=1e8, default=None, source="as long as several responses",
+    )  # fmt: skip
+    lock_out_after: int = setting(
+        "Changes undone in a row after which a region is locked until a person unlocks it", unit="changes", low=1,
+        high=20, default=3, source="what fails three times is not a matter of gains",
     )  # fmt: skip
     noise_band: float | None = setting(
         "Noise band of pv; absent: estimated from the data", unit="pv", above=0, high=1e9, default=None, source="user"
