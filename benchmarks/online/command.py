@@ -71,7 +71,16 @@ def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
     return rows, whole
 
 
-PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm, "injected": _injected}
+def _pictures(options: argparse.Namespace) -> tuple[list[Path], bool]:
+    from online import pictures
+
+    names = pictures.draw(options.folder, options.batch)
+    _say([str(name) for name in names])
+    return names, True
+
+
+PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm, "injected": _injected,
+         "pictures": _pictures}  # fmt: skip
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -104,4 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
     five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
     five.add_argument("--loops", type=int, default=40, help="changes of each kind")
+    six = parts.add_parser("pictures", help="the pictures of docs/online.md")
+    six.add_argument("folder", type=Path)
+    six.add_argument("--batch", type=Path, nargs="+", required=True, metavar="FILE", help="rows of batch, as --out")
     return parser
