@@ -5,21 +5,21 @@ What a person may refer to is what the session itself has shown: proposals by th
 and, at the start, the proposals and decisions of the session before it in the same folder.
 """
 
-from collections import OrderedDict
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from collections import deque
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
-from retuner.adaptive.decision import Action, Decision, Mode, gains_dict
+from retuner.adaptive.decision import Decision, Mode, gains_dict
 from retuner.adaptive.proposal import Proposal, Standing
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.errors import one_line
+from retuner.errors import LedgerError, one_line
 from retuner.orders import LONGEST, Found, Order, OrderBox, OrderKind
+from retuner.outputs import LEDGER, ORDERS
+from retuner.recorded_session import believed_rows
 from retuner.retuner_events import feed
-from retuner.schedule.gains import PidGains
-
-KEPT = 5000
-"""Decisions and proposals that an order may refer to, the newest ones."""
+from retuner.shown_proposals import Change, Shown, shown
 
 
 class Recorder(Protocol):
@@ -31,17 +31,32 @@ class Recorder(Protocol):
 
 
 class Waiting(NamedTuple):
-    """An accepted order that waits until the loop is in its region: what is written must be seen to work."""
+    """An order that waits until the loop is in its region: what is written must be seen to work. past_s : time of the
+    session before, which counts for what it had proposed.
+    """
 
     region: str
     body: dict[str, object]
+    past_s: float
 
 
-class Change(NamedTuple):
-    """What a decision stood for: its region, and the gains before it."""
+class Before(NamedTuple):
+    """Orders left for a session that has ended: its box, and what it had shown; trouble: why that is not known."""
 
-    region: str
-    before: PidGains
+    box: OrderBox
+    shown: Shown
+    trouble: str = ""
+
+
+def left_before(folder: Path | None) -> Before | None:
+    """Orders that a session which was there before has left undone; None without one, or when there are none."""
+    if folder is None or not (folder / ORDERS).is_dir():
+        return None
+    try:
+        past = shown(believed_rows(folder / LEDGER))
+    except LedgerError as error:
+        return Before(OrderBox(folder), Shown(), str(error))
+    return Before(OrderBox(folder, past.files), past)
 
 
 class OrderDesk:
@@ -49,65 +64,65 @@ class OrderDesk:
 
     Parameters
     ----------
-    boxes : where orders lie: the session's own folder, and first that of the session before it. retuner : is told.
-    record : keeps rows for good. expires_after_s : how long a proposal may be approved after it was made.
+    box : where orders lie. retuner : is told. record : keeps rows for good. decisions : of this session, as it goes on.
+    expires_after_s : how long a proposal may be approved after it was made. before : what was left before it.
     """
 
-    def __init__(self, boxes: tuple[OrderBox, ...], retuner: Retuner, record: Recorder, expires_after_s: float) -> None:
-        self._boxes = boxes
-        self._expires_after_s = expires_after_s
+    def __init__(
+        self, box: OrderBox, retuner: Retuner, record: Recorder, decisions: Iterable[Decision], expires_after_s: float,
+        before: Before | None = None,
+    ) -> None:  # fmt: skip
+        self._box = box
         self._retuner = retuner
         self._record = record
-        self._proposals: OrderedDict[str, Proposal] = OrderedDict()
-        self._changes: OrderedDict[int, Change] = OrderedDict()
-        self._tried: OrderedDict[str, str] = OrderedDict()
+        self._decisions = decisions
+        self._expires_after_s = expires_after_s
+        self._before = before
+        self._queue: deque[tuple[Found, Before | None]] = deque()
         self._waiting: list[Waiting] = []
 
-    def decided(self, decision: Decision) -> None:
-        """Note a decision that orders may refer to."""
-        self._changes[decision.number] = Change(decision.region, decision.gains_before)
-        proposal = Proposal.of(decision)
-        if proposal is not None:
-            self._proposals[proposal.digest] = proposal
-        if decision.action is Action.COMMIT:
-            self._tried[decision.digest()] = decision.region
-        for kept in (self._changes, self._proposals, self._tried):
-            if len(kept) > KEPT:
-                kept.popitem(last=False)
+    def take(self, t_s: float) -> tuple[Decision, ...]:
+        """Take in the next order, one a turn, since each may want a write; the decision that follows, if one does."""
+        if self._before is not None:
+            before, self._before = self._before, None
+            self._queue += [(found, before) for found in before.box.take()]
+        self._queue += [(found, None) for found in self._box.take()]
+        here = next((order for order in self._waiting if self._is_here(order)), None)
+        decision = None
+        if here is not None:
+            self._waiting.remove(here)
+            decision = self._due(here, t_s)
+        elif self._queue:
+            decision = self._one(*self._queue.popleft(), t_s)
+        return (decision,) if decision is not None else ()
 
-    def carry(self, proposals: Mapping[str, Proposal], changes: Mapping[int, Change]) -> None:
-        """What the session before this one had shown; its numbers are of no use once this one has decided."""
-        self._proposals.update(proposals)
-        self._changes.update(changes)
-
-    def take(self, t_s: float) -> list[Decision]:
-        """Take in what has come, and what waited for the region that the loop is in; the decisions that follow."""
-        made = [self._due(order, t_s) for order in self._here()] if self._waiting else []
-        for box in self._boxes:
-            made += [self._one(found, t_s) for found in box.take()]
-        return [decision for decision in made if decision is not None]
-
-    def _one(self, found: Found, t_s: float) -> Decision | None:
+    def _one(self, found: Found, before: Before | None, t_s: float) -> Decision | None:
         """Record an order, then tell the retuner of it, or keep it until the loop is in its region."""
-        body: dict[str, object] = {"file": one_line(found.name)[:LONGEST]}
+        body: dict[str, object] = {"file": one_line(found.name)[:LONGEST], "accepted": False, "due": False}
         if found.order is None:
-            self._record("order", t_s, {**body, "accepted": False, "due": False, "reason": found.refused})
+            self._record("order", t_s, {**body, "reason": found.refused})
             return None
-        meant, reason = self._meant(found.order, t_s)
-        body |= {**found.order.to_dict(), **meant, "accepted": not reason, "reason": reason}
-        order = Waiting(str(body["region"]), body)
-        writes = bool(body.get("proposal") or body.get("gains"))
-        if reason or self._is_here(order) or not writes:
+        meant, reason = self._meant(found.order, before)
+        body |= {**found.order.to_dict(), **meant}
+        reason = reason or self._closed(str(body["region"]))
+        past_s = before.shown.last_s if before else 0.0
+        order = Waiting(str(body["region"]), {**body, "accepted": not reason, "reason": reason}, past_s)
+        if reason or self._is_here(order) or not (body.get("proposal") or body.get("gains")):
             return self._due(order, t_s)
         self._waiting.append(order)
-        self._record("order", t_s, {**body, "due": False, "reason": f"waits until the loop is in {order.region}"})
+        self._record("order", t_s, {**order.body, "reason": f"waits until the loop is in {order.region}"})
         return None
 
     def _due(self, order: Waiting, t_s: float) -> Decision | None:
         """Tell the retuner of an order, after it was recorded."""
-        body, proposal = {**order.body, "due": True}, self._proposals.get(str(order.body.get("digest")))
-        if proposal is not None and body["accepted"] and self._over(proposal, t_s):
-            body |= {"accepted": False, "reason": self._over(proposal, t_s)}
+        body = {**order.body, "due": True}
+        proposal: Any = body.get("proposal")
+        if body["accepted"] and proposal:
+            standing = Proposal.from_dict(proposal).standing(
+                self._retuner.table.gains_of(order.region), order.past_s + t_s, self._expires_after_s
+            )
+            if standing is not Standing.OPEN:
+                body |= {"accepted": False, "reason": str(standing)}
         self._record("order", t_s, body)
         return feed(self._retuner, "order", body, t_s)
 
@@ -116,49 +131,51 @@ class OrderDesk:
         region = self._retuner.region
         return region is not None and self._retuner.table.regions.names[region] == order.region
 
-    def _here(self) -> list[Waiting]:
-        """Those that waited for the region that the loop is in now; they wait no longer."""
-        here = [order for order in self._waiting if self._is_here(order)]
-        if here:
-            self._waiting = [order for order in self._waiting if order not in here]
-        return here
-
-    def _meant(self, order: Order, t_s: float) -> tuple[dict[str, object], str]:
-        """What an order means in full, and why it cannot be told to the retuner."""
+    def _meant(self, order: Order, before: Before | None) -> tuple[dict[str, object], str]:
+        """What an order means in full, and why it means nothing."""
+        if before is not None and before.trouble:
+            return {}, before.trouble
         if order.kind is OrderKind.APPROVE:
-            return self._approved(order, t_s)
+            return self._approved(order.digest, before)
         if order.kind is OrderKind.REVERT:
-            change = self._changes.get(order.decision)
+            change = self._change(order.decision, before)
             if change is None:
-                return {}, f"no decision {order.decision} in this session"
-            return {"region": change.region, "gains": gains_dict(change.before)}, self._closed(change.region)
+                return {}, f"no decision {order.decision} in that session"
+            return {"region": change.region, "gains": gains_dict(change.before)}, ""
         return {}, self._closed(order.region) or self._not_at(order.region, TrialPhase.LOCKED)
 
-    def _approved(self, order: Order, t_s: float) -> tuple[dict[str, object], str]:
+    def _change(self, number: int, before: Before | None) -> Change | None:
+        """What the decision of this number stood for."""
+        if before is not None:
+            return before.shown.changes.get(number)
+        found = (Change(d.region, d.gains_before) for d in self._decisions if d.number == number)
+        return next(found, None)
+
+    def _approved(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
         """A proposal, or a change that has passed its trial and waits for a person."""
-        proposal = self._proposals.get(order.digest)
-        if proposal is not None:
-            meant: dict[str, object] = {"region": proposal.region, "proposal": proposal.to_dict()}
-            return meant, self._closed(proposal.region) or self._over(proposal, t_s)
-        region = self._tried.get(order.digest)
-        if region is not None:
-            return {"region": region, "proposal": None}, self._not_at(region, TrialPhase.WAITING)
-        return {"proposal": None}, f"no proposal {order.digest[:8]} in this session"
+        if before is not None:
+            past = before.shown.proposals.get(digest)
+            if past is None:
+                return {"proposal": None}, f"no proposal {digest[:8]} in that session"
+            return {"region": past.region, "proposal": past.to_dict()}, ""
+        decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
+        if decision is None:
+            return {"proposal": None}, f"no proposal {digest[:8]} in this session"
+        proposal = Proposal.of(decision)
+        if proposal is None:
+            reason = self._not_at(decision.region, TrialPhase.WAITING)
+            return {"region": decision.region, "proposal": None}, reason
+        return {"region": proposal.region, "proposal": proposal.to_dict()}, ""
 
     def _not_at(self, region: str, phase: TrialPhase) -> str:
         """Why an order finds nothing to do, empty when the region is in the phase that it is for."""
         now = self._retuner.desk.phase(self._retuner.table.index(region))
         return "" if now == phase else f"{region} is not {phase}, it is {now}"
 
-    def _over(self, proposal: Proposal, t_s: float) -> str:
-        """Why a proposal may not be taken up any more, empty when it may."""
-        standing = proposal.standing(self._retuner.table.gains_of(proposal.region), t_s, self._expires_after_s)
-        return "" if standing is Standing.OPEN else str(standing)
-
     def _closed(self, region: str) -> str:
         """Why nothing may be ordered for a region, empty when it may."""
         names = self._retuner.table.regions.names
         if region not in names:
-            return f"there is no region {region}; there are {', '.join(names)}"
+            return f"there is no region {region or 'without a name'}; there are {', '.join(names)}"
         off = self._retuner.settings.mode_of(names.index(region)) == Mode.OFF
         return f"region {region} is off: nothing is written there" if off else ""

@@ -13,7 +13,7 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -163,16 +163,16 @@ class OrderBox:
 
     Parameters
     ----------
-    session : the folder; orders/ in it need not exist.
+    session : the folder; orders/ in it need not exist. done : names of files there that were dealt with before.
     """
 
-    def __init__(self, session: Path) -> None:
+    def __init__(self, session: Path, done: Iterable[str] = ()) -> None:
         self._folder = session / ORDERS
         self._text = str(self._folder)
         self._changed = -1
         self._turns = 0
         self._more = False
-        self._done: set[str] = set()
+        self._done = set(done)
 
     def take(self) -> list[Found]:
         """Orders that came since the last call, oldest first; most turns cost one look at the folder's time."""

@@ -4,6 +4,7 @@ Whatever is missing, cut off or changed afterwards is told in one line: a sessio
 """
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,3 +104,8 @@ def read_session(session: Path) -> RecordedSession:
 def without_place(body: Mapping[str, Any]) -> dict[str, Any]:
     """The body of a row as it was given, without its place in the order of samples."""
     return {key: value for key, value in body.items() if key not in ROW_KEYS}
+
+
+def canonical(decision: Mapping[str, Any]) -> bytes:
+    """A decision's plain values as Decision.canonical() has them."""
+    return json.dumps(decision, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()

@@ -9,9 +9,8 @@ it did then; and it says the time of the last one, so a log that lacks frames is
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from retuner.adaptive.decision import Decision
 from retuner.assembly import make_retuner
@@ -20,7 +19,7 @@ from retuner.drivers.link_faults import LinkFault
 from retuner.drivers.overhearing import Overhearing
 from retuner.drivers.recording import RecordingError
 from retuner.ledger import Row
-from retuner.recorded_session import RecordedSession, without_place
+from retuner.recorded_session import RecordedSession, canonical, without_place
 from retuner.retuner_events import feed
 from retuner.session_identity import file_sha256
 
@@ -171,11 +170,6 @@ class Replay:
         """What the ledger says of trouble with the log."""
         rows = [r.seq for r in self._session.rows if r.kind == "bus" and r.body.get("fault") == LinkFault.LOG]
         return f"; row {rows[0]} tells that the log could not be written" if rows else ""
-
-
-def canonical(decision: Mapping[str, Any]) -> bytes:
-    """A decision's plain values as Decision.canonical() has them."""
-    return json.dumps(decision, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
 def first_difference(then: object, now: object, path: str = "") -> tuple[str, object, object]:

@@ -20,6 +20,8 @@ from retuner.drivers.can_device import CanDevice
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.device_process import DeviceOnBus
 from retuner.drivers.virtual_device import VirtualDevice
+from retuner.order_desk import OrderDesk, left_before
+from retuner.orders import OrderBox
 from retuner.scenario import ScenarioPlayer
 from retuner.session import Recorder, Session
 from retuner.stopping import unstoppable
@@ -50,24 +52,42 @@ def virtual_bench(
         yield near, clock, on_bus.sample
 
 
+def to_the_end(session: Session, once: Callable[[], None]) -> None:
+    """Turn until the session is over. Ctrl-C lets it end: an undecided change is taken back first; a second one does
+    not wait for that (the controller's own trial time, or the next session, then does it).
+    """
+    try:
+        while not session.finished:
+            once()
+    except KeyboardInterrupt:
+        if session.samples:
+            session.stop("stopped by the user")
+            while not session.finished:
+                once()
+        raise
+
+
 class Run:
     """One run of a configuration.
 
     Parameters
     ----------
     config : what to run. record : keeps rows for good. mode : overrides the configured one. log : file for bus traffic.
-    on_sample : told of every sample and of the session, for progress.
+    on_sample : told of every sample and of the session, for progress. folder : of the session, where people put orders;
+    before : that of the session which was there before and may have left some.
     """
 
     def __init__(
         self, config: Config, record: Recorder, *, mode: Mode | None = None, log: Path | None = None,
         on_sample: Callable[[Session, LoopSample], None] | None = None,
+        folder: Path | None = None, before: Path | None = None,
     ) -> None:  # fmt: skip
         self.config = config
         self.mode = mode
         self._record = record
         self._log = log
         self._on_sample = on_sample
+        self._folder, self._before = folder, before
         self.session: Session | None = None
 
     def simulated(self) -> Session:
@@ -79,11 +99,14 @@ class Run:
             The bus log cannot be opened.
         """
         with self._bench() as (session, clock, turn):
-            while not session.finished:
+
+            def once() -> None:
                 clock.advance(self.config.loop.sample_time_s)
                 turn()
                 with unstoppable():
                     session.poll(clock.now_s())
+
+            to_the_end(session, once)
             return session
 
     @contextmanager
@@ -111,12 +134,15 @@ class Run:
         clock: Clock = MonotonicClock(speed)
         with CanLink(link_settings(self.config, speed), clock, self._log) as link:
             session = self._session(link, speed)
+
+            def once() -> None:
+                with unstoppable():
+                    session.poll(clock.now_s())
+                    session.link_faults(link.news())
+                link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
+
             try:
-                while not session.finished:
-                    with unstoppable():
-                        session.poll(clock.now_s())
-                        session.link_faults(link.news())
-                    link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
+                to_the_end(session, once)
             finally:
                 session.device.release(clock.now_s())
             return session
@@ -125,8 +151,14 @@ class Run:
         """The host's side on an open link."""
         device = CanDevice(link, device_settings(self.config, speed))
         retuner = make_retuner(self.config, self.mode)
-        self.session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled)
-        return self.session
+        session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled)
+        if self._folder is not None:
+            session.orders = OrderDesk(
+                OrderBox(self._folder), retuner, self._record, session.decisions, self.config.adaptation.approval_s,
+                left_before(self._before),
+            ).take  # fmt: skip
+        self.session = session
+        return session
 
     def _sampled(self, sample: LoopSample) -> None:
         """Pass a sample on to whoever shows progress."""

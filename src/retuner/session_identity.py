@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
+from retuner.config.as_run import text_as_run
 from retuner.config.model import Config
 
 PACKAGES = ("retuner", "numpy", "scipy", "filterpy", "python-can", "cantools")
@@ -35,16 +36,22 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
     ]
 
 
-def session_identity(config: Config, text: str, overrides: Mapping[str, str]) -> dict[str, object]:
-    """The part of a session's first row that says what it was made with.
+def session_identity(
+    config: Config, text: str, changes: Mapping[tuple[str, str], str]
+) -> tuple[str, dict[str, object]]:
+    """The configuration as it is run, as text, and what a session's first row says of all that it is made with.
 
-    text : the configuration as run, as it stands in the session's folder. overrides : what the command line said.
+    config : as read, with the bus that is meant. text : as its author wrote it. changes : (section, key) to its value,
+    as the command line has it.
     """
-    return {
+    mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
+    as_run = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
+    text = text_as_run(text, as_run, changes)
+    return text, {
         "versions": versions(),
         "seed": config.device.seed if config.device else None,
         "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
-        "overrides": dict(overrides),
+        "overrides": {".".join(place): value for place, value in changes.items()},
     }
 
 

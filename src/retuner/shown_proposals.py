@@ -6,23 +6,28 @@ Whether a proposal is still open is said here as far as the ledger goes; the ses
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from retuner.adaptive.decision import Action
 from retuner.adaptive.proposal import Proposal, Standing
 from retuner.ledger import Row
-from retuner.order_desk import Change
-from retuner.recorded_session import without_place
-from retuner.replaying import canonical
+from retuner.recorded_session import canonical, without_place
 from retuner.retuner_events import gains_of
 from retuner.schedule.gains import PidGains
+
+
+class Change(NamedTuple):
+    """What a decision stood for: its region, and the gains before it."""
+
+    region: str
+    before: PidGains
 
 
 @dataclass(slots=True)
 class Shown:
     """proposals : by hash. changes : by number of the decision. tried : region by hash of the decision that changed it.
     in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row, s.
-    approved : hashes that were taken already.
+    approved : hashes that were taken already. files : names of order files that it has dealt with.
     """
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
@@ -31,6 +36,7 @@ class Shown:
     in_force: dict[str, PidGains] = field(default_factory=dict)
     last_s: float = 0.0
     approved: set[str] = field(default_factory=set)
+    files: set[str] = field(default_factory=set)
 
     def standing(self, proposal: Proposal, expires_after_s: float) -> Standing:
         """Whether a proposal is open, as far as the ledger tells."""
@@ -51,8 +57,10 @@ def shown(rows: Iterable[Row]) -> Shown:
             _decision(found, without_place(row.body))
         elif row.kind == "committed" and row.body.get("why") != "schedule":
             found.in_force[str(row.body["region"])] = gains_of(row.body["gains"])
-        elif row.kind == "order" and row.body.get("accepted") is True:
-            found.approved.add(str(row.body.get("digest")))
+        elif row.kind == "order":
+            found.files.add(str(row.body.get("file")))
+            if row.body.get("accepted") is True:
+                found.approved.add(str(row.body.get("digest")))
     return found
 
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.assembly import make_plant
-from retuner.commands.run import RunOptions, overridden, real_time_speed
+from retuner.commands.run import RunOptions, overridden
 from retuner.config import Config, load_config
 from retuner.console import RunScreen
 from retuner.drivers.device import DeviceError
@@ -19,6 +19,7 @@ from retuner.experiment.on_demand import OnDemandExperiment
 from retuner.experiment.outcome import RECORD
 from retuner.ledger import Ledger
 from retuner.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
+from retuner.real_time import real_time_speed
 from retuner.stopping import stoppable
 
 DEFAULT_SHARE = 0.05

@@ -14,7 +14,6 @@ from retuner.adaptive.decision import Mode, gains_dict
 from retuner.adaptive.sample import LoopSample
 from retuner.assembly import make_plant
 from retuner.commands.check import summary
-from retuner.config.as_run import text_as_run
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
 from retuner.console import RunScreen, scores_table
@@ -22,7 +21,20 @@ from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
 from retuner.ledger import Ledger
-from retuner.outputs import BUS_LOG, CONFIG, GAINS, LEDGER, REPORT, SUMMARY, TREND, fresh_folder, give_back, write_json
+from retuner.outputs import (
+    BUS_LOG,
+    CONFIG,
+    GAINS,
+    LEDGER,
+    REPORT,
+    SUMMARY,
+    TREND,
+    FreshFolder,
+    fresh_folder,
+    give_back,
+    write_json,
+)
+from retuner.real_time import real_time_speed
 from retuner.report import ReportData, render
 from retuner.running import Run, nothing
 from retuner.scenario import loads_at
@@ -75,7 +87,7 @@ def run(path: Path, options: RunOptions) -> int:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
             if fresh.moved:
                 screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
-            return _run(_Job(config, text, mode, speed, folder, options, simulated), ledger, screen)
+            return _run(_Job(config, text, mode, speed, fresh, options, simulated), ledger, screen)
     except NothingHappenedError as nothing_happened:
         give_back(fresh)
         raise nothing_happened.cause from None
@@ -100,9 +112,14 @@ class _Job:
     text: str
     mode: Mode | None
     speed: float
-    folder: Path
+    fresh: FreshFolder
     options: RunOptions
     simulated: bool
+
+    @property
+    def folder(self) -> Path:
+        """Where the run leaves everything."""
+        return self.fresh.path
 
 
 def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
@@ -115,7 +132,8 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
         screen.sample(sample, session.scenario.progress, session.table.regions.names[region])
 
     record = _recorder(ledger, screen, lambda: job_run.session)
-    job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample)
+    job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample,
+                       folder=job.folder, before=job.fresh.moved)  # fmt: skip
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
     session, interrupted = _play(job, job_run)
     end = {"interrupted": interrupted, "bus_log": BUS_LOG, "bus_log_sha256": file_sha256(job.folder / BUS_LOG)}
@@ -143,15 +161,11 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
     named = {("adaptation", "mode"): options.mode, ("bus", "interface"): options.interface,
              ("bus", "channel"): options.channel}  # fmt: skip
     changes = {place: value for place, value in named.items() if value is not None}
-    config = job.config.model_copy(
-        update={"adaptation": job.config.adaptation.model_copy(update={"mode": job.mode or job.config.adaptation.mode})}
-    )
-    text = text_as_run(job.text, config, changes)
-    overrides = {".".join(place): value for place, value in changes.items()}
-    body = {"config": summary(job.config), "retuner": version("retuner"), **session_identity(config, text, overrides)}
+    text, identity = session_identity(job.config, job.text, changes)
+    body = {"config": summary(job.config), "retuner": version("retuner"), **identity, "samples": 0}
     try:
         write_whole(job.folder / CONFIG, text)
-        ledger.append("session", {**body, "samples": 0}, 0.0)
+        ledger.append("session", body, 0.0)
     except (LedgerError, OSError) as error:
         raise NothingHappenedError(error) from error
 
@@ -268,25 +282,3 @@ def overridden(config: Config, options: RunOptions) -> Config:
     if not changes:
         return config
     return config.model_copy(update={"bus": config.bus.model_copy(update=changes)})
-
-
-def real_time_speed(text: str, *, simulated: bool) -> float:
-    """--speed as a number: "max" is simulated time; a number is how much faster than real time the far side runs.
-
-    Raises
-    ------
-    UserError
-        Neither "max" nor a positive number, or "max" for a bus that leaves this process.
-    """
-    if text == "max":
-        return 1.0
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = 0.0
-    if not 0 < speed < float("inf"):
-        raise UserError(f"--speed {text}: give max, or a positive number (1 is real time)")
-    if simulated:
-        raise UserError("--speed: the virtual bus runs in simulated time as fast as it goes; leave the option out, or "
-                        "give --interface of a bus on which `retuner device` runs")  # fmt: skip
-    return speed
