@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from retuner.adaptive.belief import Belief
 from retuner.adaptive.guard.allowed import allowed
 from retuner.adaptive.guard.border import borders_of
-from retuner.adaptive.guard.request import ChangeRequest, Evidence
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.region_filter import gate
 from retuner.adaptive.retuner_settings import RetunerSettings
@@ -47,6 +47,16 @@ def change_request(
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
     )
+
+
+def unproved_request(
+    proposal: Tuning, region: int, tables: tuple[GainTable, GainTable], settings: RetunerSettings
+) -> ChangeRequest:
+    """The question on a proposal that no model supports; arguments as above."""
+    in_force, commissioned = tables
+    evidence = Evidence(records=0, support=Support.PATTERN)
+    own = (in_force.gains_of(region), commissioned.gains_of(region))
+    return ChangeRequest(*own, proposal, (), settings.sample_time_s, evidence)
 
 
 def _allowed(belief: Belief, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:

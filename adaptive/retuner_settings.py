@@ -9,6 +9,7 @@ from retuner.adaptive.diagnosis.online import SwingSettings
 from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identify import FitSettings
+from retuner.adaptive.proposing import WithoutModelSettings
 from retuner.adaptive.robust_settings import RobustSettings
 from retuner.adaptive.tracker import TrackerSettings
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -59,6 +60,7 @@ class RetunerSettings:
     filter_s: float = 0.0
     fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
