@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
-from retuner.adaptive.estimate import ModelEstimate
+from retuner.adaptive.estimate import LogModel, ModelEstimate
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.response import Response
 from retuner.adaptive.rules.tuning import Tuning
@@ -61,7 +61,8 @@ class Decision:
     gains_before : in force; gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
     records : how many records the region's model rests on. basis : what the proposal rests on.
     promise : what gains_after promise. judgement : of the response against the promise of the gains on trial, if any.
-    trial : where the region stands after this decision.
+    trial : where the region stands after this decision. known : the process as it may be met in the region from now
+    on, which is what the cause and the proof go by (`estimate` is what the record itself shows).
     """
 
     number: int
@@ -86,6 +87,7 @@ class Decision:
     promise: Promise | None = None
     judgement: Judgement | None = None
     trial: str = "idle"
+    known: LogModel | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps."""
@@ -103,6 +105,7 @@ class Decision:
             "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
             "response": self.response.to_dict() if self.response else None,
             "estimate": self.estimate.to_dict() if self.estimate else None,
+            "known": {"model": self.known.model().to_dict(), "std": self.known.std()} if self.known else None,
             "surprise": self.surprise.name.lower() if self.surprise else None,
             "records": self.records,
             "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,

@@ -22,6 +22,7 @@ from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.tracker import predicted
 from retuner.adaptive.trial.desk import TrialDesk
 from retuner.adaptive.trial.judge import Finding, Judgement
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
@@ -280,6 +281,7 @@ class Retuner:
             estimate=learned.estimate if learned else None,
             surprise=learned.surprise if learned else None,
             records=belief.records if belief else 0,
+            known=predicted(belief, self._now_s, self.settings.tracker) if belief else None,
             diagnosis=outcome.diagnosis,
             basis=outcome.basis,
             proposal=outcome.proposal,
