@@ -12,15 +12,16 @@ import numpy as np
 
 from retuner.adaptive.admission import Admission, admit, inside_region
 from retuner.adaptive.belief import Belief
-from retuner.adaptive.change_request import change_request
+from retuner.adaptive.change_request import change_request, unproved_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, thinned, unconfirmed
+from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, is_safer_and_known, thinned, unconfirmed
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
 from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.proposing import without_model
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.robust_proposal import propose
+from retuner.adaptive.robust_proposal import RobustProposal, propose
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
@@ -77,6 +78,10 @@ class Outcome:
     numbers: dict[str, float] = field(default_factory=dict)
 
 
+NOT_KNOWN = "not_identifiable"
+"""Code: what is known of the process does not carry settings yet."""
+
+
 def decide(case: Case, settings: RetunerSettings) -> Outcome:
     """The pipeline."""
     admission = _admission(case, settings)
@@ -118,7 +123,7 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
         if hidden is not None:
             return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden, standing=standing)
     if learned.belief is None:
-        return Outcome("not_identifiable", learned.estimate.reason, learned)
+        return _without_model(case, learned, left, learned.estimate.reason, settings)
     return _weighed(case, learned, learned.belief, left, settings)
 
 
@@ -126,10 +131,16 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     """What is known decides; before gains change, a case that is not clear is put to the whole diagnosis."""
     known = Excitation() if learned.surprise == Surprise.CHANGED else case.excitation
     excitation = known.with_response(case.response)
-    outcome = _tuned(case, learned, belief, settings)
-    loads = len(learned.estimate.load_times_s)
-    accepted = outcome.verdict is not None and outcome.verdict.accepted
-    if not accepted or is_clear(case.samples, case.response, left, loads, settings.swing):
+    log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
+    wanted = propose(belief, log, case.in_force, settings)
+    if not wanted.ready:
+        return replace(_without_model(case, learned, left, belief.reason, settings), belief=belief)
+    outcome = _tuned(case, learned, belief, wanted, settings)
+    if outcome.verdict is None or not outcome.verdict.accepted:
+        return replace(outcome, belief=belief, excitation=excitation)
+    agrees, loads = learned.surprise == Surprise.AGREES, len(learned.estimate.load_times_s)
+    clear = is_clear(case.samples, case.response, left, loads, settings.swing)
+    if clear or is_safer_and_known(outcome.verdict.ruling, agrees, excitation):
         return replace(outcome, belief=belief, excitation=excitation)
     doubt, excitation = unconfirmed(
         case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
@@ -140,13 +151,9 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     return Outcome("unconfirmed", doubt.reason, learned, taken, doubt, outcome.proposal, excitation=excitation)
 
 
-def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettings) -> Outcome:
+def _tuned(case: Case, learned: Learned, belief: Belief, wanted: RobustProposal, settings: RetunerSettings) -> Outcome:
     """Whether the tuning is the cause, what the rule would give, and the proof."""
-    log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
-    wanted = propose(belief, log, case.in_force, settings)
     tuning, diagnosis = wanted.tuning, wanted.diagnosis
-    if not wanted.ready:
-        return Outcome("not_identifiable", belief.reason, learned)
     if not diagnosis.retune:
         return Outcome(str(diagnosis.cause), diagnosis.reason, learned, diagnosis=diagnosis)
     beliefs, now = {**case.beliefs, case.region: belief}, float(case.window.t_s[-1])
@@ -160,6 +167,33 @@ def _tuned(case: Case, learned: Learned, belief: Belief, settings: RetunerSettin
         proposal=tuning,
         basis=Basis.MODEL,
         verdict=verdict,
+    )
+
+
+def _without_model(case: Case, learned: Learned, left: float, why: str, settings: RetunerSettings) -> Outcome:
+    """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
+    found = without_model(case.response, case.window, case.in_force, None, settings.without_model)
+    reason = f"{why}; {found.sentence}"
+    if found.tuning is None:
+        return Outcome(NOT_KNOWN, reason, learned, numbers=found.numbers)
+    excitation = case.excitation.with_response(case.response)
+    if not is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing):
+        doubt, excitation = unconfirmed(
+            case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
+        )
+        if doubt is not None:
+            return Outcome("unconfirmed", doubt.reason, learned, None, doubt, found.tuning, excitation=excitation)
+    tables = (case.table, case.commissioned)
+    verdict = prove(unproved_request(found.tuning, case.region, tables, settings), settings.guard)
+    return Outcome(
+        verdict.code,
+        reason if verdict.accepted else verdict.sentence,
+        learned,
+        proposal=found.tuning,
+        basis=found.basis,
+        verdict=verdict,
+        excitation=excitation,
+        numbers=found.numbers,
     )
 
 

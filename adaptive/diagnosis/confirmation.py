@@ -1,7 +1,8 @@
 """Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
 
-    clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response without
-                 any load step
+    clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
+                 most one load step; or the change makes a loop safer that is over its limit, a setpoint step is among
+                 what the model rests on, and this response agrees with it
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest. When it does not, nothing is learned from loads until there were twice
@@ -18,6 +19,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.online import SwingSettings, stretch
+from retuner.adaptive.guard import Ruling
 from retuner.adaptive.response import Response
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
@@ -53,8 +55,13 @@ def is_clear(
     samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
     that it needed.
     """
-    explained = left <= settings.unexplained and not loads
+    explained = left <= settings.unexplained and loads <= settings.loads_beside
     return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
+
+
+def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation) -> bool:
+    """Whether a change towards safety may be believed as it is. agrees : this response agrees with what was known."""
+    return ruling in {Ruling.SAFER, Ruling.URGENT} and agrees and excitation.setpoints > 0
 
 
 def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
