@@ -22,7 +22,7 @@ class TrialSettings:
     grows : ratio of successive peaks from which two in a row are a runaway; above 1, default 1.05.
     stays : and from which `stays_for` in a row are one; defaults 0.95 and 5.
     limited_settles : the output may stand at a limit for so many promised settling times; 1 to 20, default 2.
-    limit_swings : the output's way from one limit to the other, so many times in one upset, is a runaway; default 3.
+    limit_swings : the output's way from one limit to the other, so many times in one upset, is a runaway; default 2.
 
     Raises
     ------
@@ -45,7 +45,7 @@ class TrialSettings:
     stays: float = 0.95
     stays_for: int = 5
     limited_settles: float = 2.0
-    limit_swings: int = 3
+    limit_swings: int = 2
 
     def __post_init__(self) -> None:
         ranges = (
