@@ -28,12 +28,14 @@ LARGEST = 4096
 """Bytes of an order file."""
 LONGEST = 200
 """Characters of a text in it."""
+MOST_DECISIONS = 10**9
+"""Largest number of a decision."""
 MOST_AT_ONCE = 16
 """Files looked at in one turn; the rest waits for the next one."""
 LOOK_ANYWAY = 32
 """Turns after which the folder is listed even if its time has not changed: two files within one tick look like one."""
 HASH = re.compile(r"[0-9a-f]{64}")
-MOMENT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+MOMENT = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
 
 
 class OrderKind(StrEnum):
@@ -75,7 +77,7 @@ class Order:
             raise ValueError("at must be a moment in UTC, as 2030-01-31T12:00:00Z")
         if self.kind is OrderKind.APPROVE and not HASH.fullmatch(self.digest):
             raise ValueError("digest must be the 64 hexadecimal digits of the proposal's hash")
-        if self.kind is OrderKind.REVERT and self.decision < 1:
+        if not (self.kind is OrderKind.REVERT) <= self.decision <= MOST_DECISIONS:
             raise ValueError("decision must be the number of a decision, 1 or more")
         if self.kind is OrderKind.UNLOCK and not self.region:
             raise ValueError("region must name the region to unlock")

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from retuner.adaptive.decision import Action
 from retuner.adaptive.proposal import Proposal, Standing
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.ledger import Row
 from retuner.recorded_session import canonical, without_place
 from retuner.retuner_events import gains_of
@@ -26,13 +27,15 @@ class Change(NamedTuple):
 @dataclass(slots=True)
 class Shown:
     """proposals : by hash. changes : by number of the decision. tried : region by hash of the decision that changed it.
-    in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row, s.
-    approved : hashes that were taken already. files : names of order files that it has dealt with.
+    waiting : hash of the change that has passed its trial and waits for a person, by region. in_force : gains by
+    region, as far as decisions and writes tell. last_s : time of the last row, s. approved : hashes that were taken
+    already. files : names of order files that it has dealt with.
     """
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
     changes: dict[int, Change] = field(default_factory=dict)
     tried: dict[str, str] = field(default_factory=dict)
+    waiting: dict[str, str] = field(default_factory=dict)
     in_force: dict[str, PidGains] = field(default_factory=dict)
     last_s: float = 0.0
     approved: set[str] = field(default_factory=set)
@@ -53,15 +56,33 @@ def shown(rows: Iterable[Row]) -> Shown:
     found = Shown()
     for row in rows:
         found.last_s = max(found.last_s, row.clock_s)
+        body = row.body
         if row.kind == "decision":
-            _decision(found, without_place(row.body))
-        elif row.kind == "committed" and row.body.get("why") != "schedule":
-            found.in_force[str(row.body["region"])] = gains_of(row.body["gains"])
+            _decision(found, without_place(body))
+        elif row.kind == "committed" and body.get("why") == "retune":
+            found.in_force[str(body["region"])] = gains_of(body["gains"])
+        elif row.kind == "restore":
+            found.in_force[str(body["region"])] = gains_of(body["gains"])
+            found.waiting.pop(str(body["region"]), None)
+        elif row.kind == "judged" and body.get("trial") == TrialPhase.WAITING:
+            found.waiting[str(body["region"])] = _last_tried(found, str(body["region"]))
         elif row.kind == "order":
-            found.files.add(str(row.body.get("file")))
-            if row.body.get("accepted") is True:
-                found.approved.add(str(row.body.get("digest")))
+            _order(found, body)
     return found
+
+
+def _last_tried(found: Shown, region: str) -> str:
+    """Hash of the newest change of a region."""
+    return next((digest for digest in reversed(found.tried) if found.tried[digest] == region), "")
+
+
+def _order(found: Shown, body: Mapping[str, Any]) -> None:
+    """One order that was dealt with."""
+    found.files.add(str(body.get("file")))
+    if body.get("accepted") is True:
+        found.approved.add(str(body.get("digest")))
+        if found.waiting.get(str(body.get("region"))) == body.get("digest"):
+            del found.waiting[str(body["region"])]
 
 
 def _decision(found: Shown, body: Mapping[str, Any]) -> None:

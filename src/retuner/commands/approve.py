@@ -113,6 +113,8 @@ def approve(session: Path, digest: str | None, person: Person, *, unlock: str | 
     standing = desk.shown.standing(proposal, desk.expires_after_s) if proposal else Standing.OPEN
     reason = "it was approved before" if full in desk.shown.approved else ""
     reason = reason or (str(standing) if standing is not Standing.OPEN else "")
+    if proposal is None and full not in desk.shown.waiting.values():
+        reason = reason or "this change does not wait for a person"
     document: dict[str, object] = {"session": str(desk.folder), "approved": None if reason else full,
                                    "reason": reason or None, "file": None}  # fmt: skip
     if not reason:
@@ -172,13 +174,16 @@ def _full_hash(desk: Desk, digest: str) -> str:
 def _list(desk: Desk, *, as_json: bool) -> int:
     """The open proposals."""
     proposals = desk.shown.open(desk.expires_after_s)
-    document = {"session": str(desk.folder), "time_s": desk.shown.last_s,
+    waiting = [{"hash": digest, "region": region} for region, digest in desk.shown.waiting.items()]
+    document = {"session": str(desk.folder), "time_s": desk.shown.last_s, "waiting": waiting,
                 "proposals": [_listed(one, desk.expires_after_s) for one in proposals]}  # fmt: skip
     lines = [
         f"{one.digest[:SHORTEST]}  decision {one.number}, {one.region}: {settings_text(one.before)} -> "
         f"{settings_text(one.after)}; expires at {one.t_s + desk.expires_after_s:,.0f} s"
         for one in proposals
     ]
+    lines += [f"{one['hash'][:SHORTEST]}  {one['region']}: tried and as promised; approve it to let the region go on"
+              for one in waiting]  # fmt: skip
     lines.append(f"{desk.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
                  f"{desk.shown.last_s:,.0f} s")  # fmt: skip
     _tell(document, "\n".join(lines), as_json=as_json)
