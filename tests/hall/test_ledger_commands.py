@@ -1,0 +1,160 @@
+"""ledger show, export and verify of a session: every row in words, whole or as far as it can be believed."""
+
+import csv
+import json
+import shutil
+import sqlite3
+import sys
+from pathlib import Path
+
+import pytest
+
+from retuner.cli import main
+from retuner.ledger import LedgerReader
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import SHORT, bodies
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ledger")
+    (folder / "short.toml").write_text(SHORT)
+    command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", "--mode", "auto"]
+    assert main(command) == 0
+    return folder / "run"
+
+
+@pytest.fixture
+def broken(session: Path, tmp_path: Path) -> Path:
+    """A copy with the fourth row changed."""
+    shutil.copytree(session, tmp_path / "broken")
+    with sqlite3.connect(tmp_path / "broken" / "ledger.sqlite") as connection:
+        connection.execute("DROP TRIGGER no_update")
+        connection.execute("UPDATE ledger SET clock_s = clock_s + 1 WHERE seq = 4")
+    connection.close()
+    return tmp_path / "broken"
+
+
+def test_every_row_is_told(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ledger", "show", str(session), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["ok"] is True
+    rows = found["rows"]
+    with LedgerReader(session / "ledger.sqlite") as ledger:
+        assert [row["row"] for row in rows] == [row.seq for row in ledger.rows()]
+    decision = next(row for row in rows if row["kind"] == "decision")
+    assert decision["who"] == "retuner"
+    assert decision["region"] == "all"
+    assert decision["old"] == "Kc 5 tau_I 4 s"
+    assert decision["new"].startswith("Kc ")
+    assert "response" in decision["evidence"]
+    assert "Ms" in decision["verdict"]
+    assert rows[0]["why"] == "begins: short"
+    assert "numpy" in rows[0]["evidence"]
+
+
+def test_text_names_both_settings_and_the_chain(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ledger", "show", str(session)]) == 0
+    shown = capsys.readouterr().out
+    assert "Kc 5 tau_I 4 s -> Kc" in shown
+    assert "the chain holds" in shown.replace("\n", " ")
+
+
+def test_a_wide_terminal_gets_a_table(
+    session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "220")
+    assert main(["ledger", "show", str(session)]) == 0
+    head = capsys.readouterr().out.splitlines()[0]
+    assert head.split()[:5] == ["row", "time", "[s]", "what", "who"]
+
+
+def test_rows_are_selected(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def rows(*arguments: str) -> list[dict[str, object]]:
+        assert main(["ledger", "show", str(session), "--json", *arguments]) == 0
+        found: list[dict[str, object]] = json.loads(capsys.readouterr().out)["rows"]
+        return found
+
+    assert {row["kind"] for row in rows("--kind", "committed")} == {"committed"}
+    first = rows("--decision", "1")
+    assert first[0]["kind"] == "decision"
+    assert {"intent", "committed"} <= {row["kind"] for row in first}
+    assert sum(row["kind"] == "decision" for row in first) == 1
+    late = rows("--since", "60")
+    assert late
+    assert all(float(str(row["when_s"])) >= 60 for row in late)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"), [(["--decision", "99"], "no such decision"), (["--kind", "rumour"], "there are ")]
+)
+def test_what_is_not_there_is_one_line(
+    session: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ledger", "show", str(session), *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_an_export_has_everything(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines, table = tmp_path / "l.jsonl", tmp_path / "l.csv"
+    assert main(["ledger", "export", str(session), "--jsonl", str(lines)]) == 0
+    assert main(["ledger", "export", str(session), "--csv", str(table)]) == 0
+    with LedgerReader(session / "ledger.sqlite") as ledger:
+        rows = list(ledger.rows())
+    documents = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert [(d["seq"], d["kind"], d["hash"], d["body"]) for d in documents] == [
+        (row.seq, row.kind, row.hash, row.body) for row in rows
+    ]
+    with table.open(newline="") as stream:
+        read = list(csv.DictReader(stream))
+    assert [row["hash"] for row in read] == [row.hash for row in rows]
+    assert [json.loads(row["body"]) for row in read] == [row.body for row in rows]
+    assert not any(value[:1] in {"=", "+", "@"} for row in read for value in row.values())
+    capsys.readouterr()
+    for arguments, told in (
+        ([], "give --csv FILE or --jsonl FILE"), (["--csv", str(table)], "is there already"),
+        (["--csv", str(tmp_path / "no" / "x.csv")], "make it first"),
+    ):  # fmt: skip
+        assert main(["ledger", "export", str(session), *arguments]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_a_broken_chain_is_found_and_named_and_what_is_before_it_is_shown(
+    broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ledger", "verify", str(broken)]) == 1
+    assert "broken: row 4 was changed after it was written; 3 rows before it hold" in capsys.readouterr().out
+    assert main(["ledger", "show", str(broken), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [row["row"] for row in found["rows"]] == [1, 2, 3]
+    assert "row 4 was changed" in found["reason"]
+    assert main(["ledger", "export", str(broken), "--jsonl", str(tmp_path / "x.jsonl")]) == 1
+    assert "broken: row 4" in capsys.readouterr().out
+    assert main(["approve", str(broken)]) == 2
+    assert "row 4 was changed" in capsys.readouterr().err
+    assert main(["ledger", "revert", str(broken), "--decision", "1"]) == 2
+    assert not (broken / "orders").exists()
+
+
+def test_a_session_of_another_kind_is_shown_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows that this release does not write are told by what they say."""
+    from retuner.ledger import Ledger
+
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        ledger.append("omen", {"reason": "a raven", "flies": "left"}, 3.0)
+        ledger.append("decision", {"number": 1}, 4.0)
+        ledger.append("order", {}, 5.0)
+    assert main(["ledger", "show", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "a raven" in shown
+    assert "flies left" in shown
+
+
+def test_the_session_says_what_it_was_made_with(session: Path) -> None:
+    first = bodies(session, "session")[0]
+    assert first["versions"]["retuner"]
+    assert len(first["config_sha256"]) == 64
+    end = bodies(session, "end")[0]
+    assert len(end["bus_log_sha256"]) == 64
