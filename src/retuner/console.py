@@ -11,7 +11,8 @@ from retuner.explain import cause_text, change_text, model_text, short_settings
 from retuner.report import ms_text
 from retuner.scores import RegionScore
 
-COLOURS = {"aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
+UNDONE = "UNDONE"
+COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
 REFRESH_SAMPLES = 50
 """The progress line is renewed every so many samples; more would cost more than the control loop."""
 
@@ -63,19 +64,27 @@ class RunScreen:
 
     def decision(self, decision: Decision) -> None:
         """A decision was taken."""
-        if self._quiet:
-            return
-        cause = cause_text(decision)
-        colour = COLOURS.get(cause, "magenta")
-        head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):6}[/] [{colour}]{cause:10}[/]"
-        change = decision.reason if decision.action == Action.NONE else f"[bold]{escape(change_text(decision))}[/]"
-        model = f" [dim]{escape(model_text(decision))}[/]"
-        self._progress.console.print(f"{head} {change}{model}", highlight=False, soft_wrap=True)
+        if not self._quiet:
+            self._progress.console.print(live_line(decision), highlight=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
         """A line of plain text."""
         if not self._quiet:
             self._progress.console.print(escape(text), highlight=False, soft_wrap=True)
+
+
+def live_line(decision: Decision) -> str:
+    """A decision as it is shown when it is taken, in rich's markup: when, where, cause, what is done or why not."""
+    undone = decision.action == Action.RESTORE
+    cause = UNDONE if undone else cause_text(decision)
+    colour = COLOURS.get(cause, "magenta")
+    head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):6}[/] [{colour}]{cause:10}[/]"
+    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(decision.reason)]
+    told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
+    judged = decision.judgement.reason if decision.judgement and not undone else ""
+    told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
+    model = model_text(decision)
+    return f"{head} {'; '.join(told)}{f' [dim]{escape(model)}[/]' if model else ''}"
 
 
 def scores_table(scores: list[RegionScore], unit: str) -> Table:

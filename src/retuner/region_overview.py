@@ -14,8 +14,6 @@ from retuner.schedule.table import GainTable
 
 IDLE = "idle"
 BORROWED = "borrowed"
-ADVICE = "region_advice"
-"""Key under which a decision says that a region should be split or merged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +51,16 @@ def _region(name: str, own: list[Document]) -> RegionNow:
     )  # fmt: skip
 
 
-def overview(table: GainTable, decisions: Sequence[Document]) -> str:
-    """The table, and the grid where there are two scheduling variables, as HTML."""
+def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[str] = ()) -> str:
+    """The table, and the grid where there are two scheduling variables, as HTML.
+
+    advice : sentences that propose to split or merge regions.
+    """
     names = table.regions.names
     rows = [(now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
             for now in regions_now(names, decisions)]  # fmt: skip
     heads = ("region", "responses", "process as known", "last cause", "state")
-    return text_table(heads, rows) + _advice(decisions) + _grid(table)
+    return text_table(heads, rows) + "".join(map(paragraph, advice)) + _grid(table)
 
 
 def _marks(now: RegionNow) -> str:
@@ -68,12 +69,6 @@ def _marks(now: RegionNow) -> str:
             "settings borrowed from a neighbour's model" if now.borrowed else "",
             f"{now.undone} undone" if now.undone else ""]  # fmt: skip
     return ", ".join(one for one in told if one)
-
-
-def _advice(decisions: Sequence[Document]) -> str:
-    """The newest advice to split or merge regions, one a sentence."""
-    told = {words(part(one, ADVICE), "reason") for one in decisions if part(one, ADVICE)}
-    return "".join(paragraph(one) for one in sorted(told) if one)
 
 
 def _grid(table: GainTable) -> str:

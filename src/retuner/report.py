@@ -31,6 +31,7 @@ class ReportData:
     run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
     events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
     decisions : of the run, or their documents out of a ledger. stopped : the run did not have its whole length.
+    advice : sentences that propose to split or merge regions.
     """
 
     loop: str
@@ -45,6 +46,7 @@ class ReportData:
     events: list[float] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)
     stopped: bool = False
+    advice: Sequence[str] = ()
 
 
 def render(data: ReportData) -> str:
@@ -57,7 +59,7 @@ def render(data: ReportData) -> str:
         paragraph(_lead(data), "lead"),
         "<h2>Regions</h2>",
         _scores_table(data),
-        overview(data.after, documents),
+        overview(data.after, documents, data.advice),
         "<h2>The whole run</h2>",
         image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit), "Trend with region bands"),
         _twins(data),

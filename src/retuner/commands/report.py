@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 from retuner.assembly import make_plant
 from retuner.errors import UserError, user_input
 from retuner.explained.page import page
-from retuner.explained.reading import gains_of, number, part, words
+from retuner.explained.reading import Document, gains_of, number, part, parts, words
 from retuner.explained.views import view_of, what_came_of
 from retuner.files import write_whole
 from retuner.ledger import Row
@@ -18,6 +17,7 @@ from retuner.outputs import GAINS, REPORT, SUMMARY
 from retuner.recorded_session import RecordedSession, read_session, without_place
 from retuner.recorded_trend import recorded_columns
 from retuner.report import ReportData, render
+from retuner.scenario import loads_at
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 from retuner.scores import Columns, RegionScore, region_scores
@@ -69,17 +69,19 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     after = _final_table(recorded, before, changes)
     commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
     linearise = make_plant(config).linearise if config.device else None
+    summary = _summary(recorded)
     scores = region_scores(before, after, commits, columns, None, linearise, config.loop.sample_time_s / 2,
-                           config.loop.tau_f_s)  # fmt: skip
+                           config.loop.tau_f_s, loads_at(config.scenario, columns["t"]))  # fmt: skip
     steps = config.scenario.steps if config.scenario else []
     last = recorded.rows[-1]
     return ReportData(
-        config.loop.name, config.loop.pv_unit, before, after, _with_fixed(recorded, scores),
+        config.loop.name, config.loop.pv_unit, before, after, _with_fixed(summary, scores),
         [without_place(row.body) for row in rows], columns, None, [t_s for t_s, _ in commits],
         [step.at_s for step in steps if step.at_s <= columns["t"][-1]],
         {"session": str(recorded.folder), "ledger": f"{last.seq} rows, head {last.hash}",
          "retuner": str(recorded.versions.get("retuner", ""))},
         stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
+        advice=[words(one, "sentence") for one in parts(summary, "advice")],
     )  # fmt: skip
 
 
@@ -96,16 +98,19 @@ def _final_table(recorded: RecordedSession, table: GainTable, changes: list[Row]
     return table
 
 
-def _with_fixed(recorded: RecordedSession, scores: list[RegionScore]) -> list[RegionScore]:
-    """The scores with the IAE of the run with fixed gains, which only the summary has kept."""
+def _summary(recorded: RecordedSession) -> Document:
+    """What a run leaves beside its ledger; empty while it goes on, or after it was killed."""
     path = recorded.folder / SUMMARY
     if not path.is_file():
-        return scores
+        return {}
     try:
         summary: Any = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise UserError(f"{path}: is no JSON: {error}") from None
-    listed = summary.get("scores") if isinstance(summary, Mapping) else None
-    kept = [one for one in listed or [] if isinstance(one, Mapping)] if isinstance(listed, list) else []
-    fixed = {words(one, "region"): number(one, "iae_fixed") for one in kept}
+    return summary if isinstance(summary, dict) else {}
+
+
+def _with_fixed(summary: Document, scores: list[RegionScore]) -> list[RegionScore]:
+    """The scores with the IAE of the run with fixed gains, which only the summary has kept."""
+    fixed = {words(one, "region"): number(one, "iae_fixed") for one in parts(summary, "scores")}
     return [replace(score, iae_fixed=fixed.get(score.region)) for score in scores]

@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from retuner.adaptive.decision import Mode, gains_dict
+from retuner.adaptive.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.sample import LoopSample
 from retuner.assembly import make_plant
 from retuner.commands.check import summary
@@ -236,6 +237,7 @@ def _leave(
         config.loop.name, config.loop.pv_unit, before, session.table, scores, list(session.decisions),
         columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
         stopped=config.scenario is not None and not session.finished,
+        advice=[one.sentence for one in advice_of(session)],
     )  # fmt: skip
     write_whole(folder / REPORT, render(data))
     document = {**result(session, scores, ledger, folder), "interrupted": interrupted}
@@ -247,6 +249,12 @@ def _leave(
     screen.console.print(f"{len(session.decisions)} decisions, {len(session.commits)} changes of gains; "
                          f"report: {folder / REPORT}", highlight=False)  # fmt: skip
     screen.console.print(f"ledger head {ledger.head()}", highlight=False)
+
+
+def advice_of(session: Session) -> tuple[RegionAdvice, ...]:
+    """Whether regions should be split or merged, by what their records say."""
+    retuner = session.retuner
+    return region_advice(retuner.table.regions, retuner.beliefs, retuner.settings.sample_time_s, AdviceSettings())
 
 
 def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:
@@ -270,6 +278,7 @@ def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: 
         "gains": [{"region": name, **gains_dict(gains)} for name, gains in
                   zip(session.table.regions.names, session.table.gains, strict=True)],
         "scores": [score.to_dict() for score in scores],
+        "advice": [one.to_dict() for one in advice_of(session)],
         "revision": session.table.revision,
         "ledger_head": ledger.head(),
     }  # fmt: skip

@@ -1,6 +1,6 @@
 """The overview of the regions: the newest that is known of each, and a grid where there are two variables."""
 
-from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED, changed
+from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED
 
 from retuner.region_overview import overview, regions_now
 from retuner.schedule.axis import Axis
@@ -23,8 +23,7 @@ def test_each_region_tells_its_newest_state() -> None:
 
 def test_the_overview_says_what_is_known_borrowed_and_advised() -> None:
     table = GainTable("oven", ROW, (PidGains(2.0, 0.1), PidGains(1.0, 0.05)))
-    split = changed(region_advice={"kind": "split", "reason": "two processes <in> middle"})
-    text = overview(table, [COMMIT, BORROWED, split, RESTORED])
+    text = overview(table, [COMMIT, BORROWED, RESTORED], ["two processes <in> middle"])
     for told in ("nothing yet", "1 undone", "two processes &lt;in&gt; middle", "mode auto"):
         assert told in text
     assert "Settings over both variables" not in text
