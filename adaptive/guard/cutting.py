@@ -62,12 +62,21 @@ def goals(
     turned, cut_by, numbers = _limiting(cuts, request)
     made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
     first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
-    if tau_i_by is None or request.locks.kc or turned:
-        return [first]
-    kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
-    made = _made(wanted.direction, kept, tau_i_cut, tau_d_cut)
-    second = replace(first, gains=made, notes=(*notes, "kc moved with tau_I"))
-    return [second, first] if tau_i_by.ruling is None else [first, second]
+    found = [first]
+    if tau_i_by is not None and not request.locks.kc:
+        kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
+        made = _made(wanted.direction, kept, tau_i_cut, tau_d_cut)
+        second = replace(first, gains=made, notes=(*notes, "kc moved with tau_I"))
+        found = [second, first] if tau_i_by.ruling is None else [first, second]
+    return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
+
+
+def _integral_turned(goal: Goal, in_force: PidGains) -> Goal:
+    """No room for a goal whose cuts leave less integral action where more was wanted, or the other way round."""
+    wanted, left, now = (abs(gains.ki) for gains in (goal.wanted, goal.gains, in_force))
+    if goal.cut_by is None or not (wanted and left and now) or (wanted > now) == (left > now):
+        return goal
+    return replace(goal, no_room=goal.no_room or abs(math.log(left / now)) > SLACK)
 
 
 class _Limits:
@@ -77,41 +86,47 @@ class _Limits:
         self._request, self._settings, self._over = request, settings, over_limit
 
     def kc(self) -> tuple[Bound, Bound]:
-        s, start = self._settings, abs(self._request.commissioned.kp)
+        s, start, now = self._settings, abs(self._request.commissioned.kp), abs(self._request.in_force.kp)
         low = Bound(s.kc_min, "kc_min", Ruling.OUTSIDE_LIMITS)
         high = Bound(s.kc_max, "kc_max", Ruling.OUTSIDE_LIMITS)
-        return self._with_total(low, high, start, down=not self._over, up=True)
+        return self._with_total(low, high, (start, now), down=not self._over, up=True)
 
     def tau_i(self) -> tuple[Bound, Bound]:
-        s, set_ = self._settings, self._request.commissioned
-        floor = s.tau_i_samples * self._request.sample_time_s
+        s = self._settings
+        start, now = (g.kp / g.ki if g.ki else 0.0 for g in (self._request.commissioned, self._request.in_force))
+        floor = min(s.tau_i_samples * self._request.sample_time_s, now or math.inf)
         low = Bound(s.tau_i_min_s, "tau_i_min", Ruling.OUTSIDE_LIMITS)
         if floor > low.value:
             low = Bound(floor, "the sampling time", None)
         high = Bound(s.tau_i_max_s, "tau_i_max", Ruling.OUTSIDE_LIMITS)
-        start = set_.kp / set_.ki if set_.ki else 0.0
-        return self._with_total(low, high, start, down=True, up=not self._over)
+        return self._with_total(low, high, (start, now), down=True, up=not self._over)
 
     def cut_tau_d(self, tau_d: float) -> tuple[float, Bound | None]:
         """A derivative shorter than its least share of the sampling time is left out."""
-        s, set_ = self._settings, self._request.commissioned
+        s = self._settings
         if self._request.locks.tau_d or tau_d == 0.0:
             return tau_d, None
         least = s.tau_d_samples * self._request.sample_time_s
-        start = set_.kd / set_.kp if set_.kp else 0.0
+        start, now = (g.kd / g.kp if g.kp else 0.0 for g in (self._request.commissioned, self._request.in_force))
         high = Bound(s.tau_d_max_s, "tau_d_max", Ruling.OUTSIDE_LIMITS)
         low = Bound(0.0, "nothing", None)
-        now, by = _cut(tau_d, *self._with_total(low, high, start, down=not self._over, up=True))
-        return (0.0, by or Bound(least, "the sampling time", None)) if now < least else (now, by)
+        found, by = _cut(tau_d, *self._with_total(low, high, (start, now), down=not self._over, up=True))
+        return (0.0, by or Bound(least, "the sampling time", None)) if found < least else (found, by)
 
-    def _with_total(self, low: Bound, high: Bound, start: float, *, down: bool, up: bool) -> tuple[Bound, Bound]:
-        """Narrowed by the ratio to the commissioned value, as far as the absolute limits leave room for that."""
-        ratio = self._settings.total_ratio_max
-        if start:
-            if up and start * ratio < high.value:
-                high = Bound(max(start * ratio, low.value), "the commissioned set", Ruling.OUTSIDE_TOTAL)
-            if down and low.value < start / ratio:
-                low = Bound(min(start / ratio, high.value), "the commissioned set", Ruling.OUTSIDE_TOTAL)
+    def _with_total(
+        self, low: Bound, high: Bound, values: tuple[float, float], *, down: bool, up: bool
+    ) -> tuple[Bound, Bound]:
+        """Narrowed by the ratio to the commissioned value, as far as the absolute limits leave room for that.
+
+        values : commissioned and in force. What is in force beyond the ratio may stay there, but go no farther.
+        """
+        start, now = values
+        ratio, name = self._settings.total_ratio_max, "the commissioned set"
+        most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
+        if start and up and most < high.value:
+            high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)
+        if start and down and low.value < least:
+            low = Bound(min(least, high.value), name, Ruling.OUTSIDE_TOTAL)
         return low, high
 
 

@@ -68,11 +68,12 @@ def within_limits(
 
     Parameters
     ----------
-    share : of what the limits allow, above 0, at most 1. less_unlimited : no limit per change towards less action.
+    share : of what the limits allow, above 0, at most 1. less_unlimited : no limit per change towards less action, nor
+        on a tau_I that shortens because kc falls: kc, kc/tau_I and tau_D still grow no faster than they may.
     """
 
     def room(parameter: Parameter, more: bool) -> float:
-        if less_unlimited and not more:
+        if less_unlimited and (not more or parameter is Parameter.TAU_I):
             return math.inf
         return math.log(step_limit(parameter, more=more, settings=settings))
 

@@ -156,7 +156,10 @@ def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
 
 
 def _best(case: _Case, tried: list[Candidate], doubted: bool) -> Verdict | None:
-    """The first candidate that is proved; else, for a loop over its limit, the safest of those that are safer."""
+    """The first candidate that is proved; else, for a loop over its limit, the largest step that makes it safer.
+
+    That step is tried at the slowest tau_c first.
+    """
     s, loops, old = case.settings, case.loops, case.request.in_force
     for candidate in () if doubted else tried:
         factor = change_factor(old, candidate.gains)
@@ -168,11 +171,11 @@ def _best(case: _Case, tried: list[Candidate], doubted: bool) -> Verdict | None:
             return _accepted(case, candidate, Ruling.URGENT if candidate.beyond else Ruling.ACCEPTED)
     if not case.over:
         return None
-    safer = [c for c in reversed(tried) if loops.safer(old, c.gains, c.goal.gains) and _borders_hold(case, c.gains)]
-    if not safer:
-        return None
-    best = min(safer, key=lambda c: (loops.worst(c.gains), loops.nominal(c.gains), -c.share))
-    return _accepted(case, best, Ruling.SAFER)
+    by_safety = sorted(tried, key=lambda c: (not c.beyond, not c.whole, -c.goal.tau_c_s, -c.share))
+    for candidate in by_safety:
+        if loops.safer(old, candidate.gains, candidate.goal.gains) and _borders_hold(case, candidate.gains):
+            return _accepted(case, candidate, Ruling.SAFER)
+    return None
 
 
 def _borders_hold(case: _Case, gains: PidGains) -> bool:

@@ -43,7 +43,8 @@ def limit_checks(
     """Size of the step, ratio to the commissioned set, absolute limits, sampling time.
 
     over_limit : the loop in force is over its Ms limit: the commissioned set does not hold it up from below.
-    urgent : no limit per change towards less action. factor : one limit per change for all, instead of the settings'.
+    urgent : no limit per change towards less action, nor on tau_I. factor : one limit per change for all, in place of
+        the settings'.
     """
     return [
         *_steps(request.in_force, gains, settings, urgent, factor),
@@ -62,7 +63,7 @@ def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor:
         way = after[parameter] - before[parameter]
         more = (way > 0) == MORE_WHEN_LARGER[parameter]
         limit = step_limit(parameter, more=more, settings=s) if factor is None else factor
-        limit = math.inf if urgent and not more else limit
+        limit = math.inf if urgent and (not more or parameter is Parameter.TAU_I) else limit
         value = math.exp(abs(way))
         words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} action"
         found.append(Check(f"step_{parameter.name.lower()}", words, value, limit, value <= limit * (1 + ROUNDING)))
@@ -93,8 +94,9 @@ def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> list[C
     if s.kc_max < math.inf:
         found.append(Check("kc_max", "kc, not more than kc_max", kc, s.kc_max, kc <= s.kc_max * slack))
     if new.kp and new.ki:
-        tau_i = new.kp / new.ki
-        least = max(s.tau_i_min_s, s.tau_i_samples * request.sample_time_s)
+        tau_i, old = new.kp / new.ki, request.in_force
+        before = old.kp / old.ki if old.kp and old.ki else math.inf
+        least = max(s.tau_i_min_s, min(s.tau_i_samples * request.sample_time_s, before))
         found.append(Check("tau_i_min", "tau_I, s, not shorter than its limit", tau_i, least, tau_i * slack >= least))
         if s.tau_i_max_s < math.inf:
             found.append(Check("tau_i_max", "tau_I, s, not longer than its limit", tau_i, s.tau_i_max_s,

@@ -37,8 +37,8 @@ class GuardSettings:
     pattern_step_max : largest factor either way of a change that no model proves; default 1.5.
     total_ratio_max : largest factor of kc, tau_I and tau_D against the commissioned set; default 4 (ABB ECA06).
     kc_min, kc_max : absolute limits on |kc|. tau_i_min_s, tau_i_max_s, tau_d_max_s : of the times, seconds.
-    tau_i_samples, tau_d_samples : least tau_I and tau_D in sampling intervals; defaults 2 and 1 (a shorter derivative
-        is left out).
+    tau_i_samples, tau_d_samples : least tau_I and tau_D in sampling intervals; defaults 1 and 1. A tau_I that is
+        shorter already may stay, a shorter derivative is left out.
     records_min : least records behind a model; default 1. age_max_s : greatest age of the last one; default 30 days.
     smallest_change : changes below this factor are not worth a write; default 1.05. Not for a loop over its limit.
 
@@ -72,7 +72,7 @@ class GuardSettings:
     tau_i_min_s: float = 0.0
     tau_i_max_s: float = math.inf
     tau_d_max_s: float = math.inf
-    tau_i_samples: float = 2.0
+    tau_i_samples: float = 1.0
     tau_d_samples: float = 1.0
     records_min: int = 1
     age_max_s: float = 30 * 86400.0

@@ -43,7 +43,7 @@ class LimitsConfig(Section):
     tau_i_max_s: float | None = _bound("Longest tau_I", "s")
     tau_d_max_s: float | None = _bound("Longest tau_D", "s")
     tau_i_samples: float = setting(
-        "Shortest tau_I in sampling intervals", unit="1", low=0, high=100, default=2.0,
+        "Shortest tau_I in sampling intervals", unit="1", low=0, high=100, default=1.0,
         source="below that the integral moves more in one sample than the gain does",
     )  # fmt: skip
     tau_d_samples: float = setting(

@@ -69,11 +69,14 @@ def test_a_cut_tau_i_leaves_two_ways_and_the_proof_decides() -> None:
 
 def test_below_the_sampling_time_the_integral_action_is_kept_first() -> None:
     old = IdealGains(0.1, 1.0).to_parallel()
-    first, second = cut(IdealGains(0.12, 1.0).to_parallel(), old=old)
-    assert times_of(first.gains) == pytest.approx((0.24, 2.0, 0.0))
-    assert first.gains.ki == pytest.approx(0.12)
-    assert times_of(second.gains) == pytest.approx((0.12, 2.0, 0.0))
+    first, second = cut(IdealGains(0.12, 0.5).to_parallel(), old=old)
+    assert times_of(first.gains) == pytest.approx((0.24, 1.0, 0.0))
+    assert first.gains.ki == pytest.approx(0.24)
+    assert times_of(second.gains) == pytest.approx((0.12, 1.0, 0.0))
     assert first.cut_by is None
+    short = IdealGains(0.1, 0.3).to_parallel()
+    assert times_of(cut(IdealGains(0.12, 0.5).to_parallel(), old=short)[0].gains) == pytest.approx((0.12, 0.5, 0.0))
+    assert times_of(cut(IdealGains(0.12, 0.2).to_parallel(), old=short)[0].gains) == pytest.approx((0.18, 0.3, 0.0))
 
 
 def test_the_commissioned_set_does_not_hold_up_a_loop_over_its_limit() -> None:
@@ -88,13 +91,36 @@ def test_a_limit_that_turns_a_parameter_back_leaves_no_room() -> None:
     (goal,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
     assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
     assert goal.numbers == {"wanted": 2.0, "limit": 0.5}
-    (far,) = cut(IdealGains(2.0, 20.0).to_parallel(), commissioned=IdealGains(0.1, 20.0).to_parallel())
-    assert (far.no_room, far.cut_by) == (True, Ruling.OUTSIDE_TOTAL)
+    (back,) = cut(IdealGains(0.4, 20.0).to_parallel(), GuardSettings(kc_min=2.0))
+    assert (back.no_room, back.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
     (rounded,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))
     assert not rounded.no_room
     (back,) = cut(IdealGains(0.6, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
     assert not back.no_room
     assert back.gains.kp == 0.5
+
+
+def test_what_is_beyond_the_commissioned_set_may_stay_but_go_no_farther() -> None:
+    start = IdealGains(0.1, 20.0, 2.0).to_parallel()
+    old = IdealGains(1.0, 200.0, 20.0).to_parallel()
+    (more,) = cut(IdealGains(2.0, 300.0, 30.0).to_parallel(), old=old, commissioned=start)[:1]
+    assert times_of(more.gains) == pytest.approx((1.0, 200.0, 20.0))
+    assert (more.no_room, more.cut_by) == (False, Ruling.OUTSIDE_TOTAL)
+    (less,) = cut(IdealGains(0.7, 150.0, 10.0).to_parallel(), old=old, commissioned=start)
+    assert times_of(less.gains) == pytest.approx((0.7, 150.0, 10.0))
+    (up,) = cut(IdealGains(0.02, 150.0, 10.0).to_parallel(), old=IdealGains(0.01, 150.0, 10.0).to_parallel(),
+                commissioned=start)  # fmt: skip
+    assert up.gains.kp == pytest.approx(0.02)
+
+
+def test_a_cut_that_turns_the_integral_action_back_leaves_no_room() -> None:
+    """More was wanted of kc and of kc/tau_I; what kc_max leaves of kc makes kc/tau_I less than it is."""
+    old, wanted = IdealGains(1.0, 20.0).to_parallel(), IdealGains(3.0, 40.0).to_parallel()
+    limits = GuardSettings(kc_max=1.2)
+    (goal,) = cut(wanted, limits, old)
+    assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
+    assert not cut(wanted, limits, old, over=True)[0].no_room
+    assert not cut(wanted, GuardSettings(kc_max=2.5), old)[0].no_room
 
 
 def test_no_derivative_allowed_at_all() -> None:
@@ -160,7 +186,7 @@ def test_every_goal_is_inside_whatever_is_asked(
     for goal in cut(IdealGains(kc, tau_i, tau_d).to_parallel(), limits, start, over):
         new_kc, new_tau_i, new_tau_d = times_of(goal.gains)
         assert new_kc <= kc_max * (1 + 1e-9)
-        assert 2.0 * (1 - 1e-9) <= new_tau_i <= tau_i_max * (1 + 1e-9)
+        assert min(1.0, tau_i0) * (1 - 1e-9) <= new_tau_i <= tau_i_max * (1 + 1e-9)
         assert new_tau_d == 0.0 or new_tau_d >= 1.0 * (1 - 1e-9)
         assert new_kc <= 4 * kc0 * (1 + 1e-9)
         assert new_tau_i >= min(tau_i0 / 4, tau_i_max) * (1 - 1e-9)

@@ -72,7 +72,10 @@ def test_only_what_points_to_less_action_is_free_for_an_urgent_step() -> None:
     free = PidGains(0.01, 0.0001)
     assert moved(old, free, less_unlimited=True) == free
     assert moved(old, PidGains(10.0, 0.0001), less_unlimited=True).kp == pytest.approx(2.0)
-    assert moved(old, PidGains(0.01, 0.1), less_unlimited=True).kp == pytest.approx(0.5)
+    assert moved(old, PidGains(0.01, 0.1), less_unlimited=True) == PidGains(0.01, 0.1)  # tau_I follows kc
+    assert moved(old, PidGains(1.0, 10.0), less_unlimited=True).ki == pytest.approx(0.2)
+    steep = moved(PidGains(1.0, 0.1, 1.0), PidGains(0.5, 0.1, 9.0), less_unlimited=True)
+    assert steep.kd / steep.kp == pytest.approx(2.0)
 
 
 def test_a_gain_that_comes_or_goes_takes_the_same_share() -> None:

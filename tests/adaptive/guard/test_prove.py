@@ -260,7 +260,8 @@ def test_nothing_passes_unproved(
 
 
 def assert_within_change_limits(old: PidGains, new: PidGains, limits: GuardSettings, urgent: bool) -> None:
-    for before, after in ((old.kp, new.kp), (old.ki, new.ki), (old.ki / old.kp, new.ki / new.kp)):
+    tau_i = () if urgent else ((old.ki / old.kp, new.ki / new.kp),)
+    for before, after in ((old.kp, new.kp), (old.ki, new.ki), *tau_i):
         assert after / before <= limits.step_up_max * (1 + 1e-9)
         assert urgent or before / after <= limits.step_down_max * (1 + 1e-9)
     assert abs(new.kp) <= limits.total_ratio_max * abs(old.kp) * (1 + 1e-9)
