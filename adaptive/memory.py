@@ -5,6 +5,7 @@ and recogniser stand, and the samples of the response under way. A retuner that 
 byte as the one that was never stopped.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,7 +27,7 @@ VERSION = 4
 
 
 def remember(retuner: Retuner) -> dict[str, object]:
-    """The memory as a dict of plain JSON values (infinities as the string "inf")."""
+    """The memory as a dict of plain JSON values (infinities and NaN as strings)."""
     state = retuner.state()
     watcher = state.watcher
     return {
@@ -84,8 +85,8 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
 
 
 def _numbers_out(values: Sequence[Any] | None) -> list[Any] | None:
-    """A tuple of numbers as JSON can hold it."""
-    return None if values is None else [v if v != float("inf") else "inf" for v in values]
+    """A tuple of numbers as JSON can hold it: what is not finite as a string."""
+    return None if values is None else [v if math.isfinite(v) else str(v) for v in values]
 
 
 def _numbers_in(values: Sequence[Any]) -> list[Any]:

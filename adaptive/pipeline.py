@@ -15,7 +15,14 @@ from retuner.adaptive.belief import Belief
 from retuner.adaptive.change_request import change_request, unproved_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.confirmation import Excitation, is_clear, is_safer_and_known, thinned, unconfirmed
+from retuner.adaptive.diagnosis.confirmation import (
+    Excitation,
+    is_clear,
+    is_safer_and_known,
+    runs_away,
+    thinned,
+    unconfirmed,
+)
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.proposing import without_model
@@ -39,6 +46,7 @@ class Case:
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
     table : gains in force in every region; commissioned : as they were at first. beliefs : what is known, by region.
     standing : an oscillation of this region that was explained before. excitation : what its model rests on.
+    at : the scheduling values at its end.
     """
 
     region: int
@@ -50,11 +58,12 @@ class Case:
     beliefs: Mapping[int, Belief]
     standing: Standing | None = None
     excitation: Excitation = field(default_factory=Excitation)
+    at: tuple[float, float] = (0.0, 0.0)
 
     @property
     def in_force(self) -> PidGains:
-        """The region's gains."""
-        return self.table.gains_of(self.region)
+        """The gains that ran: the region's own, or in an interpolated table the mean at these scheduling values."""
+        return self.table.at(self.region, *self.at)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +123,7 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
     """Learning, unless something else hides under the response; then what is known decides."""
     try:
         known = case.beliefs.get(case.region)
-        learned = learn(known, case.window, case.in_force, settings.tracker, settings.fit)
+        learned = learn(known, case.window, case.in_force, settings.tracker, settings.fit, case.at)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         return Outcome("fit_failed", f"the fit failed: {error}")
     left = learned.estimate.residual_std / learned.estimate.noise_std
@@ -138,9 +147,13 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)
-    agrees, loads = learned.surprise == Surprise.AGREES, len(learned.estimate.load_times_s)
-    clear = is_clear(case.samples, case.response, left, loads, settings.swing)
-    if clear or is_safer_and_known(outcome.verdict.ruling, agrees, excitation):
+    loads, swing = len(learned.estimate.load_times_s), settings.swing
+    sure = is_safer_and_known(outcome.verdict.ruling, learned.surprise == Surprise.AGREES, excitation)
+    if (
+        sure
+        or runs_away(case.response, left, loads, swing)
+        or is_clear(case.samples, case.response, left, loads, swing)
+    ):
         return replace(outcome, belief=belief, excitation=excitation)
     doubt, excitation = unconfirmed(
         case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
@@ -176,20 +189,25 @@ def _without_model(case: Case, learned: Learned, left: float, why: str, settings
     reason = f"{why}; {found.sentence}"
     if found.tuning is None:
         return Outcome(NOT_KNOWN, reason, learned, numbers=found.numbers)
+    stored = case.table.stored_for(case.region, found.tuning.gains, *case.at)
+    if stored is None:
+        return Outcome(NOT_KNOWN, f"{reason}; beside its neighbours' no set of this region puts that in force", learned,
+                       numbers=found.numbers)  # fmt: skip
+    tuning = replace(found.tuning, gains=stored)
     excitation = case.excitation.with_response(case.response)
     if not is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing):
         doubt, excitation = unconfirmed(
             case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
         )
         if doubt is not None:
-            return Outcome("unconfirmed", doubt.reason, learned, None, doubt, found.tuning, excitation=excitation)
+            return Outcome("unconfirmed", doubt.reason, learned, None, doubt, tuning, excitation=excitation)
     tables = (case.table, case.commissioned)
-    verdict = prove(unproved_request(found.tuning, case.region, tables, settings), settings.guard)
+    verdict = prove(unproved_request(tuning, case.region, tables, settings), settings.guard)
     return Outcome(
         verdict.code,
         reason if verdict.accepted else verdict.sentence,
         learned,
-        proposal=found.tuning,
+        proposal=tuning,
         basis=found.basis,
         verdict=verdict,
         excitation=excitation,

@@ -248,6 +248,7 @@ class Retuner:
             self.beliefs,
             self.standing.get(seen.region),
             self.excitation.get(seen.region, Excitation()),
+            w.scheduled,
         )
 
     def _decision(
