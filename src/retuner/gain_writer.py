@@ -26,7 +26,9 @@ INTERPOLATION_STEP = 1.02
 RETRY_SAMPLES = 30
 """Samples to wait after a refused or failed write before the schedule asks again."""
 RESTORE_RETRY_SAMPLES = 5
-"""Sample times to wait after a refused or failed write of the verified set before it is tried again."""
+"""Sample times to wait after a refused or failed write of the verified set before it is tried again, doubled each time"""
+RESTORE_DOUBLINGS = 5
+"""and so many times at the most."""
 HOLD_SAMPLES = 30
 """Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
 
@@ -67,6 +69,7 @@ class GainWriter:
         self._pending: Wanted | None = None
         self._retry_at_s = self._hold_until_s = 0.0
         self._restore_at_s = float("-inf")
+        self._refusals = 0  # of the verified set, in a row
         self._holding = ""
 
     @property
@@ -182,6 +185,8 @@ class GainWriter:
         body = {"regions": [self._name(region) for region in regions], "gains": gains_dict(running.gains),
                 "sequence": running.seq, "crc": running.crc}  # fmt: skip
         self._record("restored", self.t_s, body)
+        self._refusals = 0
+        self._restore_at_s = float("-inf")
         self.retuner.restored()
         for region in regions:
             if desk.phase(region) == TrialPhase.LOCKED:
@@ -217,7 +222,9 @@ class GainWriter:
     ) -> None:
         """A write that did not come about. written : something else than before runs."""
         self.wait()
-        self._restore_at_s = now_s + self._span_s(RESTORE_RETRY_SAMPLES)
+        if wanted.why == Why.RESTORE:
+            self._restore_at_s = now_s + self._span_s(RESTORE_RETRY_SAMPLES << min(self._refusals, RESTORE_DOUBLINGS))
+            self._refusals += 1
         body = {"why": wanted.why, "region": self._name(wanted.region), "reason": reason,
                 "running": gains_dict(running) if running else None, "unchanged": not written}  # fmt: skip
         self._record("refused", self.t_s, body)

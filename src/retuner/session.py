@@ -64,7 +64,7 @@ class Session:
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._stopping = ""
         self._ends_at_s: float | None = None  # when patience is over, once the end has begun
-        self._over = False
+        self._over = self._told = False
 
     @property
     def table(self) -> GainTable:
@@ -193,6 +193,12 @@ class Session:
             self._abort(TrialEvent.STOPPED)
         if now_s >= self._ends_at_s and not self._over and not self.finished:
             self._over = True
+            self.tell_what_is_open()
+
+    def tell_what_is_open(self) -> None:
+        """Record that the session ends without knowing that the verified set runs, if it is so."""
+        if not self._told and (self.writer.open or self.writer.restoring):
+            self._told = True
             running = self.device.running
             names = self.table.regions.names
             body = {"regions": [names[region] for region in self.retuner.desk.restoring],
