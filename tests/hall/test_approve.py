@@ -11,6 +11,7 @@ import pytest
 
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
 from retuner.commands import run as run_command
 from retuner.config import load_config
@@ -39,7 +40,11 @@ class Person:
         if not when(session, sample):
             return
         self.orders.pop(0)
-        if what == "approve":
+        if what == "manual":
+            session.device.send_mode(auto=False, co=30.0, now_s=sample.t_s)
+        elif what == "auto":
+            session.device.send_mode(auto=True, co=0.0, now_s=sample.t_s)
+        elif what == "approve":
             asked = session.decisions[-1].digest()[:8]
             self.statuses.append(main(["approve", str(self.folder), asked, *BY]))
         else:
@@ -109,6 +114,34 @@ def test_the_way_back_is_taken_and_replayed(with_person: Any, capsys: pytest.Cap
     assert any(row["gains"]["kp"] == pytest.approx(first["gains_before"]["kp"]) for row in last[1:])
     assert main(["replay", str(folder)]) == 0
     assert "identical" in capsys.readouterr().out
+
+
+def on_trial(session: Session, sample: LoopSample) -> bool:
+    return written(session, sample) and session.retuner.desk.phase(0) == TrialPhase.TRIAL
+
+
+def in_manual(session: Session, sample: LoopSample) -> bool:
+    del sample
+    return session.retuner.desk.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
+
+
+def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(
+    with_person: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = with_person([("approve", advised), ("manual", on_trial), ("auto", in_manual)])
+    decisions = bodies(folder, "decision")
+    codes = [d["code"] for d in decisions]
+    assert codes.index("approved") < codes.index("undo_manual")
+    undone = decisions[codes.index("undo_manual")]
+    assert undone["action"] == "restore"
+    assert undone["gains_after"]["kp"] == pytest.approx(5.0)
+    restored = bodies(folder, "restored")
+    assert restored[0]["gains"]["kp"] == pytest.approx(5.0)
+    capsys.readouterr()
+    first = main(["replay", str(folder), "--json"]), capsys.readouterr().out
+    assert first[0] == 0
+    assert json.loads(first[1])["compared"] == len(decisions)
+    assert (main(["replay", str(folder), "--json"]), capsys.readouterr().out) == first
 
 
 def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(
