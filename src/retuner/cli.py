@@ -86,13 +86,14 @@ def run(
     mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None,
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True,
+    pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False,
     json: Json = False,
 ) -> int:
     """Watch a loop, retune it over CAN, and leave a report."""
     from retuner.commands.run import RunOptions
     from retuner.commands.run import run as work
 
-    return work(config, RunOptions(interface, channel, speed, mode, out, compare, json))
+    return work(config, RunOptions(interface, channel, speed, mode, out, compare, json, pretune))
 
 
 @app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")

@@ -17,7 +17,8 @@ BY = {
     "foreign": "somebody else", "foreign_host": "another host", "lease": "another host", "conflict": "two controllers",
 }  # fmt: skip
 """Who stands behind a row, where it does not say so itself."""
-HIDDEN = {"samples", "gains", "before", "reason", "region", "why", "by", "decision", "proposal", "crc", "running"}
+HIDDEN = {"samples", "gains", "before", "reason", "region", "why", "by", "decision", "proposal", "crc", "running",
+          "record"}  # fmt: skip
 """Values of other rows that have a column of their own, or say nothing to a person."""
 
 

@@ -7,10 +7,14 @@ the way back, a line a kind of row; a kind that is not here told the retuner not
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from retuner.adaptive.by_order import accept, approve, revert, unlock
 from retuner.adaptive.decision import Decision
+from retuner.adaptive.pretune import pretune
 from retuner.adaptive.proposal import Proposal
 from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.sample import Window
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.schedule.gains import PidGains
 
@@ -33,6 +37,8 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
             return retuner.abort(TrialEvent[str(body["cause"]).upper()])
         case "restored", _:
             retuner.restored()
+        case "pretune", _:
+            return pretune(retuner, retuner.table.index(str(body["region"])), record_of(body["record"]))
         case "order", _:
             return _order(retuner, body, t_s) if body["accepted"] and body["due"] else None
         case _:
@@ -55,6 +61,11 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
         case _:
             pass
     return None
+
+
+def record_of(body: Mapping[str, Any]) -> Window:
+    """The record of a commanded step as rows keep it; errors as Window."""
+    return Window(*(np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co")))
 
 
 def gains_of(body: Mapping[str, Any]) -> PidGains:

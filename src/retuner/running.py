@@ -17,11 +17,13 @@ from retuner.assembly import device_settings, link_settings, make_plant, make_re
 from retuner.config import Config
 from retuner.drivers.bus import CanLink
 from retuner.drivers.can_device import CanDevice
+from retuner.drivers.can_settings import OWNERS
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.device_process import DeviceOnBus
 from retuner.drivers.virtual_device import VirtualDevice
 from retuner.order_desk import OrderDesk, left_before
 from retuner.orders import OrderBox
+from retuner.pretuning import LOG_PREFIX, Pretuning
 from retuner.scenario import ScenarioPlayer
 from retuner.session import Recorder, Session
 from retuner.stopping import unstoppable
@@ -29,6 +31,8 @@ from retuner.stopping import unstoppable
 POLLS_PER_SAMPLE = 4
 """In real time the host looks at least this often per sample, even when no frame wakes it."""
 _channels = itertools.count()
+FirstTurns = Callable[[CanLink, SimulatedClock, Callable[[], None]], None]
+"""What is done on a virtual bench before the host: it is given a link, the clock, and a turn of the device."""
 
 
 def nothing(kind: str, t_s: float, body: object) -> None:
@@ -38,18 +42,28 @@ def nothing(kind: str, t_s: float, body: object) -> None:
 
 @contextmanager
 def virtual_bench(
-    config: Config, log: Path | None = None
+    config: Config, log: Path | None = None, first: FirstTurns | None = None
 ) -> Iterator[tuple[CanLink, SimulatedClock, Callable[[], None]]]:
     """The configured virtual device on a bus of its own in this process, in simulated time.
 
     Yields the host's link, the clock, and `turn`: the device takes in what came and makes a sample.
+    first : is given a link with a log of its own, clock and a turn, before the host's link opens.
     """
     clock = SimulatedClock()
     settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
     device = VirtualDevice(virtual_device_settings(config), make_plant(config))
-    with CanLink(settings, clock) as far, CanLink(settings, clock, log) as near:
+    with CanLink(settings, clock) as far:
         on_bus = DeviceOnBus(device, far)
-        yield near, clock, on_bus.sample
+        if first is not None:
+            with CanLink(settings, clock, _before(log)) as link:
+                first(link, clock, on_bus.sample)
+        with CanLink(settings, clock, log) as near:
+            yield near, clock, on_bus.sample
+
+
+def _before(log: Path | None) -> Path | None:
+    """The log of what happens on the bus before a session."""
+    return None if log is None else log.with_name(LOG_PREFIX + log.name)
 
 
 def to_the_end(session: Session, once: Callable[[], None]) -> None:
@@ -62,8 +76,11 @@ def to_the_end(session: Session, once: Callable[[], None]) -> None:
     except KeyboardInterrupt:
         if session.samples:
             session.stop("stopped by the user")
-            while not session.finished:
-                once()
+            try:
+                while not session.finished:
+                    once()
+            finally:
+                session.tell_what_is_open()
         raise
 
 
@@ -74,13 +91,13 @@ class Run:
     ----------
     config : what to run. record : keeps rows for good. mode : overrides the configured one. log : file for bus traffic.
     on_sample : told of every sample and of the session, for progress. folder : of the session, where people put orders;
-    before : that of the session which was there before and may have left some.
+    before : that of the session which was there before and may have left some. tell : says a line to the user.
     """
 
     def __init__(
         self, config: Config, record: Recorder, *, mode: Mode | None = None, log: Path | None = None,
         on_sample: Callable[[Session, LoopSample], None] | None = None,
-        folder: Path | None = None, before: Path | None = None,
+        folder: Path | None = None, before: Path | None = None, tell: Callable[[str], None] | None = None,
     ) -> None:  # fmt: skip
         self.config = config
         self.mode = mode
@@ -88,6 +105,7 @@ class Run:
         self._log = log
         self._on_sample = on_sample
         self._folder, self._before = folder, before
+        self._pretuning = Pretuning(config, record, tell) if config.adaptation.pretune else None
         self.session: Session | None = None
 
     def simulated(self) -> Session:
@@ -112,7 +130,8 @@ class Run:
     @contextmanager
     def _bench(self) -> Iterator[tuple[Session, SimulatedClock, Callable[[], None]]]:
         """The host's session on a virtual bench."""
-        with virtual_bench(self.config, self._log) as (near, clock, turn):
+        first = self._pretune_simulated if self._pretuning else None
+        with virtual_bench(self.config, self._log, first) as (near, clock, turn):
             session = self._session(near)
 
             def turn_and_tell() -> None:
@@ -132,6 +151,10 @@ class Run:
             The bus does not open, or nobody (or the wrong one) answers at first.
         """
         clock: Clock = MonotonicClock(speed)
+        if self._pretuning is not None:
+            with CanLink(link_settings(self.config, speed), clock, _before(self._log)) as link:
+                pause_s = self.config.loop.sample_time_s / POLLS_PER_SAMPLE
+                self._pretune(link, clock, lambda: link.wait_until(clock.now_s() + pause_s), speed)
         with CanLink(link_settings(self.config, speed), clock, self._log) as link:
             session = self._session(link, speed)
 
@@ -147,6 +170,32 @@ class Run:
                 session.device.release(clock.now_s())
             return session
 
+    def _pretune_simulated(self, link: CanLink, clock: SimulatedClock, sample: Callable[[], None]) -> None:
+        """The commanded step on the virtual bench: nobody may interrupt what device and host share."""
+
+        def turn() -> None:
+            with unstoppable():
+                clock.advance(self.config.loop.sample_time_s)
+                sample()
+
+        self._pretune(link, clock, turn)
+
+    def _pretune(self, link: CanLink, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
+        """The commanded step before the session, on a link of its own."""
+        assert self._pretuning is not None
+        settings = device_settings(self.config, speed)
+        settings = replace(settings, owner=settings.owner % OWNERS + 1)  # its lease is counted by itself
+        device = CanDevice(link, settings)
+
+        def turned() -> float:
+            turn()
+            return clock.now_s()
+
+        try:
+            self._pretuning.conduct(device, settings.silent_s, turned)
+        finally:
+            device.release(clock.now_s())
+
     def _session(self, link: CanLink, speed: float = 1.0) -> Session:
         """The host's side on an open link."""
         device = CanDevice(link, device_settings(self.config, speed))
@@ -157,6 +206,8 @@ class Run:
                 OrderBox(self._folder), retuner, self._record, session.decisions, self.config.adaptation.approval_s,
                 left_before(self._before),
             ).take  # fmt: skip
+        if self._pretuning is not None:
+            session.orders = self._pretuning.decisions(retuner, session.orders)
         self.session = session
         return session
 

@@ -37,7 +37,7 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
 
 
 def session_identity(
-    config: Config, text: str, changes: Mapping[tuple[str, str], str]
+    config: Config, text: str, changes: Mapping[tuple[str, str], str | bool]
 ) -> tuple[str, dict[str, object]]:
     """The configuration as it is run, as text, and what a session's first row says of all that it is made with.
 

@@ -14,6 +14,7 @@ from retuner.console import RunScreen
 from retuner.drivers.device import DeviceError
 from retuner.errors import UserError, user_input
 from retuner.experiment.bench import Bench, live, simulated
+from retuner.experiment.defaults import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
 from retuner.experiment.findings import Question
 from retuner.experiment.on_demand import OnDemandExperiment
 from retuner.experiment.outcome import RECORD
@@ -21,13 +22,6 @@ from retuner.ledger import Ledger
 from retuner.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
 from retuner.real_time import real_time_speed
 from retuner.stopping import stoppable
-
-DEFAULT_SHARE = 0.05
-"""Amplitude as a share of the range of co (step, relay) or pv (setpoint) unless it is given."""
-DEFAULT_DEVIATION = 0.2
-"""pv may go this share of its range away from rest unless another deviation is given."""
-DEFAULT_SAMPLES, REST_WAIT_SAMPLES = 2000, 300
-"""Time limits of the excitation and of the wait for rest, in samples, unless they are given."""
 
 
 @dataclass(frozen=True, slots=True)

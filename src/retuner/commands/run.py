@@ -58,6 +58,7 @@ class RunOptions:
     out: Path | None = None
     compare: bool = True
     as_json: bool = False
+    pretune: bool = False
 
 
 def run(path: Path, options: RunOptions) -> int:
@@ -134,7 +135,7 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
 
     record = _recorder(ledger, screen, lambda: job_run.session)
     job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample,
-                       folder=job.folder, before=job.fresh.moved)  # fmt: skip
+                       folder=job.folder, before=job.fresh.moved, tell=screen.say)  # fmt: skip
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
     session, interrupted = _play(job, job_run)
     end = {"interrupted": interrupted, "bus_log": BUS_LOG, "bus_log_sha256": file_sha256(job.folder / BUS_LOG)}
@@ -160,7 +161,7 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
     """
     options = job.options
     named = {("adaptation", "mode"): options.mode, ("bus", "interface"): options.interface,
-             ("bus", "channel"): options.channel}  # fmt: skip
+             ("bus", "channel"): options.channel, ("adaptation", "pretune"): options.pretune or None}  # fmt: skip
     changes = {place: value for place, value in named.items() if value is not None}
     text, identity = session_identity(job.config, job.text, changes)
     body = {"config": summary(job.config), "retuner": version("retuner"), **identity, "samples": 0}
@@ -179,7 +180,9 @@ def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session |
         try:
             ledger.append(kind, {**body, "samples": session.samples if session else 0}, t_s)
         except LedgerError as error:  # an alarm; the controller goes on with what it runs
-            if session is not None and not session.frozen:
+            if session is None:
+                raise
+            if not session.frozen:
                 session.freeze(str(error))
                 screen.say(f"{error}; nothing more is changed, and the run ends")
             return
@@ -285,8 +288,10 @@ def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: 
 
 
 def overridden(config: Config, options: RunOptions) -> Config:
-    """The configuration with the bus that the command line names."""
+    """The configuration with the bus that the command line names, and its pretune."""
     named = {"interface": options.interface, "channel": options.channel}
+    if options.pretune:
+        config = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
     changes = {name: value for name, value in named.items() if value is not None}
     if not changes:
         return config

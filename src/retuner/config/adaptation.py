@@ -81,6 +81,14 @@ class AdaptationConfig(Section):
         "Changes undone in a row after which a region is locked until a person unlocks it", unit="changes", low=1,
         high=20, default=3, source="what fails three times is not a matter of gains",
     )  # fmt: skip
+    pretune: bool = setting(
+        "Before a run: first model and settings from a commanded step of co, the loop put back as it was", unit="-",
+        default=False, source="no test signal unless somebody says so",
+    )  # fmt: skip
+    pretune_step_pct: float | None = setting(
+        "That step, negative for down; absent: 5 % of the range of co", unit="%", low=-50, high=50, default=None,
+        source="user",
+    )  # fmt: skip
     noise_band: float | None = setting(
         "Noise band of pv; absent: estimated from the data", unit="pv", above=0, high=1e9, default=None, source="user"
     )

@@ -13,7 +13,7 @@ from retuner.config.model import Config
 from retuner.config.toml_lines import toml_lines
 
 
-def text_as_run(text: str, config: Config, changes: Mapping[tuple[str, str], str]) -> str:
+def text_as_run(text: str, config: Config, changes: Mapping[tuple[str, str], str | bool]) -> str:
     """The text of a configuration with some settings changed.
 
     Parameters
@@ -29,7 +29,7 @@ def text_as_run(text: str, config: Config, changes: Mapping[tuple[str, str], str
     return text if same else written_out(config)
 
 
-def _with_setting(text: str, section: str, key: str, value: str) -> str:
+def _with_setting(text: str, section: str, key: str, value: str | bool) -> str:
     """The text with one setting replaced on its line, or put under its section's header, or at the end."""
     places = toml_lines(text)
     lines = text.split("\n")

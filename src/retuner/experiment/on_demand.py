@@ -9,7 +9,6 @@ from pathlib import Path
 
 import typer
 
-from retuner.adaptive.decision import gains_dict
 from retuner.adaptive.experiments.phases import Cause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.sample import LoopSample, Window
@@ -197,6 +196,4 @@ class OnDemandExperiment:
     def _before_text(self) -> str:
         """The old state in words."""
         before = self._conductor.before
-        if before is None:
-            return "the state of before"
-        return f"gains {gains_dict(before.gains)}, sp {before.sp:g}, mode {'auto' if before.mode else 'manual'}"
+        return before.words if before else "the state of before"

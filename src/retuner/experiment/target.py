@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from retuner.adaptive.decision import gains_dict
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest, relay_output
 from retuner.adaptive.guard import change_factor
@@ -26,6 +27,11 @@ class Before(NamedTuple):
     sp: float
     mode: int
     co: float
+
+    @property
+    def words(self) -> str:
+        """For a person who has to bring it back by hand."""
+        return f"gains {gains_dict(self.gains)}, sp {self.sp:g}, mode {'auto' if self.mode else 'manual'}"
 
 
 class Target(NamedTuple):
