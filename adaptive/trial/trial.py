@@ -90,8 +90,8 @@ def _seen_in(body: Mapping[str, Any] | None) -> WatchState | None:
     """And back."""
     if body is None:
         return None
-    since = body["since_s"]
+    at = {name: math.inf if value is None else float(value) for name, value in body.items()}
     return WatchState(
-        float(body["sp"]), float(body["extreme"]), float(body["last"]), int(body["grown"]), int(body["stayed"]),
-        int(body["limit"]), int(body["swings"]), math.inf if since is None else float(since),
+        at["sp"], at["extreme"], at["last"], int(at["grown"]), int(at["stayed"]), int(at["limit"]), int(at["swings"]),
+        at["since_s"], at["wave_s"], at["inside_s"],
     )  # fmt: skip

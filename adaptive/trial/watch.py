@@ -8,7 +8,8 @@ Half waves of the error beyond twice the noise band are followed; r is the ratio
     limit to limit, limit_swings times RUNAWAY   the output goes back and forth between its limits
     at one limit for limited_s         SATURATED the trial shows nothing of the gains
 
-All counts begin anew with a setpoint change. `grows` and `stays` are never below what was promised, nor below what
+All counts begin anew with a setpoint change, and after a rest: when the error kept to its band for longer than the half
+wave before took, what comes is another upset. `grows` and `stays` are never below what was promised, nor below what
 the gains before did on the best model: then undoing would be no cure. Six comparisons a sample.
 """
 
@@ -41,7 +42,8 @@ class WatchLaw(NamedTuple):
 class WatchState(NamedTuple):
     """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
     how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
-    output stands at one (infinite when it does not).
+    output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
+    is back in its band (infinite when it is not).
     """
 
     sp: float
@@ -52,6 +54,8 @@ class WatchState(NamedTuple):
     limit: int
     swings: int
     since_s: float
+    wave_s: float = math.inf
+    inside_s: float = math.inf
 
 
 def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> WatchLaw:
@@ -82,8 +86,8 @@ def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> 
         return state, TrialEvent.SATURATED
     e = sample.sp - sample.pv
     if abs(e) <= SEEN_BANDS * band:
-        return state, None
-    state = _follow(law, state, e)
+        return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
+    state = _follow(law, _rested(state, sample), e, sample.t_s)
     growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))
     runs = growing >= TWICE or state.stayed >= law.stays_for
     return state, TrialEvent.RUNAWAY if runs else None
@@ -98,11 +102,21 @@ def _at_limits(state: WatchState, sample: LoopSample) -> WatchState:
     return state._replace(limit=sample.limited, swings=state.swings + (state.limit != 0), since_s=sample.t_s)
 
 
-def _follow(law: WatchLaw, state: WatchState, e: float) -> WatchState:
+def _rested(state: WatchState, sample: LoopSample) -> WatchState:
+    """Out of the band again: after a rest, half waves are counted anew."""
+    rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
+    if rest_s > wave_s:
+        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0)
+    return state._replace(inside_s=math.inf)
+
+
+def _follow(law: WatchLaw, state: WatchState, e: float, t_s: float) -> WatchState:
     """The half wave under way goes on, or a new one begins on the other side."""
-    if e * state.extreme >= 0:
+    if state.extreme == 0:
+        return state._replace(extreme=e, wave_s=t_s)
+    if e * state.extreme > 0:
         return state._replace(extreme=e) if abs(e) > abs(state.extreme) else state
     ratio = abs(state.extreme / state.last) if state.last else 0.0
     grown = state.grown + 1 if ratio >= law.grows else 0
     stayed = state.stayed + 1 if ratio >= law.stays else 0
-    return state._replace(extreme=e, last=state.extreme, grown=grown, stayed=stayed)
+    return state._replace(extreme=e, last=state.extreme, grown=grown, stayed=stayed, wave_s=t_s)

@@ -26,7 +26,7 @@ INTERPOLATION_STEP = 1.02
 RETRY_SAMPLES = 30
 """Samples to wait after a refused or failed write before the schedule asks again."""
 RESTORE_RETRY_SAMPLES = 5
-"""Sample times to wait after a refused or failed write of the verified set before it is tried again, doubled each time"""
+"""Sample times to wait after a refused write of the verified set before it is tried again; doubled each time,"""
 RESTORE_DOUBLINGS = 5
 """and so many times at the most."""
 HOLD_SAMPLES = 30

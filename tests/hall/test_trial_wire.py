@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -13,6 +15,7 @@ from wire import FOREIGN, GOOD, OTHER, Wire, is_telemetry
 from retuner.adaptive.decision import Action, Mode
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.checksum import to_wire
+from retuner.running import to_the_end
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
@@ -243,3 +246,52 @@ def test_the_verified_set_is_written_again_and_again_until_it_runs(make_wire: Ca
     wire.device.pages._box = box
     wire.until(P.COOLING)
     assert wire.runs == to_wire(GOOD)
+
+
+STORY = st.lists(
+    st.tuples(st.sampled_from(["ask", "pass", "cool", *CAUSES]), st.integers(1, 40)), min_size=1, max_size=6
+)
+
+
+@settings(max_examples=12, deadline=None)
+@given(STORY)
+def test_any_story_ends_on_the_verified_old_or_the_confirmed_new_set(story: list[tuple[str, int]]) -> None:
+    wire = Wire(lock_out_after=20, cool_down_s=0.0, timeout_s=200.0)
+    verified, number = {to_wire(GOOD)}, 0
+    try:
+        for event, samples in story:
+            if event == "ask" and wire.desk.may_change(0, wire.clock.now_s()) and not wire.asked:
+                number += 1
+                wire.ask(PidGains((2 + number) * GOOD.kp, (2 + number) * GOOD.ki))
+            elif event == "pass" and wire.desk.event(0, TrialEvent.PASSED, wire.clock.now_s()):
+                verified = {wire.runs}
+            elif event == "cool":
+                wire.desk.event(0, TrialEvent.COOLED, wire.clock.now_s())
+            elif event in CAUSES:
+                CAUSES[event](wire)
+            wire.run(samples)
+        wire.run(20)
+        wire.end()
+        assert to_wire(wire.session.retuner.table.gains_of(0)) in verified
+        assert not wire.desk.busy
+        if not wire.session.frozen:
+            assert wire.runs in verified
+    finally:
+        wire.close()
+
+
+def test_ctrl_c_takes_the_change_back_first_and_a_second_one_does_not_wait(make_wire: Callable[..., Wire]) -> None:
+    for times, ends_on in ((1, GOOD), (2, NEW)):
+        wire = make_wire()
+        into(wire, P.TRIAL)
+        left = [times]
+
+        def once(wire: Wire = wire, left: list[int] = left) -> None:
+            if left[0]:
+                left[0] -= 1
+                raise KeyboardInterrupt
+            wire.run(1)
+
+        with pytest.raises(KeyboardInterrupt):
+            to_the_end(wire.session, once)
+        assert wire.runs == to_wire(ends_on)

@@ -71,6 +71,20 @@ def test_loads_that_come_now_and_then_and_grow_are_no_swing() -> None:
             assert found is None
 
 
+def test_what_comes_after_a_rest_is_another_upset() -> None:
+    state, found = watch_begin(0.0), None
+    errors = [0.5] * 5 + [-0.6] * 5 + [0.0] * 12 + [3.0] * 5  # two half waves of five samples, a longer rest, a load
+    for i, e in enumerate(errors):
+        state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
+        assert found is None
+    state = watch_begin(0.0)
+    for i, e in enumerate([0.5] * 5 + [-0.6] * 5 + [0.0] * 3 + [3.0] * 5):
+        state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
+        if found is not None:
+            break
+    assert found == TrialEvent.RUNAWAY
+
+
 def test_a_new_setpoint_begins_anew() -> None:
     rig, state = Rig(GOOD), watch_begin(0.0)
     for size in (5.0, -10.0, 20.0, -40.0, 80.0):

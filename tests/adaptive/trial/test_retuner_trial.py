@@ -1,0 +1,117 @@
+"""The retuner with its trial desk: what samples tell ends a trial by itself, and the response under way teaches."""
+
+import json
+from collections.abc import Iterator
+
+import pytest
+from rig import BAD, GOOD, PROMISE, Rig
+
+from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.memory import remember, restore
+from retuner.adaptive.pipeline import Outcome
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.sample import LoopMode
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+P, E = TrialPhase, TrialEvent
+NEW = BAD["kc x4"]
+
+
+class Stand:
+    """A loop at rest, its retuner, and a change that has just been committed."""
+
+    def __init__(self, new: PidGains = NEW, mode: Mode = Mode.AUTO) -> None:
+        table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (GOOD,))
+        self.retuner = Retuner(table, RetunerSettings(1.0, 100.0, mode, band=0.1))
+        self.rig = Rig(GOOD, noise=0.02)
+        assert list(self.run(60)) == []
+        made = self.retuner.ordered(0, Outcome("injected", "for a test"), new, PROMISE)
+        assert made.action is Action.COMMIT
+        assert self.retuner.desk.phase(0) is P.WRITING
+        self.retuner.committed(0, new)
+        self.rig.change(new)
+        assert self.retuner.desk.phase(0) is P.TRIAL
+
+    def run(self, samples: int) -> Iterator[Decision]:
+        for sample in self.rig.run(samples):
+            decision = self.retuner.observe(sample)
+            if decision is not None:
+                yield decision
+
+
+def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teaches() -> None:
+    stand = Stand()
+    assert list(stand.run(40)) == []
+    stand.rig.sp = 5.0
+    decision = next(stand.run(100))
+    assert decision.action is Action.RESTORE
+    assert decision.code == "undo_runaway"
+    assert (decision.gains_before, decision.gains_after) == (NEW, GOOD)
+    assert decision.promise == PROMISE
+    assert stand.retuner.table.gains == (GOOD,)
+    assert decision.response is not None
+    assert decision.response.ending.name == "UNDONE"
+    assert 0 in stand.retuner.beliefs
+    assert stand.retuner.beliefs[0].log.model().theta_s == pytest.approx(5.0, rel=0.2)
+    assert json.loads(decision.canonical())["trial"] == "restoring the verified set"
+
+
+def test_a_gap_or_manual_mode_ends_the_trial() -> None:
+    stand = Stand()
+    sample = next(stand.rig.run(1))
+    decision = stand.retuner.observe(sample._replace(t_s=sample.t_s + 9.0))
+    assert decision is not None
+    assert decision.code == "undo_lost_telemetry"
+    stand = Stand()
+    decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
+    assert decision is not None
+    assert decision.code == "undo_manual"
+    assert stand.retuner.table.gains == (GOOD,)
+
+
+def test_what_happens_outside_ends_the_trial_once() -> None:
+    stand = Stand()
+    decision = stand.retuner.abort(E.LINK_LOST)
+    assert decision is not None
+    assert decision.action is Action.RESTORE
+    assert "the link was lost" in decision.reason
+    assert stand.retuner.abort(E.LINK_LOST) is None
+    assert stand.retuner.table.gains == (GOOD,)
+    stand.retuner.committed(0, NEW)  # the write that was given up comes through after all
+    assert stand.retuner.table.gains == (GOOD,)
+    assert stand.retuner.restored() == (0,)
+    assert stand.retuner.desk.phase(0) is P.COOLING
+
+
+def test_what_was_not_written_leaves_everything_as_it_was() -> None:
+    stand = Stand()
+    stand.retuner.abort(E.STOPPED)
+    stand.retuner.restored()
+    stand.retuner.desk.event(0, E.COOLED, 0.0)
+    stand.retuner.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE)
+    revision = stand.retuner.table.revision
+    stand.retuner.not_written(0)
+    assert stand.retuner.desk.phase(0) is P.IDLE
+    assert stand.retuner.table.revision == revision
+
+
+def test_a_change_is_held_while_another_is_on_trial() -> None:
+    stand = Stand()
+    made = stand.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
+    assert made.action is Action.NONE
+    assert made.code == "held_trial"
+
+
+def test_a_restart_of_the_host_in_mid_trial_loses_nothing() -> None:
+    stand, twin = Stand(), Stand()
+    for one in (stand, twin):
+        one.rig.load = 10.0
+        assert list(one.run(25)) == []
+    memory = json.loads(json.dumps(remember(stand.retuner), allow_nan=False))
+    stand.retuner = restore(memory, stand.retuner.settings)
+    assert stand.retuner.desk.to_dict() == twin.retuner.desk.to_dict()
+    assert next(stand.run(100)).canonical() == next(twin.run(100)).canonical()
