@@ -186,9 +186,9 @@ class CanDevice:
         if verdict is Belief.FIRST:
             self._joiner.set_reference(self._belief.boot_sample)
         if verdict is Belief.RESTARTED:
-            self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            gap = self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
             self._requests.on_restart()
-            self._events.append(DeviceRestarted(self._belief.epoch or 0, running))
+            self._events.append(DeviceRestarted(self._belief.epoch or 0, running, gap))
         if self.phase is ConnectPhase.READING:
             self.phase, self._contact.made = ConnectPhase.CONNECTED, True
             self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))

@@ -87,10 +87,11 @@ class LinkChanged:
 
 @dataclass(frozen=True, slots=True)
 class DeviceRestarted:
-    """The device has booted; running is the set that it runs now, as read back."""
+    """The device has booted; running is the set that it runs now, as read back; gap : samples over which time went."""
 
     epoch: int
     running: RunningSet
+    gap: int = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,8 @@ so the questions of the host that was there are overheard. Two ways to listen:
   - as a bystander, with a log from anywhere: telemetry counts as soon as a heartbeat has told the full counter.
 """
 
+from collections.abc import Iterable
+
 import can
 
 from retuner.drivers import frames
@@ -25,7 +27,8 @@ class Overhearing:
     Parameters
     ----------
     node : of the controller. sample_time_s : of the controller, s. variable : what goes into LoopSample.x.
-    as_host : listen as the host that recorded the log, see the head of this file.
+    as_host : listen as the host that recorded the log, see the head of this file. gaps : samples over which time went
+    on at each restart of the device, as the host had it; without them the log's own times tell.
 
     Raises
     ------
@@ -34,8 +37,9 @@ class Overhearing:
     """
 
     def __init__(
-        self, node: int, sample_time_s: float, variable: str | ScheduleInputs = "sp", *, as_host: bool = True
-    ) -> None:
+        self, node: int, sample_time_s: float, variable: str | ScheduleInputs = "sp", *, as_host: bool = True,
+        gaps: Iterable[int] = (),
+    ) -> None:  # fmt: skip
         self._codec = Codec(node)
         self._reader = PageReader()
         self._belief = RunningBelief(node)
@@ -43,6 +47,7 @@ class Overhearing:
         self._sample_time_s, self._as_host = sample_time_s, as_host
         self._identified = self._connected = not as_host
         self._sample_s = 0.0
+        self._gaps = iter(gaps)
         self.frames = 0
         """Frames of this node so far, whatever their direction."""
 
@@ -110,6 +115,10 @@ class Overhearing:
         if verdict is Belief.FIRST and self._as_host:
             self._joiner.set_reference(self._belief.boot_sample)
         if verdict is Belief.RESTARTED:
-            self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            gap = next(self._gaps, None)
+            if gap is None:
+                self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            else:
+                self._joiner.restart(self._belief.boot_sample, gap)
         self._connected = self._connected or self._identified
         self._joiner.running = running.seq

@@ -91,10 +91,12 @@ class SampleJoiner:
         self._reference = sample
         self._halves.clear()
 
-    def restart_after(self, sample: int, silence_s: float) -> None:
-        """The device counts anew from sample, silence_s after the last one."""
-        gap = silence_s / self._sample_time_s
-        self.restart(sample, round(gap) if 1 < gap < LONGEST_GAP else 1)
+    def restart_after(self, sample: int, silence_s: float) -> int:
+        """The device counts anew from sample, silence_s after the last one; the number of samples between."""
+        intervals = silence_s / self._sample_time_s
+        gap = round(intervals) if 1 < intervals < LONGEST_GAP else 1
+        self.restart(sample, gap)
+        return gap
 
     def take(self, half: TelemetryPv | TelemetrySp) -> Joined | None:
         """Note half a sample; the sample once both halves are here."""

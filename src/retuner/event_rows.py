@@ -42,7 +42,7 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
         case LinkChanged():
             return "link", {"state": event.state.name.lower(), "reason": event.reason}
         case DeviceRestarted():
-            return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains)}
+            return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains), "gap": event.gap}
         case RunningChanged() | Reverted():
             kind = "reverted" if isinstance(event, Reverted) else "foreign"
             return kind, {"gains": gains_dict(event.running.gains)}

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from retuner.adaptive.decision import Decision
-from retuner.assembly import make_retuner
+from retuner.assembly import make_retuner, schedule_inputs
 from retuner.drivers.frame_log import read_frames
 from retuner.drivers.link_faults import LinkFault
 from retuner.drivers.overhearing import Overhearing
@@ -74,7 +74,8 @@ class Replay:
         self._session = session
         self._retuner = make_retuner(session.config, session.mode)
         loop, bus = session.config.loop, session.config.bus
-        self._heard = Overhearing(bus.node, loop.sample_time_s, session.config.schedule.variable)
+        gaps = [int(row.body["gap"]) for row in session.rows if row.kind == "restart"]
+        self._heard = Overhearing(bus.node, loop.sample_time_s, schedule_inputs(session.config), gaps=gaps)
         self._rows = [row for row in session.rows if row.kind != "session"]
         self._next = 0
         self._t_s = 0.0

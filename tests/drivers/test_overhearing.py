@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.sample import LoopSample
+from retuner.drivers.device import DeviceRestarted
 from retuner.drivers.frame_log import READING_ERRORS, SUFFIXES, read_frames
 from retuner.drivers.overhearing import Overhearing
 from retuner.drivers.recording import RecordingError
@@ -75,6 +76,30 @@ def test_a_restart_and_lost_frames_change_nothing_in_that(logged) -> None:
     live = bench.samples(bench.events)
     bench.close()
     assert overheard(log) == live
+
+
+def test_the_gap_at_a_restart_is_the_hosts_where_it_is_known(logged) -> None:
+    """A host whose clock runs faster than the log's stamps measures other gaps than the stamps show."""
+    bench, log = logged()
+    bench.run(40)
+    bench.silence(7)
+    bench.device.restart()
+    bench.run(100)
+    gaps = [event.gap for event in bench.events if isinstance(event, DeviceRestarted)]
+    live = bench.samples(bench.events)
+    bench.close()
+    assert len(gaps) == 1
+
+    def faster(heard: Overhearing) -> list[LoopSample]:
+        samples = []
+        for message in read_frames(log):
+            message.timestamp /= 50.0
+            joined = heard.take(message)
+            samples += [joined.sample] if joined else []
+        return samples
+
+    assert faster(Overhearing(1, 1.0, "pv", gaps=gaps)) == live
+    assert faster(Overhearing(1, 1.0, "pv")) != live
 
 
 def test_where_contact_was_lost_the_host_began_anew(logged) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from retuner.adaptive.decision import Decision, Mode, gains_dict
 from retuner.adaptive.guard import change_factor
 from retuner.adaptive.retuner import Retuner
-from retuner.assembly import make_retuner
+from retuner.assembly import make_retuner, schedule_inputs
 from retuner.commands.recorded_loop import renamed
 from retuner.config import Config, load_config
 from retuner.drivers.frame_log import is_frame_log
@@ -97,7 +97,7 @@ def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int
 def recorded_loop(log: Path, columns: str, config: Config) -> Iterator[Recorded]:
     """The samples of a log, by its suffix."""
     loop = config.loop
-    facts = LoopFacts(loop.sample_time_s, config.schedule.variable, loop.co_min_pct, loop.co_max_pct, config.bus.node)
+    facts = LoopFacts(loop.sample_time_s, schedule_inputs(config), loop.co_min_pct, loop.co_max_pct, config.bus.node)
     if not is_frame_log(log):
         return table_samples(log, renamed(columns), facts)
     if columns:
