@@ -143,7 +143,8 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
     wanted = propose(belief, log, case.in_force, settings)
     if not wanted.ready:
-        return replace(_without_model(case, learned, left, belief.reason, settings), belief=belief)
+        unsettled = _without_model(case, learned, left, belief.reason, settings)
+        return replace(unsettled, belief=belief, excitation=unsettled.excitation or excitation)
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)

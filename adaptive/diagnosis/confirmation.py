@@ -1,8 +1,8 @@
 """Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
 
     clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
-                 most one load step; or the change makes a loop safer that is over its limit, a setpoint step is among
-                 what the model rests on, and this response agrees with it
+                 most one load step; or the change makes a loop safer that is over its limit, and a setpoint step is
+                 among what the model rests on and this response agrees with it, or the loop runs away at such a step
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest. When it does not, nothing is learned from loads until there were twice
@@ -62,6 +62,16 @@ def is_clear(
 def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation) -> bool:
     """Whether a change towards safety may be believed as it is. agrees : this response agrees with what was known."""
     return ruling in {Ruling.SAFER, Ruling.URGENT} and agrees and excitation.setpoints > 0
+
+
+def runs_away(response: Response, left: float, loads: int, settings: SwingSettings) -> bool:
+    """Whether a setpoint step was answered by a swing that grows, and the loop by itself explains it: no rest needed.
+
+    An unstable loop is never at rest, and there is no time to wait for it. Arguments as is_clear.
+    """
+    damping = response.damping
+    grows = bool(response.sp_changed) and damping is not None and damping > settings.grows
+    return grows and not loads and left <= settings.unexplained
 
 
 def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:

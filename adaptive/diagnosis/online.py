@@ -40,6 +40,7 @@ class SwingSettings:
     restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
         0.02 to 0.5, default 0.1.
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
+    grows : damping of a setpoint response from which the loop runs away; 1 to 1.5, default 1.05.
     again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
     """
@@ -54,6 +55,7 @@ class SwingSettings:
     fewest_loads: int = 2
     restless: float = 0.1
     loads_beside: int = 1
+    grows: float = 1.05
     again: float = 2.0
     most_lookback: float = 10.0
 
