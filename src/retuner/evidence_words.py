@@ -9,8 +9,8 @@ MARGINS = {
     "ms": Entry("sensitivity peak Ms", "ratio", "at most 1.8", "Astrom & Hagglund 2006"),
     "gm": Entry("gain margin", "ratio", "at least 2; SIMC has 3", ""),
     "pm_deg": Entry("phase margin", "deg", "at least 45; SIMC has 61", ""),
-    "ki_ratio": Entry("SIMC's integral gain over the one in force", "ratio", "above 1.3: slow", "Skogestad 2003"),
-    "kp_ratio": Entry("SIMC's gain over the one in force", "ratio", "above 1.3: slow", "Skogestad 2003"),
+    "ki_ratio": Entry("SIMC's integral gain over the one in force", "ratio", "well above 1: slow", "Skogestad 2003"),
+    "kp_ratio": Entry("SIMC's gain over the one in force", "ratio", "well above 1: slow", "Skogestad 2003"),
 }
 HYPOTHESES = {
     "loads": Entry("load steps found", "count", "", ""),

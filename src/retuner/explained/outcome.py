@@ -28,7 +28,8 @@ def promise_section(view: DecisionView) -> str:
     over = f" over the {models:.0f} models that the records allow" if models else ", from what was seen"
     spread = f"In brackets the least and the greatest{over}."
     heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
-    return section("Promise, for the next responses to be judged against", text_table(heads, rows),
+    heading = "The promise that was not kept" if view.undoes else "Promise, for the next responses to be judged against"
+    return section(heading, text_table(heads, rows),
                    paragraph(spread, "muted"))  # fmt: skip
 
 

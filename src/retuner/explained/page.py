@@ -51,8 +51,8 @@ def article(view: DecisionView) -> str:
         '<div class="columns">',
         section("What is known of the process", _learned(view)),
         section("Cause", _cause(view)),
-        section("Proposal", _proposal(view)),
-        section("Proof", _proof(view)),
+        section("Settings" if view.undoes else "Proposal", _proposal(view)),
+        "" if view.undoes else section("Proof", _proof(view)),
         "</div>",
         section("Robustness and predicted responses", drawing, _margins(view)),
         promise_section(view),
@@ -146,9 +146,10 @@ def _cause(view: DecisionView) -> str:
 
 def _proposal(view: DecisionView) -> str:
     """The rule with its formula and numbers; settings in force, of the rule, and let through."""
-    proposal = part(view.document, "proposal")
+    proposal = {} if view.undoes else part(view.document, "proposal")
     wanted = gains_of(part(proposal, "parallel"))
-    columns = [("in force", view.before), ("rule", wanted), ("let through", view.after)]
+    names = ("on trial", "", "put back") if view.undoes else ("in force", "rule", "let through")
+    columns = zip(names, (view.before, wanted, view.after), strict=True)
     shown = [(name, gains) for name, gains in columns if gains is not None]
     basis = words(view.document, "basis").replace("_", " ")
     rule, tau_c = words(proposal, "rule"), number(proposal, "tau_c")
@@ -159,7 +160,11 @@ def _proposal(view: DecisionView) -> str:
     lead += f", from the {basis}." if lead and basis else "." if lead else ""
     rows = [(label, *(_setting(gains, label) for _, gains in shown)) for label in SETTINGS_SHOWN]
     rows = [row for row in rows if any(cell not in {"-", "0"} for cell in row[1:])]
-    return paragraph(lead) + _formula(view, wanted) + text_table(("", *(name for name, _ in shown)), rows)
+    return (
+        paragraph(lead)
+        + (_formula(view, wanted) if wanted else "")
+        + text_table(("", *(name for name, _ in shown)), rows)
+    )
 
 
 SETTINGS_SHOWN = {"Kc (series)": ("kc", ""), "tau_I": ("tau_i", " s"), "tau_D": ("tau_d", " s"),
@@ -180,12 +185,12 @@ def _setting(gains: PidGains, label: str) -> str:
     return "-" if value is None else "0" if value == 0 else f"{value:.5g}{unit}"
 
 
-def _formula(view: DecisionView, wanted: PidGains | None) -> str:
+def _formula(view: DecisionView, wanted: PidGains) -> str:
     """The rule's formula with the numbers that give the proposal; nothing where they do not give just that."""
     proposal = part(view.document, "proposal")
     rule, model = RULES.get(words(proposal, "rule")), view.model
     tau_c = number(proposal, "tau_c")
-    if rule is None or model is None or wanted is None or view.process is None:
+    if rule is None or model is None or view.process is None:
         return ""
     wishes = Wishes(tau_c_s=tau_c if "tau_c_s" in rule.wishes else None)
     sampled = type(model)(model.type, model.k, model.tau1_s, model.tau2_s, view.process.theta_s, model.zeta)

@@ -9,6 +9,10 @@ from retuner.schedule.gains import PidGains
 Document = Mapping[str, object]
 
 
+SMALLEST, LARGEST = 1e-15, 1e15
+"""Gains and parameters beyond these are damage, not a controller or process; with them nothing overflows."""
+
+
 def part(document: Document, name: str) -> Document:
     """A document inside, empty where there is none."""
     value = document.get(name)
@@ -56,7 +60,7 @@ def words(document: Document, name: str) -> str:
 def gains_of(document: Document) -> PidGains | None:
     """Gains {kp, ki, kd}, or None where they make no controller."""
     kp, ki, kd = (number(document, name) for name in ("kp", "ki", "kd"))
-    if kp is None or ki is None:
+    if kp is None or ki is None or not _sane(kp, ki, kd or 0.0):
         return None
     try:
         return PidGains(kp, ki, kd or 0.0)
@@ -81,7 +85,14 @@ def model_of(document: Document) -> ProcessModel | None:
     if k is None or kind not in set(ProcessType):
         return None
     tau1, tau2, theta = (number(document, name) or 0.0 for name in ("tau1", "tau2", "theta"))
+    if not _sane(k, tau1, tau2, theta):
+        return None
     try:
         return ProcessModel(ProcessType(kind), k, tau1, tau2, theta, number(document, "zeta") or 1.0)
     except ValueError:
         return None
+
+
+def _sane(*values: float) -> bool:
+    """Whether each is none at all or of a size that a controller or process may have."""
+    return all(value == 0 or SMALLEST < abs(value) < LARGEST for value in values)

@@ -44,6 +44,7 @@ def _draw(panels: list[Axes], view: DecisionView, samples: Samples) -> None:
     """All panels on one time axis that begins with the response."""
     start = number(view.response, "t_start_s")
     zero = samples.t_s[0] if start is None else start
+    since = "time" if start is None else "time since the response began"
     scale, name = time_unit(float(samples.t_s[-1] - samples.t_s[0]))
     x = (samples.t_s - zero) / scale
     _signals(panels[0], view, samples, x)
@@ -52,7 +53,7 @@ def _draw(panels: list[Axes], view: DecisionView, samples: Samples) -> None:
         _remainder(panels[1], view, samples, x)
     panels[-1].plot(*thinned(*steps(x, samples.co)), color=AFTER, lw=1.0)
     panels[-1].set_ylabel("co [%]")
-    panels[-1].set_xlabel(f"time since the response began [{name}]")
+    panels[-1].set_xlabel(f"{since} [{name}]")
     for t_s in numbers(view.estimate, "loads"):
         for i, axes in enumerate(panels):
             label = "load step as the fit places it" if i == 0 and t_s == numbers(view.estimate, "loads")[0] else None

@@ -17,6 +17,9 @@ from retuner.adaptive.sample import FloatArray
 from retuner.explained.reading import Document, decided_on, gains_of, model_of, number, numbers, part, parts, words
 from retuner.schedule.gains import PidGains
 
+LAST_SAMPLES = 300
+"""Samples shown of a decision that no response led to."""
+
 
 @dataclass(frozen=True, slots=True)
 class Samples:
@@ -121,6 +124,11 @@ class DecisionView:
         models = [model_of(part(one, "model")) for one in parts(self.verdict, "allowed")[1:]]
         return tuple(self._sampled(model) for model in models if model)
 
+    @property
+    def undoes(self) -> bool:
+        """Whether a set on trial is taken back."""
+        return self.action == "restore"
+
     @cached_property
     def tried(self) -> PidGains | None:
         """Gains of which the page shows what they would do: those let through, else those that were proposed."""
@@ -135,12 +143,15 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
 ):  # fmt: skip
     """The samples of a response out of a trend: with a quarter of its length before it, in one region, without a gap.
 
+    Without a response the last samples before the decision: what was seen when a trial was ended in mid-response.
     columns : t, sp, pv, co and region by name. end_s : time of the decision.
     """
+    t = columns["t"]
+    if not response and len(t) > LAST_SAMPLES:
+        response = {"t_start_s": end_s - LAST_SAMPLES * float(np.median(np.diff(t))), "t_end_s": end_s}
     start, end = number(response, "t_start_s"), number(response, "t_end_s")
     if start is None or end is None or end <= start:
         return None
-    t = columns["t"]
     first = int(np.searchsorted(t, start - lead_share * (end - start)))
     last = int(np.searchsorted(t, max(end_s, end), side="right"))
     if last - first < 3:

@@ -106,7 +106,14 @@ def test_samples_begin_in_the_region_and_after_a_gap() -> None:
     cut = samples_of(columns, RESPONSE, 1500.0)
     assert cut is not None
     assert cut.t_s[0] == 1050.0
-    assert samples_of(columns, {}, 1500.0) is None
+    assert samples_of(columns, {}, 1500.0) is None  # fewer than are shown without a response
+    longer = {name: np.concatenate([values, values]) for name, values in columns.items()}
+    longer["t"] = 1000.0 + 2.0 * np.arange(len(longer["t"]))
+    longer["region"] = np.zeros(len(longer["t"]))
+    last = samples_of(longer, {}, 2198.0)
+    assert last is not None
+    assert last.t_s[-1] == 2198.0
+    assert len(last.t_s) >= 300
     assert samples_of(columns, {"t_start_s": 9000.0, "t_end_s": 9100.0}, 9100.0) is None
 
 

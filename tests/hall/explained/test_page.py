@@ -68,7 +68,7 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
         (ADVISED, ["Advised, not written: Kc from 2.4 to 1.5"], ["Written"]),
         (REFUSED, ["Refused: not robust on every model.", "Nothing was changed.", "at worst unstable"], ["Written"]),
         (RESTORED, ["The settings from before were put back", "The loop answers worse than was promised."],
-         ["<h3>Proof", "<h3>Cause", "<h3>Proposal</h3><p>Rule"]),
+         ["<h3>Proof", "<h3>Cause", "<h3>Proposal", "let through"]),
         (PATTERN, ["Rule pattern, from the pattern."], ["<h3>Proof", "<h3>Cause", "<h3>What is known"]),
         (BORROWED, ["Rule simc, tau_c 36 s, from the borrowed."], []),
     ],
