@@ -237,3 +237,8 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
 def predicted(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
     """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
     return scattered(grown(belief.log, t_s - belief.t_s, settings), settings)
+
+
+def predicted_all(belief: Belief, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
+    """The same under every structure, the leading one first."""
+    return tuple(scattered(grown(k.log, t_s - belief.t_s, settings), settings) for k in belief.known)

@@ -1,0 +1,96 @@
+"""A region without evidence borrows its neighbours' model, widened; its own first record decides."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.belief import Belief, Known
+from retuner.adaptive.borrowing import BorrowingSettings, borrowed
+from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.identify import FitSettings
+from retuner.adaptive.process import ProcessType
+from retuner.adaptive.tracker import Surprise, TrackerSettings, learn
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+
+REGIONS = Regions("pv", "-", ("low", "middle", "high"), 0.0, (30.0, 70.0), 100.0)
+STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.0)
+LENDING = BorrowingSettings(between=0.4)
+GAINS = PidGains(2.0, 0.05)
+
+
+def known(k: float, variance: float = 1e-4, *, sign: int = 1, records: int = 3) -> Belief:
+    log = LogModel(np.log([k / 50.0, 5.0, 50.0]), variance * np.eye(3), sign)
+    slope = LogModel(np.log([k / 50.0, 5.0]), variance * np.eye(2), sign, ProcessType.INTEGRATING)
+    return Belief((Known(log, -500.0), Known(slope, -100.0)), records, 0.0)
+
+
+def ask(beliefs: dict[int, Belief], region: int = 1, tracker: TrackerSettings = STILL) -> Belief | None:
+    return borrowed(beliefs, region, REGIONS, 0.0, 1, LENDING, tracker)
+
+
+def test_one_neighbour_lends_its_model_with_the_scatter_between_regions() -> None:
+    found = ask({0: known(2.0)})
+    assert found is not None
+    assert found.records == 0
+    assert "low" in found.reason
+    np.testing.assert_allclose(found.log.x, known(2.0).log.x)
+    np.testing.assert_allclose(found.log.p, (1e-4 + 0.16) * np.eye(3), rtol=1e-9)
+    assert [k.log.type for k in found.known] == [ProcessType.FOPDT, ProcessType.INTEGRATING]
+    assert found.known[1].evidence - found.known[0].evidence == pytest.approx(LENDING.most_lead)
+
+
+def test_two_neighbours_that_differ_leave_the_region_between_them_open() -> None:
+    found, same = ask({0: known(1.0), 2: known(4.0)}), ask({0: known(2.0), 2: known(2.0)})
+    assert found is not None
+    assert same is not None
+    assert found.log.model().k == pytest.approx(2.0)
+    assert found.log.p[0, 0] == pytest.approx(1e-4 + 0.16 + np.log(2.0) ** 2, rel=1e-6)
+    assert same.log.p[0, 0] == pytest.approx(1e-4 + 0.16, rel=1e-6)
+
+
+def test_nothing_is_lent_from_far_off_on_credit_or_the_other_way_round() -> None:
+    assert ask({2: known(2.0)}, region=0) is None
+    assert ask({0: known(2.0, records=0)}) is None
+    assert ask({0: known(2.0, sign=-1)}) is None
+    assert ask({0: replace(known(2.0), identifiable=False)}) is None
+    assert ask({1: known(2.0)}) is None
+    assert ask({}) is None
+
+
+def test_age_opens_what_is_lent() -> None:
+    walk = replace(STILL, walk_per_day=0.1)
+    fresh = borrowed({0: known(2.0)}, 1, REGIONS, 0.0, 1, LENDING, walk)
+    old = borrowed({0: known(2.0)}, 1, REGIONS, 86400.0, 1, LENDING, walk)
+    assert fresh is not None
+    assert old is not None
+    np.testing.assert_allclose(np.diag(old.log.p) - np.diag(fresh.log.p), 0.01, rtol=1e-6)
+
+
+def test_the_proof_sees_the_whole_spread() -> None:
+    found = ask({0: known(2.0)})
+    assert found is not None
+    gains = [p.model.k / p.model.tau1_s for p in found.plausible]
+    assert max(gains) > 1.9 * gains[0]
+    assert min(gains) < gains[0] / 1.9
+
+
+def test_the_first_record_of_the_region_agrees_or_stands_alone(loop: Callable) -> None:
+    prior = ask({0: known(1.3)})
+    window = loop(noise=0.02, sp=1.0, kc=2.0).run(seed=1)
+    agreed = learn(prior, window, GAINS, STILL, FitSettings())
+    assert agreed.surprise == Surprise.AGREES
+    assert agreed.belief is not None
+    assert agreed.belief.records == 1
+    assert agreed.belief.log.model().k == pytest.approx(1.0, rel=0.05)
+    alone = learn(ask({0: known(20.0, 1e-6)}), window, GAINS, STILL, FitSettings())
+    assert alone.surprise == Surprise.FIRST
+    assert alone.belief is not None
+    assert alone.belief.log.model().k == pytest.approx(1.0, rel=0.05)
+
+
+def test_settings_that_lend_nothing_are_refused() -> None:
+    with pytest.raises(ValueError, match="between"):
+        BorrowingSettings(between=0.0)
