@@ -3,7 +3,7 @@
 Setpoint and load steps in turn, 1 % noise, default limits of a change; in spec on the true process as it is then?
 
 coloured   gains off as in the batch; noise through a lag of half a sample to one effective dead time, 1 to 2 %
-motion     gains off as in the batch; retuner is switched on in the middle of the response to a load step
+motion     gains off as in the batch, but stable; retuner is switched on in the middle of the response to a load step
 gain       k times 2 or 1/2, at once, while the loop is at rest, after SETTLED disturbances with settings in spec
 delay      dead time times 2 or 1/2, the same
 drift      k, lags or dead time grow or shrink steadily by a factor of 2 over DRIFTING disturbances (fouling)
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from cases.plant import HeldPlant
 from cases.processes import FAMILIES, log_uniform
-from cases.setting import draw_loop
+from cases.setting import draw_loop, scaled
 from cases.signals import coloured
 
 from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS
@@ -107,7 +107,9 @@ def _constant(task: Task, rng: np.random.Generator) -> Row:
     loop = draw_loop(rng, str(rng.choice(FAMILIES)), (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
     kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
-    gains = PidGains(loop.best.kp * kc, loop.best.ki * kc / tau_i)
+    while task.kind == "motion" and not loop.margins(scaled(loop.best, kc, tau_i)).stable:
+        kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
+    gains = scaled(loop.best, kc, tau_i)
     is_coloured = task.kind == "coloured"
     corner = log_uniform(rng, 0.5, SAMPLES_PER_THETA) if is_coloured else 0.0
     noise = log_uniform(rng, NOISE, 2 * NOISE) if is_coloured else NOISE

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from online import batch, changes, harm, injected, walks
-from online.runner import collect
+from online.runner import collect, rows_of
 
 
 def main() -> int:
@@ -71,6 +71,24 @@ def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
     return rows, whole
 
 
+def _tables(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
+    rows = [row for file in options.files for row in rows_of(file)]
+    for title, of, table in (
+        ("batch, limits of a change: x8", [r for r in rows if r.get("opened") is True], batch.table),
+        ("batch, limits of a change: defaults", [r for r in rows if r.get("opened") is False], batch.table),
+        ("walks", [r for r in rows if r["part"] == "walks"], walks.table),
+        ("processes that change", [r for r in rows if r["part"] == "changes"], changes.table),
+        ("do no harm", [r for r in rows if r["part"] == "harm"], harm.table),
+        ("bad changes injected", [r for r in rows if r["part"] == "injected"], injected.table),
+    ):
+        if of:
+            seeds = sorted({row["seed"] for row in of})
+            _say(
+                [f"{title}; {len(of)} runs" + (f", seeds {seeds}" if of[0]["part"] != "batch" else ""), *table(of), ""]
+            )
+    return rows, True
+
+
 def _pictures(options: argparse.Namespace) -> tuple[list[Path], bool]:
     from online import pictures
 
@@ -79,7 +97,7 @@ def _pictures(options: argparse.Namespace) -> tuple[list[Path], bool]:
     return names, True
 
 
-PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm, "injected": _injected,
+PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm, "injected": _injected, "tables": _tables,
          "pictures": _pictures}  # fmt: skip
 
 
@@ -113,6 +131,8 @@ def _parser() -> argparse.ArgumentParser:
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
     five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
     five.add_argument("--loops", type=int, default=40, help="changes of each kind")
+    seven = parts.add_parser("tables", help="the tables again, of rows from files")
+    seven.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
     six = parts.add_parser("pictures", help="the pictures of docs/online.md")
     six.add_argument("folder", type=Path)
     six.add_argument("--batch", type=Path, nargs="+", required=True, metavar="FILE", help="rows of batch, as --out")

@@ -10,8 +10,8 @@ external    an oscillation from outside, at 0.35 to 8 times the loop's own perio
 saturation  setpoint and load steps of which every second one is beyond what the output can do; gains in spec.
 
 In every second loop of the last three there are setpoint steps as well. An hour is a real hour of a loop sampled every
-0.1 to 5 s (every factor alike), with 5 to 40 samples to an effective dead time: 720 to 36,000 samples, 9,000 in the
-mean. The other kinds run 40 cycles, or 24 steps, with at most MOST_SAMPLES.
+1 to 10 s (every factor alike), with 5 to 40 samples to an effective dead time: 360 to 3,600 samples, 1,400 in the mean,
+9 to 720 effective dead times. The other kinds run 40 cycles, or 24 steps, with at most MOST_SAMPLES.
 
 A change of gains is worse where it raises Ms above its limit, or raises J without lowering an Ms that was above its
 limit, on the true process without valve and disturbance (judge.py).
@@ -42,7 +42,7 @@ from retuner.schedule.gains import PidGains
 Row = dict[str, Any]
 KINDS = ("quiet", "stiction", "external", "saturation")
 HOUR_S = 3600.0
-SAMPLE_TIMES_S = (0.1, 5.0)
+SAMPLE_TIMES_S = (1.0, 10.0)
 MOST_SAMPLES = 12000
 CYCLES, STEPS = 40, 24
 SELF_REGULATING = tuple(x for x in FAMILIES if x not in INTEGRATING)

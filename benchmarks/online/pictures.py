@@ -1,6 +1,5 @@
 """The pictures of docs/online.md: what a run looks like, and the shares that the tables have."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from online import batch, injected, walks
 from online.judge import Judge
 from online.loop import FixedGains, WatchedLoop
+from online.runner import rows_of
 from online.supervisors import Watching, one_region, settings
 from retuner.schedule.gains import PidGains
 
@@ -167,11 +167,6 @@ def _labels(above: Axes, below: Axes) -> None:
     below.set_xlabel("time, s", fontsize=7)
     for axes in (above, below):
         axes.tick_params(labelsize=7)
-
-
-def rows_of(path: Path) -> list[Row]:
-    """A file of rows, as --out writes it."""
-    return [json.loads(text) for text in path.read_text(encoding="utf-8").splitlines()]
 
 
 def draw(folder: Path, files: list[Path]) -> list[Path]:

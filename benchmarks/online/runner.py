@@ -58,6 +58,20 @@ def finite(value: Any) -> Any:  # noqa: ANN401  whatever a row may hold
     return [finite(x) for x in value] if isinstance(value, (list, tuple)) else value
 
 
+def rows_of(path: Path) -> list[Row]:
+    """The rows of a file again: null was a number too large, or none."""
+    return [_infinite(json.loads(text)) for text in path.read_text(encoding="utf-8").splitlines()]
+
+
+def _infinite(value: Any) -> Any:  # noqa: ANN401  whatever a row may hold
+    """The same with infinity for null."""
+    if value is None:
+        return math.inf
+    if isinstance(value, dict):
+        return {key: _infinite(x) for key, x in value.items()}
+    return [_infinite(x) for x in value] if isinstance(value, list) else value
+
+
 def _progress(done: int, of: int, seconds: float) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(f"\r{done} of {of}, {seconds:.0f} s" + ("\n" if done == of else ""))

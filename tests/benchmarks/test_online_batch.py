@@ -13,7 +13,7 @@ from online.astrom_hagglund import batch as processes
 from online.counting import at_most
 from online.judge import Judge
 from online.loop import FixedGains, LostLoop, WatchedLoop
-from online.runner import finite
+from online.runner import finite, rows_of
 from online.supervisors import one_region
 
 from retuner.adaptive.process import LinearProcess
@@ -136,3 +136,9 @@ def test_bound_of_no_event_is_the_exact_one():
 
 def test_rows_become_json_that_has_no_infinity():
     assert finite({"ms": [1.5, math.inf], "spec": (True,)}) == {"ms": [1.5, None], "spec": [True]}
+
+
+def test_rows_come_back_from_their_file(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    file.write_text('{"ms": [1.5, null], "who": {"a": {"iae": [null]}}}\n', encoding="utf-8")
+    assert rows_of(file) == [{"ms": [1.5, math.inf], "who": {"a": {"iae": [math.inf]}}}]
