@@ -1,9 +1,9 @@
 """A goal cut to what the limits leave: locks, absolute limits, the commissioned set, the sampling time.
 
-Only the parameter that exceeds its limit is cut. A cut tau_I changes the integral action kc/tau_I unless kc goes with
-it; which of the two is better depends on the process (an integral that must stay on a delay-dominant one, a gain that
-must stay on an integrating one), so both are goals, and the proof decides. A limit that would push a parameter the
-other way than was wanted leaves no room: that goal is refused.
+Only the parameter that exceeds its limit is cut. A cut kc or tau_I changes the integral action kc/tau_I unless the
+other one goes with it; which of the two is better depends on the process (an integral that must stay on a
+delay-dominant one, a gain that must stay on an integrating one), so both are goals, and the proof decides. A limit that
+would push a parameter, or the integral action, the other way than was wanted leaves no room: that goal is refused.
 """
 
 import math
@@ -44,7 +44,7 @@ class Bound:
 def goals(
     wanted: PidGains, tau_c_s: float, request: ChangeRequest, settings: GuardSettings, *, over_limit: bool
 ) -> list[Goal]:
-    """The wanted gains within the limits: one goal, or two where tau_I was cut.
+    """The wanted gains within the limits: one goal, or two where kc or tau_I was cut.
 
     over_limit : the loop in force is over its Ms limit, so that the commissioned set does not hold it up from below.
     """
@@ -63,11 +63,17 @@ def goals(
     made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
     first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
     found = [first]
+    if turned:
+        return found
     if tau_i_by is not None and not request.locks.kc:
         kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
         made = _made(wanted.direction, kept, tau_i_cut, tau_d_cut)
         second = replace(first, gains=made, notes=(*notes, "kc moved with tau_I"))
         found = [second, first] if tau_i_by.ruling is None else [first, second]
+    elif kc_cut < kc and unlocked.ki and not request.locks.tau_i:
+        shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
+        made = _made(wanted.direction, kc_cut, shorter, tau_d_cut)
+        found.append(replace(first, gains=made, notes=(*notes, "tau_I moved with kc")))
     return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
 
 

@@ -93,7 +93,7 @@ def test_a_limit_that_turns_a_parameter_back_leaves_no_room() -> None:
     assert goal.numbers == {"wanted": 2.0, "limit": 0.5}
     (back,) = cut(IdealGains(0.4, 20.0).to_parallel(), GuardSettings(kc_min=2.0))
     assert (back.no_room, back.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
-    (rounded,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))
+    rounded = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))[0]
     assert not rounded.no_room
     (back,) = cut(IdealGains(0.6, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
     assert not back.no_room
@@ -117,8 +117,13 @@ def test_a_cut_that_turns_the_integral_action_back_leaves_no_room() -> None:
     """More was wanted of kc and of kc/tau_I; what kc_max leaves of kc makes kc/tau_I less than it is."""
     old, wanted = IdealGains(1.0, 20.0).to_parallel(), IdealGains(3.0, 40.0).to_parallel()
     limits = GuardSettings(kc_max=1.2)
-    (goal,) = cut(wanted, limits, old)
+    goal, other = cut(wanted, limits, old)
     assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
+    assert (other.no_room, times_of(other.gains)) == (False, pytest.approx((1.2, 16.0, 0.0)))
+    assert other.gains.ki == pytest.approx(wanted.ki)
+    assert other.notes[-1] == "tau_I moved with kc"
+    (locked,) = cut(wanted, limits, old, locks=Locks(tau_i=True))
+    assert locked.gains.ki == pytest.approx(1.2 / 20)
     assert not cut(wanted, limits, old, over=True)[0].no_room
     assert not cut(wanted, GuardSettings(kc_max=2.5), old)[0].no_room
 
