@@ -13,7 +13,7 @@ from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
-from retuner.adaptive.trial.promise import Promise, promise, promise_without_model
+from retuner.adaptive.trial.promise import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 
@@ -30,8 +30,9 @@ def promise_of(
     if verdict is None or verdict.gains is None:
         return None
     if verdict.allowed:
-        return promise(verdict.allowed, in_force, verdict.gains, settings.sample_time_s / 2,
-                       settings.setpoint_weight, settings.filter_s)  # fmt: skip
+        promised = promise(verdict.allowed, in_force, verdict.gains, settings.sample_time_s / 2,
+                           settings.setpoint_weight, settings.filter_s)  # fmt: skip
+        return replace(promised, decay_seen=decay_seen(response))
     return promise_without_model(response, in_force, verdict.gains) if response else None
 
 

@@ -6,8 +6,10 @@ inexactness can do, and is no improvement on the gains before either:
     decay - level s(decay)  >  max(greatest promised + decay_slack, harmless_decay)   and  > before
     (IAE - its noise)/unit  >  greatest promised x iae_slack                          and  > before
 
-(before: the old gains on the best model. shape.py has the numbers; s from the noise of the peaks.) It is judged only if
-the upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs time but undoes nothing:
+(before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
+them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
+the peaks.) It is judged only if the upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs
+time but undoes nothing:
 
     cut short by the next setpoint change; first peak within seen_bands of noise; no rest before the setpoint's step;
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
@@ -84,8 +86,12 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
     setpoint = seen.response.sp_changed
     now, then = (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load, promised.load_before)
     numbers: dict[str, float] = {}
-    swings = _swings(seen.response, now, then, settings, numbers)
-    costs = _costs(seen, gains, now, then, settings, numbers)
+    before = promised.decay_before(setpoint)
+    swings = _swings(seen.response, now, before, settings, numbers)
+    ran_away = promised.decay_seen is not None and promised.decay_seen > max(now.decay.high, settings.harmless_decay)
+    costs = _costs(
+        seen, gains, now, then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0, settings, numbers
+    )
     if swings or costs:
         return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs))), numbers)
     told = _told(numbers)
@@ -123,23 +129,23 @@ def _unlike_a_step(seen: Seen) -> str:
 
 
 def _swings(
-    response: Response, now: Expected, then: Expected, settings: TrialSettings, numbers: dict[str, float]
+    response: Response, now: Expected, before: float, settings: TrialSettings, numbers: dict[str, float]
 ) -> str:
     """What speaks against the swing, if anything; its numbers are put down."""
     peaks = [peak.e for peak in response.peaks]
     overshoot, damping, decay = swing(peaks, response.band)
     numbers |= {"overshoot": overshoot, "damping": damping, "decay": decay}
     limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
-    numbers |= {"decay_limit": limit, "decay_promised": now.decay.best, "decay_before": _finite(then.decay.best)}
+    numbers |= {"decay_limit": limit, "decay_promised": now.decay.best, "decay_before": before}
     if len(peaks) < 2:
         return ""
     sure = _surely(peaks, response.band, settings.level)
     numbers["decay_sure"] = sure
-    if sure <= limit or sure <= then.decay.best:
+    if sure <= limit or sure <= before:
         return ""
     return (
         f"worse than promised: successive peaks in the ratio {decay:.2f}, surely over {sure:.2f}; promised at most "
-        f"{now.decay.high:.2f}, the gains before have {then.decay.best:.2f}"
+        f"{now.decay.high:.2f}, the gains before have {before:.2f}"
     )
 
 
@@ -155,7 +161,7 @@ def _surely(peaks: list[float], band: float, level: float) -> float:
 
 
 def _costs(
-    seen: Seen, gains: PidGains, now: Expected, then: Expected, settings: TrialSettings, numbers: dict[str, float]
+    seen: Seen, gains: PidGains, now: Expected, before: float, settings: TrialSettings, numbers: dict[str, float]
 ) -> str:
     """What speaks against the IAE, if anything; its numbers are put down."""
     response, window = seen.response, seen.window
@@ -170,14 +176,14 @@ def _costs(
         return ""
     measured, limit = iae / unit, now.iae.high * settings.iae_slack
     travel = float(np.sum(np.abs(np.diff(window.co[during])))) / unit
-    numbers |= {"iae": measured, "iae_promised": _finite(now.iae.best), "iae_before": _finite(then.iae.best),
+    numbers |= {"iae": measured, "iae_promised": _finite(now.iae.best), "iae_before": _finite(before),
                 "iae_limit": _finite(limit), "travel": travel, "travel_promised": _finite(now.travel.best)}  # fmt: skip
-    if measured <= limit or measured <= then.iae.best:
+    if measured <= limit or measured <= before:
         return ""
     kind = "setpoint step" if response.sp_changed else "load"
     return (
         f"worse than promised: IAE {measured:.3g} per unit of the {kind}; promised at most {now.iae.high:.3g}, "
-        f"the gains before have {then.iae.best:.3g}"
+        f"the gains before have {before:.3g}"
     )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel
-from retuner.adaptive.response import Response
+from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.trial.closed_responses import Loop, Upset, traces
 from retuner.adaptive.trial.shape import Shape, shape_of, swing
 from retuner.schedule.gains import PidGains
@@ -92,13 +92,23 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """New and old gains under a setpoint step and under a load. models : how many models it is spread over."""
+    """New and old gains under a setpoint step and under a load.
+
+    models : how many models it is spread over. decay_seen : of the response under the old gains that led to the change,
+    None when it does not tell; what was seen counts more than what a model says of the old gains.
+    """
 
     setpoint: Expected
     load: Expected
     setpoint_before: Expected
     load_before: Expected
     models: int
+    decay_seen: float | None = None
+
+    def decay_before(self, setpoint: bool) -> float:
+        """Decay under the old gains: as seen, else on the best model."""
+        then = self.setpoint_before if setpoint else self.load_before
+        return then.decay.best if self.decay_seen is None else self.decay_seen
 
     @property
     def patience_s(self) -> float:
@@ -113,6 +123,7 @@ class Promise:
             "setpoint_before": self.setpoint_before.to_dict(),
             "load_before": self.load_before.to_dict(),
             "models": self.models,
+            "decay_seen": self.decay_seen,
         }
 
     @classmethod
@@ -121,7 +132,10 @@ class Promise:
         setpoint, load, setpoint_before, load_before = (
             Expected.from_dict(body[name]) for name in ("setpoint", "load", "setpoint_before", "load_before")
         )
-        return cls(setpoint, load, setpoint_before, load_before, int(body["models"]))
+        seen = body["decay_seen"]
+        return cls(
+            setpoint, load, setpoint_before, load_before, int(body["models"]), None if seen is None else float(seen)
+        )
 
     def sentence(self) -> str:
         """For people."""
@@ -167,13 +181,20 @@ def promise(
     return Promise(_setpoint(now), _load(now), _setpoint(then), _load(then), n)
 
 
+def decay_seen(response: Response | None) -> float | None:
+    """Decay of a response that went its whole way and has a second peak; None for any other."""
+    if response is None or len(response.peaks) < 2 or response.ending not in {Ending.COMPLETE, Ending.QUIET}:
+        return None
+    return swing([peak.e for peak in response.peaks], response.band)[2]
+
+
 def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promise:
     """For a change that rests on the pattern of a response alone: no worse than what was seen.
 
     The IAE of a load needs no model (1/ki); that of a setpoint step is left open.
     """
-    overshoot, damping, decay = swing([peak.e for peak in seen.peaks], seen.band)
-    decay = min(decay, MOST_DECAY)
+    overshoot, damping, before = swing([peak.e for peak in seen.peaks], seen.band)
+    decay = min(before, MOST_DECAY)
     length = seen.t_end_s - seen.t_start_s
 
     def expected(gains: PidGains, iae: Callable[[PidGains], Spread]) -> Expected:
@@ -195,8 +216,9 @@ def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promi
         return Spread(math.inf, 0.0, math.inf)
 
     return Promise(
-        expected(new, open_iae), expected(new, load_iae), expected(old, open_iae), expected(old, load_iae), 0
-    )
+        expected(new, open_iae), expected(new, load_iae), expected(old, open_iae), expected(old, load_iae), 0,
+        decay_seen(seen),
+    )  # fmt: skip
 
 
 def _setpoint(shapes: Sequence[Sequence[Shape]]) -> Expected:

@@ -9,7 +9,8 @@ from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.response import Ending, Peak, Response
 from retuner.adaptive.sample import Window
 from retuner.adaptive.trial.judge import Finding, Judgement, Seen, judge
-from retuner.adaptive.trial.promise import promise
+from retuner.adaptive.trial.promise import decay_seen, promise
+from retuner.adaptive.trial.shape import swing
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
@@ -150,3 +151,21 @@ def test_settings_outside_their_range_are_refused(name: str, value: float) -> No
         TrialSettings(**{name: value})
     with pytest.raises(ValueError, match="cool_down_s"):
         TrialSettings(cool_down_s=float("nan"))
+
+
+def test_what_was_seen_of_the_old_gains_counts_more_than_what_a_model_says_of_them() -> None:
+    """A model with five times the gain calls the good gains unstable and promises much of sluggish ones."""
+    wrong = Plausible(replace(MODEL, k=5 * MODEL.k), 0.0)
+    sluggish = PidGains(GOOD.kp / 5, GOOD.ki / 5)
+    lie = promise([wrong], GOOD, sluggish, 0.5)
+    seen = responses(Rig(sluggish), 2500, sp=5.0)[0]
+    assert judge(seen, lie, sluggish, S).finding is Finding.WORSE
+    assert judge(seen, replace(lie, decay_seen=0.05), sluggish, S).finding is Finding.WORSE
+    assert judge(seen, replace(lie, decay_seen=1.0), sluggish, S).finding is not Finding.WORSE
+
+
+def test_decay_seen_is_that_of_a_whole_response_with_a_second_peak() -> None:
+    seen = example().response
+    assert decay_seen(seen) == pytest.approx(swing([peak.e for peak in seen.peaks], seen.band)[2])
+    for other in (None, replace(seen, ending=Ending.SETPOINT), replace(seen, peaks=seen.peaks[:1])):
+        assert decay_seen(other) is None
