@@ -8,6 +8,7 @@ from pathlib import Path
 
 from retuner.adaptive.decision import Decision, Mode, gains_dict
 from retuner.adaptive.guard import change_factor
+from retuner.adaptive.proposal import SAME_GAINS
 from retuner.adaptive.retuner import Retuner
 from retuner.assembly import make_retuner, schedule_inputs
 from retuner.commands.recorded_loop import renamed
@@ -17,7 +18,7 @@ from retuner.drivers.recorded_samples import LoopFacts, Recorded, frame_samples,
 from retuner.errors import UserError
 from retuner.explain import one_line
 from retuner.schedule.gains import PidGains
-from retuner.session import SAME_GAINS
+
 
 IN_FORCE_SAMPLES = 10
 """Samples after a border within which recorded gains do not count as the new region's: a schedule writes these a few
@@ -49,10 +50,10 @@ class InForce:
         if gains is None or region is None or self._stay < IN_FORCE_SAMPLES:
             return False
         table = self._retuner.table
-        if any(change_factor(gains, known) <= SAME_GAINS for known in table.gains):
-            return False
         if gains.direction != table.gains[region].direction:
             raise UserError("the record's gains act against the configured ones; is this the right configuration?")
+        if any(change_factor(gains, known) <= SAME_GAINS for known in table.gains):
+            return False
         self._retuner.committed(region, gains)
         return True
 
