@@ -19,7 +19,6 @@ from retuner.errors import UserError
 from retuner.explain import one_line
 from retuner.schedule.gains import PidGains
 
-
 IN_FORCE_SAMPLES = 10
 """Samples after a border within which recorded gains do not count as the new region's: a schedule writes these a few
 samples after the border was crossed."""
