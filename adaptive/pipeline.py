@@ -12,6 +12,7 @@ import numpy as np
 
 from retuner.adaptive.admission import Admission, admit, inside_region
 from retuner.adaptive.belief import Belief
+from retuner.adaptive.borrowing import borrowed
 from retuner.adaptive.change_request import change_request, unproved_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
@@ -122,7 +123,7 @@ def _swing(case: Case, settings: RetunerSettings) -> tuple[Diagnosis | None, Sta
 def _learned(case: Case, settings: RetunerSettings) -> Outcome:
     """Learning, unless something else hides under the response; then what is known decides."""
     try:
-        known = case.beliefs.get(case.region)
+        known = case.beliefs.get(case.region) or _lent(case, settings)
         learned = learn(known, case.window, case.in_force, settings.tracker, settings.fit, case.at)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         return Outcome("fit_failed", f"the fit failed: {error}")
@@ -134,6 +135,12 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
     if learned.belief is None:
         return _without_model(case, learned, left, learned.estimate.reason, settings)
     return _weighed(case, learned, learned.belief, left, settings)
+
+
+def _lent(case: Case, settings: RetunerSettings) -> Belief | None:
+    """What the neighbours' models say of a region without a record."""
+    now, sign = float(case.window.t_s[-1]), case.in_force.direction
+    return borrowed(case.beliefs, case.region, case.table.regions, now, sign, settings.borrowing, settings.tracker)
 
 
 def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings: RetunerSettings) -> Outcome:

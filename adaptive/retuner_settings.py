@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from retuner.adaptive.admission import AdmissionSettings
+from retuner.adaptive.borrowing import BorrowingSettings
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.online import SwingSettings
@@ -60,6 +61,7 @@ class RetunerSettings:
     filter_s: float = 0.0
     fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    borrowing: BorrowingSettings = field(default_factory=BorrowingSettings)
     without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)

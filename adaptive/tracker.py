@@ -142,7 +142,8 @@ def learn(
     found = fitted(window, (sign,), fit)
     lesson = Lesson(window, found, estimate_of(found, float(window.t_s[0]), {}, fit), at, settings, fit)
     if lesson.alone.explained < fit.explained_limit:
-        return Learned(belief, lesson.alone, Surprise.SILENT, 0.0)
+        kept = belief if belief is not None and belief.records else None
+        return Learned(kept, lesson.alone, Surprise.SILENT, 0.0)
     if belief is None or belief.log.sign != sign:
         return _first(lesson)
     joined = _joined(belief.known, lesson.t_s - belief.t_s, lesson)

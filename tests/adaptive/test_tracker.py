@@ -1,14 +1,19 @@
 """The Kalman filter over responses: its posterior is the fit's own, evidence accumulates, odd records do no harm."""
 
+import json
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from retuner.adaptive.belief import Belief
-from retuner.adaptive.identify import FitSettings, identify_window
+from retuner.adaptive.belief_memory import belief_in, belief_out
+from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.identify import FitSettings, fitted, identify_window
 from retuner.adaptive.process import ProcessType
 from retuner.adaptive.region_filter import update
+from retuner.adaptive.sample import FloatArray, Window
 from retuner.adaptive.tracker import Surprise, TrackerSettings, learn, predicted
 from retuner.schedule.gains import PidGains
 
@@ -91,3 +96,99 @@ def test_a_belief_of_the_other_sign_is_dropped(loop: Callable) -> None:
     mirrored = type(window)(window.t_s, window.sp, window.pv, -window.co)
     learned = learn(Belief(belief.known, 3, 0.0), mirrored, DOWN, STILL, FIT)
     assert learned.surprise == Surprise.FIRST
+
+
+def test_the_posterior_is_the_joint_fit_of_all_records(loop: Callable) -> None:
+    windows = records(loop, 3)
+    belief = None
+    for window in windows:
+        belief = learn(belief, window, UP, STILL, FIT).belief
+    assert belief is not None
+
+    def misfit_of(window: Window) -> Misfit:
+        found = min((c for c in fitted(window, (1,), FIT) if c.fit.misfit.type == ProcessType.FOPDT),
+                    key=lambda c: c.criterion)  # fmt: skip
+        loads.append(found.fit.p[3:])
+        return found.fit.misfit
+
+    loads: list[FloatArray] = []
+    misfits = [misfit_of(window) for window in windows]
+    sizes = np.cumsum([3, *(len(times) for times in loads)])
+
+    def residuals(p: FloatArray) -> FloatArray:
+        parts = zip(misfits, sizes, sizes[1:], strict=False)
+        return np.concatenate([m.residuals(np.concatenate([p[:3], p[a:b]])) for m, a, b in parts])
+
+    joint = least_squares(residuals, np.concatenate([belief.log.x, *loads]), x_scale="jac").x[:3]
+    assert belief.log.type == ProcessType.FOPDT
+    np.testing.assert_allclose((belief.log.x - joint) / np.sqrt(np.diag(belief.log.p)), 0.0, atol=0.35)
+
+
+def test_records_that_do_not_settle_the_process_alone_settle_it_together(loop: Callable) -> None:
+    weak = [loop(noise=0.25, n=400, kc=1.0, at=40.0, sp=1.0).run(seed=i, t0=i * 400.0) for i in range(12)]
+    belief, alone = None, []
+    for window in weak:
+        learned = learn(belief, window, UP, STILL, FIT)
+        belief = learned.belief or belief
+        alone.append(identify_window(window, 1, None, FIT).identifiable)
+        if belief is not None and belief.identifiable:
+            break
+    assert not any(alone)
+    assert belief is not None
+    assert belief.identifiable
+    assert belief.records > 1
+    truth = np.log([1 / 50.0, 5.0])
+    assert np.all(np.abs(belief.log.x[:2] - truth) < 4 * np.sqrt(np.diag(belief.log.p)[:2]))
+
+
+def test_an_odd_record_that_means_danger_is_believed_at_once_and_taken_back(loop: Callable) -> None:
+    tight = PidGains(5.0, 0.125)
+    belief = None
+    for window in records(loop, 3):
+        belief = learn(belief, window, tight, STILL, FIT).belief
+    odd, same = records(loop, 1, k=2.0, first=4)[0], records(loop, 1, first=6)[0]
+    opened = learn(belief, odd, tight, STILL, FIT)
+    assert opened.surprise == Surprise.OPENED
+    assert opened.belief is not None
+    assert opened.belief.log.model().k == pytest.approx(2.0, rel=0.15)
+    back = learn(opened.belief, same, tight, STILL, FIT)
+    assert back.surprise == Surprise.CHANGED
+    assert back.belief is not None
+    assert back.belief.log.model().k == pytest.approx(1.0, rel=0.15)
+
+
+def test_a_wrong_first_record_does_not_lock_the_region(loop: Callable) -> None:
+    belief = learn(None, records(loop, 1, k=3.0)[0], UP, STILL, FIT).belief
+    said = []
+    for window in records(loop, 2, first=1):
+        learned = learn(belief, window, UP, STILL, FIT)
+        belief = learned.belief
+        said.append(learned.surprise)
+    assert said == [Surprise.ODD, Surprise.CHANGED]
+    assert belief is not None
+    assert belief.log.model().k == pytest.approx(1.0, rel=0.1)
+
+
+def test_slow_fouling_is_followed(loop: Callable) -> None:
+    belief, steps = None, 10
+    for i in range(steps):
+        k = 2.0 ** (-i / 30)
+        window = loop(k=k, noise=0.02, **({"sp": 1.0} if i % 2 == 0 else {"load": 3.0})).run(seed=i, t0=i * 400.0)
+        learned = learn(belief, window, UP, TrackerSettings(), FIT)
+        assert learned.surprise in {Surprise.FIRST, Surprise.AGREES}
+        belief = learned.belief
+    assert belief is not None
+    assert abs(belief.log.x[0] - np.log(k / 50.0)) < 0.2
+
+
+def test_the_last_records_are_remembered_by_what_they_said_alone(loop: Callable) -> None:
+    belief = None
+    for window in records(loop, 2):
+        belief = learn(belief, window, UP, STILL, FIT, (1.5, 2.5)).belief
+    assert belief is not None
+    assert [(p.x, p.x2) for p in belief.points] == [(1.5, 2.5)] * 2
+    assert belief.points[1].t_s > belief.points[0].t_s
+    assert all(p.log.model().k == pytest.approx(1.0, rel=0.2) for p in belief.points)
+    assert belief.plausible[0].excess == 0.0
+    again = belief_in(json.loads(json.dumps(belief_out(belief), allow_nan=False)))
+    assert belief_out(again) == belief_out(belief)
