@@ -159,7 +159,7 @@ def _reading(gains: PidGains, numbers: dict[str, float], settings: PatternSettin
     ratio = gains.ki / gains.kp * numbers["period_s"] if gains.kp else math.inf
     numbers["period_over_tau_i"] = ratio
     if m < settings.dead_zone and _is_slow(ratio, numbers, settings):
-        return Reading.SLOW, Move(kc=settings.careful)
+        return Reading.SLOW, Move(kc=settings.least_up)
     if abs(m) <= settings.dead_zone:
         return Reading.ON_TARGET, Move()
     if m > 0:
@@ -175,10 +175,10 @@ def _without_second_peak(
     if numbers["margin"] < -settings.dead_zone and numbers.get("rebound", 0.0) > settings.damping_target:
         return Reading.LIVELY, _calmer(numbers["margin"], 0.0, numbers, settings)
     if gains.ki and _is_long(numbers, settings):
-        return Reading.OVERDAMPED, Move(tau_i=1 / settings.careful)
+        return Reading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
     if room <= settings.overshoot_target - settings.co_enough:
         return Reading.ON_TARGET, Move()
-    return Reading.OVERDAMPED, Move(kc=settings.careful)
+    return Reading.OVERDAMPED, Move(kc=settings.least_up)
 
 
 def _is_slow(ratio: float, numbers: dict[str, float], settings: PatternSettings) -> bool:

@@ -14,7 +14,7 @@ class PatternSettings:
     gain : g of the rule, ln of a factor per unit of margin; 0.5 to 3, default 1.5.
     step_up, step_down : largest factor per response towards more and towards less action; 1.05 to 2, defaults 1.3, 1.5.
     urgent_step : factor at once when the swing grows; 1.05 to 4, default 2.
-    careful : factor per response without a second peak; 1.02 to step_up, default 1.2.
+    careful : factor per response without a second peak, at most step_up; 1.02 to 2, default 1.2.
     co_enough : overshoot of co from which a response without a second peak is fast enough; 0 to 0.3, default 0.05.
     fast_ratio, slow_ratio : T/tau_I below which a swing is the gain's doing, and above which it is the integral's;
         defaults 1.5 and 4 (the integral's lag is 13 and 32 degrees there).
@@ -59,6 +59,11 @@ class PatternSettings:
     pulse: float = 0.4
     undying: float = 0.85
     alone: bool = False
+
+    @property
+    def least_up(self) -> float:
+        """Factor of a careful step, within step_up."""
+        return min(self.careful, self.step_up)
 
     def __post_init__(self) -> None:
         for field in fields(self):

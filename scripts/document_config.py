@@ -73,6 +73,8 @@ def shown(value: object) -> str:
         return "absent"
     if value == ():
         return "`[]`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 

@@ -4,9 +4,12 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+from retuner.adaptive.admission import AdmissionSettings
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.guard import GuardSettings, change_factor
+from retuner.adaptive.pattern_settings import PatternSettings
 from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.proposing import WithoutModelSettings
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -63,7 +66,15 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         filter_s=loop.tau_f_s,
         trial=trial,
         guard=guard_settings(config),
+        admission=AdmissionSettings(**a.admission.model_dump()),
+        without_model=without_model_settings(config),
     )
+
+
+def without_model_settings(config: Config) -> WithoutModelSettings:
+    """What may be done where no process can be identified: [adaptation.pattern]."""
+    pattern = config.adaptation.pattern
+    return WithoutModelSettings(PatternSettings(**pattern.model_dump(exclude={"allowed"})), allowed=pattern.allowed)
 
 
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Literal
 
+from retuner.config.learning import AdmissionConfig, PatternConfig
 from retuner.config.limits import LimitsConfig
 from retuner.config.setting import Many, Problem, Section, setting
 
@@ -57,6 +58,12 @@ class AdaptationConfig(Section):
         default=(), source="user",
     )  # fmt: skip
     limits: LimitsConfig = setting("Further limits of a change", unit="-", default=LimitsConfig(), source="see there")
+    admission: AdmissionConfig = setting(
+        "What may teach a region", unit="-", default=AdmissionConfig(), source="see there"
+    )
+    pattern: PatternConfig = setting(
+        "What may be done without a model", unit="-", default=PatternConfig(), source="see there"
+    )
     approval_s: float = setting(
         "How long a proposal may be approved after it was made", unit="s", above=0, high=1e8, default=86400.0,
         source="a day: every shift sees it",
