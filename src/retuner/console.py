@@ -91,7 +91,7 @@ def scores_table(scores: list[RegionScore], unit: str) -> Table:
     """Gains, Ms and IAE per region, before and after."""
     compared = ", against the same run with fixed gains" if any(s.iae_fixed is not None for s in scores) else ""
     title = f"\nGains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s{compared}"
-    table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 2, 0, 0))
+    table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
     for name in ("region", "commissioned", "final"):
         table.add_column(name, no_wrap=True)
     for name in ("writes", "Ms", "Ms now", "IAE fixed", "IAE now"):
