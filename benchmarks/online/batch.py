@@ -49,10 +49,10 @@ class Task:
 
 
 def tasks(
-    seed: int, *, opened: bool, every: int = 1, only: str = "", noise: float = NOISE, verbose: bool = False,
+    seed: int, *, opened: bool, every: int = 1, offset: int = 0, only: str = "", noise: float = NOISE, verbose: bool = False,
     starts: int = 1, rivals: bool = False,
 ) -> list[Task]:  # fmt: skip
-    """The runs of a table: `starts` of STARTS (in a drawn order) for each process, or for every n-th."""
+    """The runs of a table: `starts` of STARTS (in a drawn order) for each process, or for every n-th from an offset on."""
     rng = np.random.default_rng(seed)
     found = []
     for member in batch():
@@ -61,7 +61,7 @@ def tasks(
             Task(member, STARTS[i], zlib.crc32(f"{seed} {member.name} {i}".encode()), opened, noise, verbose, rivals)
             for i in order
         ]
-    return [task for task in found if task.member.name.startswith(only)][::every]
+    return [task for task in found if task.member.name.startswith(only)][offset::every]
 
 
 def run(task: Task) -> Row:

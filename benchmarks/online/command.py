@@ -23,7 +23,7 @@ def main() -> int:
 
 def _batch(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     tasks = batch.tasks(
-        options.seed, opened=options.opened, every=options.every, only=options.only, noise=options.noise,
+        options.seed, opened=options.opened, every=options.every, offset=options.offset, only=options.only, noise=options.noise,
         verbose=options.verbose, starts=options.starts, rivals=options.rivals,
     )  # fmt: skip
     rows, whole = collect(batch.run, tasks, options.jobs, options.out, batch.line if options.verbose else None)
@@ -42,7 +42,9 @@ def _say(lines: list[str]) -> None:
 def _harm(options: argparse.Namespace) -> tuple[list[harm.Row], bool]:
     kinds = harm.KINDS if options.kind == "all" else (options.kind,)
     count = {kind: options.hours if kind == "quiet" else options.loops for kind in kinds}
-    tasks = [task for kind in kinds for task in harm.tasks(options.seed, kind, count[kind])][:: options.every]
+    tasks = [task for kind in kinds for task in harm.tasks(options.seed, kind, count[kind])][
+        options.offset :: options.every
+    ]
     rows, whole = collect(harm.run, tasks, options.jobs, options.out, harm.line)
     _say([f"do no harm, seed {options.seed}", *harm.table(rows)])
     return rows, whole
@@ -50,14 +52,16 @@ def _harm(options: argparse.Namespace) -> tuple[list[harm.Row], bool]:
 
 def _changes(options: argparse.Namespace) -> tuple[list[changes.Row], bool]:
     kinds = changes.KINDS if options.kind == "all" else (options.kind,)
-    tasks = [task for kind in kinds for task in changes.tasks(options.seed, kind, options.loops)][:: options.every]
+    tasks = [task for kind in kinds for task in changes.tasks(options.seed, kind, options.loops)][
+        options.offset :: options.every
+    ]
     rows, whole = collect(changes.run, tasks, options.jobs, options.out, changes.line if options.verbose else None)
     _say([f"processes that change, seed {options.seed}", *changes.table(rows)])
     return rows, whole
 
 
 def _walks(options: argparse.Namespace) -> tuple[list[walks.Row], bool]:
-    tasks = walks.tasks(options.seed, options.walks, options.setpoints)[:: options.every]
+    tasks = walks.tasks(options.seed, options.walks, options.setpoints)[options.offset :: options.every]
     rows, whole = collect(walks.run, tasks, options.jobs, options.out, walks.line)
     _say([f"walks, seed {options.seed}", *(walks.table(rows) if rows else [])])
     return rows, whole
@@ -65,7 +69,9 @@ def _walks(options: argparse.Namespace) -> tuple[list[walks.Row], bool]:
 
 def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
     kinds = injected.KINDS if options.kind == "all" else (options.kind,)
-    tasks = [task for kind in kinds for task in injected.tasks(options.seed, kind, options.loops)][:: options.every]
+    tasks = [task for kind in kinds for task in injected.tasks(options.seed, kind, options.loops)][
+        options.offset :: options.every
+    ]
     rows, whole = collect(injected.run, tasks, options.jobs, options.out, injected.line)
     _say([f"bad changes injected, seed {options.seed}", *injected.table(rows)])
     return rows, whole
@@ -109,6 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument("--seed", type=int, default=1, help="2028 and above are for final tables only")
     common.add_argument("--jobs", type=int, default=1)
     common.add_argument("--every", type=int, default=1, help="only every n-th run")
+    common.add_argument("--offset", type=int, default=0, help="and the first of these (--every 2 --offset 1)")
     common.add_argument("--out", type=Path, metavar="FILE", help="every run as a line of JSON")
     common.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
     parts = parser.add_subparsers(dest="part", required=True)
