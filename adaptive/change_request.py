@@ -22,6 +22,7 @@ def change_request(
     learned: Learned | None,
     t_s: float,
     settings: RetunerSettings,
+    damping: float | None = None,
 ) -> ChangeRequest:
     """The question on a proposal that a model supports.
 
@@ -29,6 +30,7 @@ def change_request(
     ----------
     region : index. tables : in force, and as commissioned. beliefs : of all regions, the asked one's as it is now.
     learned : outcome of the last record; None when none is at hand. t_s : now.
+    damping : of the response, None when it did not swing.
     """
     in_force, commissioned = tables
     known = {index: _allowed(belief, t_s, settings) for index, belief in beliefs.items()}
@@ -46,17 +48,31 @@ def change_request(
             gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
+        urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
     )
 
 
 def unproved_request(
-    proposal: Tuning, region: int, tables: tuple[GainTable, GainTable], settings: RetunerSettings
+    proposal: Tuning,
+    region: int,
+    tables: tuple[GainTable, GainTable],
+    settings: RetunerSettings,
+    damping: float | None = None,
 ) -> ChangeRequest:
     """The question on a proposal that no model supports; arguments as above."""
     in_force, commissioned = tables
     evidence = Evidence(records=0, support=Support.PATTERN)
     own = (in_force.gains_of(region), commissioned.gains_of(region))
-    return ChangeRequest(*own, proposal, (), settings.sample_time_s, evidence)
+    return ChangeRequest(
+        *own, proposal, (), settings.sample_time_s, evidence, urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
+    )  # fmt: skip
+
+
+def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
+    """Whether a response swings on as if it would not end."""
+    return damping is not None and damping >= settings.guard.urgent_damping
 
 
 def _allowed(belief: Belief, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:

@@ -179,7 +179,9 @@ def _tuned(case: Case, learned: Learned, belief: Belief, wanted: RobustProposal,
         return Outcome(str(diagnosis.cause), diagnosis.reason, learned, diagnosis=diagnosis)
     beliefs, now = {**case.beliefs, case.region: belief}, float(case.window.t_s[-1])
     tables = (case.table, case.commissioned)
-    verdict = prove(change_request(tuning, case.region, tables, beliefs, learned, now, settings), settings.guard)
+    damping = case.response.damping
+    asked = change_request(tuning, case.region, tables, beliefs, learned, now, settings, damping)
+    verdict = prove(asked, settings.guard)
     return Outcome(
         verdict.ruling.name.lower(),
         diagnosis.reason if verdict.accepted else verdict.sentence,
@@ -193,7 +195,8 @@ def _tuned(case: Case, learned: Learned, belief: Belief, wanted: RobustProposal,
 
 def _without_model(case: Case, learned: Learned, left: float, why: str, settings: RetunerSettings) -> Outcome:
     """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
-    found = without_model(case.response, case.window, case.in_force, None, settings.without_model)
+    found = without_model(case.response, case.window, case.in_force, None, settings.without_model,
+                          settings.locks_of(case.region))  # fmt: skip
     reason = f"{why}; {found.sentence}"
     if found.tuning is None:
         return Outcome(NOT_KNOWN, reason, learned, numbers=found.numbers)
@@ -210,7 +213,7 @@ def _without_model(case: Case, learned: Learned, left: float, why: str, settings
         if doubt is not None:
             return Outcome("unconfirmed", doubt.reason, learned, None, doubt, tuning, excitation=excitation)
     tables = (case.table, case.commissioned)
-    verdict = prove(unproved_request(tuning, case.region, tables, settings), settings.guard)
+    verdict = prove(unproved_request(tuning, case.region, tables, settings, case.response.damping), settings.guard)
     return Outcome(
         verdict.code,
         reason if verdict.accepted else verdict.sentence,

@@ -8,7 +8,7 @@ from retuner.adaptive.decision import Mode
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.online import SwingSettings
 from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
-from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
 from retuner.adaptive.identify import FitSettings
 from retuner.adaptive.proposing import WithoutModelSettings
 from retuner.adaptive.robust_settings import RobustSettings
@@ -22,6 +22,7 @@ class RetunerSettings:
 
     sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band.
     mode : what it may do; region_modes : in single regions by index, None or missing for `mode`.
+    locks : parameters that stay as they are; region_locks : in single regions by index, None or missing for `locks`.
     band : noise band in pv units; None estimates it from the data.
     band_sigmas : noise standard deviations in the estimated band; 2 to 6, default 4.
     band_min_share : smallest band as a share of pv_span; default 0.001.
@@ -45,6 +46,8 @@ class RetunerSettings:
     pv_span: float
     mode: Mode = Mode.ADVISE
     region_modes: tuple[Mode | None, ...] = ()
+    locks: Locks = NO_LOCKS
+    region_locks: tuple[Locks | None, ...] = ()
     band: float | None = None
     band_sigmas: float = 4.0
     band_min_share: float = 0.001
@@ -77,3 +80,8 @@ class RetunerSettings:
         """What may be done in a region, by index."""
         own = self.region_modes[region] if region < len(self.region_modes) else None
         return own or self.mode
+
+    def locks_of(self, region: int) -> Locks:
+        """What stays as it is in a region, by index."""
+        own = self.region_locks[region] if region < len(self.region_locks) else None
+        return self.locks if own is None else own

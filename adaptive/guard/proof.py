@@ -90,6 +90,8 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     return _best(case, tried, doubt is not None) or _refused(case, *(doubt or _why_not(case, tried)))
 
 
+UNPROVED = {False: Ruling.UNPROVED_STEP, True: Ruling.UNPROVED_WAY_OUT}
+"""Ruling of a change without a model: not urgent, urgent."""
 EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTED})
 """Doubts that leave the way to less of everything open for a loop over its limit."""
 
@@ -220,14 +222,15 @@ def _share(old: PidGains, new: PidGains, goal: Goal) -> float:
 
 
 def _unproved(case: _Case, goal: Goal) -> Verdict:
-    """A small step where no model can prove one: the pattern's."""
+    """A small step where no model can prove one, the pattern's; the whole one where an oscillation asks for less."""
     request, s = case.request, case.settings
-    gains = within_factor(request.in_force, goal.gains, s.pattern_step_max)
-    numbers = {"factor": change_factor(request.in_force, gains), "limit": s.pattern_step_max}
-    checks = tuple(limit_checks(request, gains, s, factor=s.pattern_step_max))
-    way_out = request.urgent and less_of_everything(request.in_force, gains)
-    step = _share(request.in_force, gains, goal)
-    return Verdict(Ruling.UNPROVED_STEP, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
+    way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
+    limit = math.inf if way_out else s.pattern_step_max
+    gains = within_factor(request.in_force, goal.gains, limit)
+    numbers = {"factor": change_factor(request.in_force, gains)} | ({} if way_out else {"limit": limit})
+    checks = tuple(limit_checks(request, gains, s, factor=limit))
+    step, ruling = _share(request.in_force, gains, goal), UNPROVED[way_out]
+    return Verdict(ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
                    goal.notes, (), way_out)  # fmt: skip
 
 

@@ -23,6 +23,9 @@ class Ruling(StrEnum):
         "{ms_before_worst} to {ms_worst}"
     )
     UNPROVED_STEP = "accepted as a small step by the pattern, without a model: factor {factor}, at most {limit}"
+    UNPROVED_WAY_OUT = (
+        "accepted without a model because the loop oscillates: less of everything, by a factor of {factor} at once"
+    )
     TOO_SMALL = "no change: the settings in force are as good (factor {factor}, {limit} would be worth a write)"
     NOT_ROBUST = (
         "refused: not robust on every model that the records allow, even at a quarter of the step: Ms {ms_tried} on "
@@ -44,7 +47,7 @@ class Ruling(StrEnum):
     CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
 
 
-ACCEPTING = frozenset({Ruling.ACCEPTED, Ruling.URGENT, Ruling.SAFER, Ruling.UNPROVED_STEP})
+ACCEPTING = frozenset({Ruling.ACCEPTED, Ruling.URGENT, Ruling.SAFER, Ruling.UNPROVED_STEP, Ruling.UNPROVED_WAY_OUT})
 """Rulings that let gains through."""
 
 

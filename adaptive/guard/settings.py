@@ -11,7 +11,8 @@ RANGES = {
     "tau_i_shorter_max": (1.0, 100.0), "tau_i_longer_max": (1.0, 100.0),
     "tau_d_up_max": (1.0, 100.0), "tau_d_down_max": (1.0, 100.0),
     "integral_up_max": (1.0, 100.0), "integral_down_max": (1.0, 100.0),
-    "total_ratio_max": (1.0, 1000.0), "kc_min": (0.0, math.inf), "kc_max": (0.0, math.inf),
+    "urgent_damping": (0.5, 10.0), "total_ratio_max": (1.0, 1000.0),
+    "kc_min": (0.0, math.inf), "kc_max": (0.0, math.inf),
     "tau_i_min_s": (0.0, math.inf), "tau_i_max_s": (0.0, math.inf), "tau_d_max_s": (0.0, math.inf),
     "tau_i_samples": (0.0, 100.0), "tau_d_samples": (0.0, 100.0),
     "records_min": (1, 100), "age_max_s": (0.0, math.inf), "smallest_change": (1.0, 2.0),
@@ -34,6 +35,7 @@ class GuardSettings:
     step_up_max, step_down_max : largest factor per change towards more and towards less action, of kc, tau_I, tau_D and
         kc/tau_I; defaults 2 and 4. More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
     kc_up_max ... integral_down_max : the same for one of them (integral: kc/tau_I); None for the general limit.
+    urgent_damping : damping (E3 - E2)/(E1 - E2) of a response from which the loop counts as oscillating; default 0.9.
     pattern_step_max : largest factor either way of a change that no model proves; default 1.5.
     total_ratio_max : largest factor of kc, tau_I and tau_D against the commissioned set; default 4 (ABB ECA06).
     kc_min, kc_max : absolute limits on |kc|. tau_i_min_s, tau_i_max_s, tau_d_max_s : of the times, seconds.
@@ -65,6 +67,7 @@ class GuardSettings:
     tau_d_down_max: float | None = None
     integral_up_max: float | None = None
     integral_down_max: float | None = None
+    urgent_damping: float = 0.9
     pattern_step_max: float = 1.5
     total_ratio_max: float = 4.0
     kc_min: float = 0.0

@@ -54,6 +54,11 @@ class LimitsConfig(Section):
         "Largest Ms where the gains meet a neighbouring region's process or are mixed with its gains", unit="1",
         low=1.2, high=5, default=2.1, source="as ms_worst",
     )  # fmt: skip
+    urgent_damping: float = setting(
+        "Damping of a response, the ratio of successive half swings, from which the loop counts as oscillating and may "
+        "take the whole step to less action at once", unit="1", low=0.5, high=10, default=0.9,
+        source="ten half swings then leave a third",
+    )  # fmt: skip
     pattern_step_max: float = setting(
         "Greatest factor of a change that no model proves", unit="1", low=1, high=4, default=1.5,
         source="a loop with a gain margin of 2 stays stable",

@@ -95,7 +95,7 @@ def test_a_limit_that_turns_a_parameter_back_leaves_no_room() -> None:
     assert (back.no_room, back.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
     rounded = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))[0]
     assert not rounded.no_room
-    (back,) = cut(IdealGains(0.6, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
+    back = cut(IdealGains(0.6, 20.0).to_parallel(), GuardSettings(kc_max=0.5))[0]
     assert not back.no_room
     assert back.gains.kp == 0.5
 

@@ -119,6 +119,25 @@ def test_a_measured_oscillation_counts_where_the_model_does_not_see_it() -> None
     assert urgent.ruling == Ruling.URGENT
 
 
+def test_without_a_model_small_steps_only_unless_an_oscillation_asks_for_less() -> None:
+    pattern = Evidence(records=0, support=Support.PATTERN)
+    asked = replace(request(times(0.4, 0.4), models=()), evidence=pattern)
+    verdict = prove(asked, SETTINGS)
+    assert verdict.gains is not None
+    assert verdict.gains.kp == pytest.approx(0.6 * GAINS.kp)
+    assert math.isnan(verdict.ms_nominal)
+    assert verdict.to_dict()["ms"] == {"nominal": None, "worst": None, "before": None}
+    assert prove(replace(asked, urgent=True), SETTINGS).gains == verdict.gains  # more action is never hurried
+    less = replace(request(times(3, 3), models=()), evidence=pattern)
+    slowly, at_once = prove(less, SETTINGS), prove(replace(less, urgent=True), SETTINGS)
+    assert slowly.gains is not None
+    assert slowly.gains.kp == pytest.approx(2 * GAINS.kp)
+    assert not slowly.urgent
+    assert at_once.gains == GAINS
+    assert at_once.urgent
+    assert at_once.step == 1.0
+
+
 def test_urgency_never_hurries_towards_more_action() -> None:
     verdict = prove(replace(request(times(0.1, 0.1)), urgent=True), SETTINGS)
     assert verdict.ruling == Ruling.ACCEPTED
@@ -166,6 +185,8 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
     Ruling.SAFER: (request(times(2.5, 2.5), models=known(0.6)), SETTINGS),
     Ruling.UNPROVED_STEP: (
         replace(request(times(0.6, 0.6), models=()), evidence=Evidence(support=Support.PATTERN)), SETTINGS),
+    Ruling.UNPROVED_WAY_OUT: (
+        replace(request(times(3, 3), models=()), evidence=Evidence(support=Support.PATTERN), urgent=True), SETTINGS),
     Ruling.TOO_SMALL: (request(times(0.97, 0.98)), SETTINGS),
     Ruling.NOT_ROBUST: (request(times(0.9, 0.5), models=known(0.45)), SETTINGS),
     Ruling.NOT_ROBUST_AT_BORDER: (replace(request(times(0.8, 0.8)), borders=(neighbour(FASTER),)), SETTINGS),

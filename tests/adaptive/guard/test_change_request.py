@@ -1,0 +1,72 @@
+"""What the guard is asked follows from what is known: models of this and of the neighbouring regions, age, locks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from guard_cases import BEST, GAINS, MODEL, times
+
+from retuner.adaptive.belief import Belief, Known
+from retuner.adaptive.change_request import change_request, unproved_request
+from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Support, allowed
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.tracker import predicted
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+REGIONS = Regions("pv", "C", ("cold", "warm", "hot"), 0.0, (20.0, 60.0), 100.0)
+START = GainTable("oven", REGIONS, (GAINS, times(0.5, 0.5), times(0.3, 0.3)))
+NOW = START.with_gains(1, times(0.8, 0.8))
+SETTINGS = RetunerSettings(1.0, 100.0, region_locks=(None, KC_ONLY), locks=NO_DERIVATIVE)
+DAY = 86400.0
+
+
+def belief(k: float, t_s: float = 0.0) -> Belief:
+    model = replace(MODEL, k=k)
+    log = LogModel(parameters_of(model), 0.01 * np.eye(3), 1)
+    around = (Plausible(model, 0.0), Plausible(replace(model, theta_s=6.0), 3.0))
+    return Belief((Known(log, 0.0),), 3, t_s, plausible=around)
+
+
+def test_what_is_known_is_asked() -> None:
+    beliefs = {1: belief(2.0), 2: belief(4.0)}
+    asked = change_request(BEST, 1, (NOW, START), beliefs, None, DAY, SETTINGS)
+    assert (asked.in_force, asked.commissioned, asked.proposal) == (times(0.8, 0.8), times(0.5, 0.5), BEST)
+    assert asked.sample_time_s == 1.0
+    variance = SETTINGS.tracker.walk_per_day**2
+    log = predicted(beliefs[1], DAY, SETTINGS.tracker)
+    assert asked.models == allowed(log, beliefs[1].plausible, variance, SETTINGS.guard)
+    assert asked.models[1].model.theta_s > 6.0  # a day apart
+    assert (asked.evidence.records, asked.evidence.age_s, asked.evidence.innovation) == (3, DAY, 0.0)
+    cold, hot = asked.borders
+    assert (cold.name, cold.models) == ("cold", ())
+    assert hot.name == "hot"
+    assert hot.models[0].model.k == pytest.approx(4.0)
+    assert not asked.urgent
+
+
+def test_locks_of_the_region_come_before_those_of_the_loop() -> None:
+    beliefs = {i: belief(2.0) for i in range(3)}
+    found = [change_request(BEST, i, (NOW, START), beliefs, None, 0.0, SETTINGS).locks for i in range(3)]
+    assert found == [NO_DERIVATIVE, KC_ONLY, NO_DERIVATIVE]
+    assert RetunerSettings(1.0, 100.0).locks_of(5) == NO_LOCKS
+
+
+@pytest.mark.parametrize(("damping", "urgent"), [(None, False), (0.89, False), (0.9, True), (1.2, True)])
+def test_a_swing_that_does_not_die_is_urgent(damping: float | None, urgent: bool) -> None:
+    asked = change_request(BEST, 1, (NOW, START), {1: belief(2.0)}, None, 0.0, SETTINGS, damping)
+    assert asked.urgent == urgent
+    assert unproved_request(BEST, 1, (NOW, START), SETTINGS, damping).urgent == urgent
+    late = replace(SETTINGS, guard=GuardSettings(urgent_damping=2.0))
+    assert not change_request(BEST, 1, (NOW, START), {1: belief(2.0)}, None, 0.0, late, damping).urgent
+
+
+def test_without_a_model_the_guard_is_told_so() -> None:
+    asked = unproved_request(BEST, 1, (NOW, START), SETTINGS)
+    assert asked.models == ()
+    assert asked.evidence.support == Support.PATTERN
+    assert asked.locks == KC_ONLY
+    assert (asked.in_force, asked.commissioned) == (times(0.8, 0.8), times(0.5, 0.5))
