@@ -49,10 +49,10 @@ class Task:
 
 
 def tasks(
-    seed: int, *, opened: bool, every: int = 1, offset: int = 0, only: str = "", noise: float = NOISE, verbose: bool = False,
-    starts: int = 1, rivals: bool = False,
+    seed: int, *, opened: bool, every: int = 1, offset: int = 0, only: str = "", noise: float = NOISE,
+    verbose: bool = False, starts: int = 1, rivals: bool = False,
 ) -> list[Task]:  # fmt: skip
-    """The runs of a table: `starts` of STARTS (in a drawn order) for each process, or for every n-th from an offset on."""
+    """The runs of a table: `starts` of STARTS (in a drawn order) for each process; every n-th, from an offset on."""
     rng = np.random.default_rng(seed)
     found = []
     for member in batch():

@@ -23,8 +23,8 @@ def main() -> int:
 
 def _batch(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     tasks = batch.tasks(
-        options.seed, opened=options.opened, every=options.every, offset=options.offset, only=options.only, noise=options.noise,
-        verbose=options.verbose, starts=options.starts, rivals=options.rivals,
+        options.seed, opened=options.opened, every=options.every, offset=options.offset, only=options.only,
+        noise=options.noise, verbose=options.verbose, starts=options.starts, rivals=options.rivals,
     )  # fmt: skip
     rows, whole = collect(batch.run, tasks, options.jobs, options.out, batch.line if options.verbose else None)
     if not options.verbose:
