@@ -1,12 +1,13 @@
 """From the configuration to the objects of the rooms, each made in one place."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from retuner.adaptive.admission import AdmissionSettings
 from retuner.adaptive.decision import Mode
-from retuner.adaptive.guard import GuardSettings, change_factor
+from retuner.adaptive.guard import GuardSettings, Locks, change_factor
 from retuner.adaptive.pattern_settings import PatternSettings
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.proposing import WithoutModelSettings
@@ -46,6 +47,11 @@ def guard_settings(config: Config) -> GuardSettings:
     return GuardSettings(**general, **further)
 
 
+def locks(names: Sequence[str]) -> Locks:
+    """Parameters that stay as they are, by name."""
+    return Locks(kc="kc" in names, tau_i="tau_i" in names, tau_d="tau_d" in names)
+
+
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
     """The retuner's settings; mode overrides the configured one."""
     a, loop = config.adaptation, config.loop
@@ -66,6 +72,10 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         filter_s=loop.tau_f_s,
         trial=trial,
         guard=guard_settings(config),
+        locks=locks(a.locked),
+        region_locks=tuple(
+            None if region.locked is None else locks(region.locked) for region in config.schedule.regions
+        ),
         admission=AdmissionSettings(**a.admission.model_dump()),
         without_model=without_model_settings(config),
     )

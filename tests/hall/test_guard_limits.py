@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from retuner.adaptive.guard import GuardSettings
-from retuner.assembly import guard_settings
+from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, GuardSettings
+from retuner.assembly import guard_settings, retuner_settings
 from retuner.config import load_config
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.limits import LimitsConfig
@@ -46,3 +46,16 @@ def test_limits_that_leave_no_room_are_refused_with_their_place(tmp_path: Path) 
         configured(tmp_path, "tau_i_min_s = 20.0\ntau_i_max_s = 10.0")
     with pytest.raises(UserError, match="total_ratio_max"):
         configured(tmp_path, "total_ratio_max = 0.5")
+
+
+def test_locked_parameters_arrive_for_the_loop_and_for_single_regions(tmp_path: Path) -> None:
+    text = OVEN.read_text().replace("[adaptation]\n", '[adaptation]\nlocked = ["tau_d"]\n')
+    first, head, rest = text.partition("[[schedule.region]]\n")
+    path = tmp_path / "oven.toml"
+    path.write_text(f'{first}{head}locked = ["tau_i", "tau_d"]\n{rest}')
+    settings = retuner_settings(load_config(path))
+    assert settings.locks_of(0) == KC_ONLY
+    assert settings.locks_of(1) == NO_DERIVATIVE
+    path.write_text(text.replace('["tau_d"]', '["tau_x"]'))
+    with pytest.raises(UserError, match="locked"):
+        load_config(path)

@@ -45,6 +45,11 @@ class RegionConfig(Section):
         source="the order in the file",
     )  # fmt: skip
 
+    locked: Many[Literal["kc", "tau_i", "tau_d"]] | None = setting(
+        "Parameters that stay as they are in this region; absent: those of [adaptation] locked", unit="-",
+        default=None, source="user",
+    )  # fmt: skip
+
     def problems(self) -> Iterator[Problem]:
         """Gains that a controller can have."""
         if self.kc == 0:
