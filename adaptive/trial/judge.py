@@ -31,8 +31,6 @@ from retuner.adaptive.trial.shape import swing, three
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
-STEP_LIKE = 0.5
-"""Integrated error over IAE from which a load's response is one of a load that stayed."""
 MEAN_OF_NOISE = 0.8
 """Mean of |n| over the standard deviation of normal noise n."""
 NOISE_RISES = 4.0
@@ -171,7 +169,7 @@ def _costs(
         return ""
     noise = MEAN_OF_NOISE * response.band / NOISE_RISES * float(t[-1] - t[0])
     iae = max(_area(np.abs(e), t) - noise, 0.0)
-    unit = _unit(seen, gains, e, t, iae)
+    unit = _unit(seen, gains, e, t, iae / settings.iae_slack)
     if unit <= 0:
         return ""
     measured, limit = iae / unit, now.iae.high * settings.iae_slack
@@ -187,14 +185,18 @@ def _costs(
     )
 
 
-def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, iae: float) -> float:
-    """Size of the upset: of the setpoint's step, or of the load that the integral took over; 0 when it is not known."""
+def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, least: float) -> float:
+    """Size of the upset: of the setpoint's step, or of the load that the integral took over; 0 when it is not known.
+
+    least : integrated error of a load that stayed. A load that went again leaves an IAE that is large against it; below
+    1/iae_slack of the IAE, that alone could pass for worse than promised.
+    """
     if seen.response.sp_changed:
         before = seen.window.sp[seen.window.t_s < seen.response.t_start_s]
         after = float(np.median(seen.window.sp[seen.window.t_s >= seen.response.t_start_s]))
         return abs(after - float(before[-1])) if before.size else 0.0
     taken_over = abs(_area(e, t))
-    return abs(gains.ki) * taken_over if taken_over >= STEP_LIKE * iae else 0.0
+    return abs(gains.ki) * taken_over if taken_over >= least else 0.0
 
 
 def _area(values: FloatArray, t: FloatArray) -> float:
