@@ -14,6 +14,7 @@ from retuner.adaptive.sample import LoopSample
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
 from retuner.commands import run as run_command
+from retuner.commands.approve import Desk
 from retuner.config import load_config
 from retuner.running import Run
 from retuner.session import Session
@@ -44,6 +45,9 @@ class Person:
             session.device.send_mode(auto=False, co=30.0, now_s=sample.t_s)
         elif what == "auto":
             session.device.send_mode(auto=True, co=0.0, now_s=sample.t_s)
+        elif what == "accept":
+            (waiting,) = Desk(self.folder).shown.waiting.values()
+            self.statuses.append(main(["approve", str(self.folder), waiting[:8], *BY]))
         elif what == "approve":
             asked = session.decisions[-1].digest()[:8]
             self.statuses.append(main(["approve", str(self.folder), asked, *BY]))
@@ -142,6 +146,22 @@ def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(
     assert first[0] == 0
     assert json.loads(first[1])["compared"] == len(decisions)
     assert (main(["replay", str(folder), "--json"]), capsys.readouterr().out) == first
+
+
+def waits(session: Session, sample: LoopSample) -> bool:
+    del sample
+    return bool(session.decisions) and session.decisions[-1].trial == TrialPhase.WAITING
+
+
+def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, person = with_person([("accept", waits)], "--mode", "trial")
+    assert person.statuses == [0]
+    (order,) = bodies(folder, "order")
+    assert (order["accepted"], order["due"], order["proposal"]) == (True, True, None)
+    assert bodies(folder, "judged")[0]["trial"] == TrialPhase.WAITING
+    assert main(["approve", str(folder), order["digest"][:9]]) == 1
+    assert "approved before" in capsys.readouterr().out
+    assert main(["replay", str(folder)]) == 0
 
 
 def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(

@@ -1,0 +1,200 @@
+"""What people order: proved again, whole or not at all, on trial or the way back; and why not."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rig import BAD, GOOD, PROMISE, Rig
+
+from retuner.adaptive.by_order import accept, approve, revert, unlock
+from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.pipeline import Outcome
+from retuner.adaptive.proposal import Proposal, Standing
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+P, E = TrialPhase, TrialEvent
+SLOW = PidGains(GOOD.kp / 3, GOOD.ki / 3)
+BETTER = PidGains(GOOD.kp / 1.6, GOOD.ki / 1.6)
+OFFERED = Proposal("ab" * 32, 3, "all", 100.0, SLOW, BETTER, PROMISE.to_dict())
+
+
+class Bench:
+    """A loop on sluggish gains in advise mode; the retuner has seen some samples, and responses if asked to."""
+
+    def __init__(self, gains: PidGains = SLOW, *, taught: bool = False) -> None:
+        table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (gains,))
+        self.retuner = Retuner(table, RetunerSettings(1.0, 100.0, Mode.ADVISE, band=0.1))
+        self.rig = Rig(gains, noise=0.02)
+        self.decisions: list[Decision] = list(self.run(60))
+        if taught:
+            self.rig.sp = 10.0
+            self.decisions += itertools.islice(self.run(3000), 1)
+
+    def run(self, samples: int) -> Iterator[Decision]:
+        for sample in self.rig.run(samples):
+            decision = self.retuner.observe(sample)
+            if decision is not None:
+                yield decision
+
+    @property
+    def t_s(self) -> float:
+        return self.rig.t_s
+
+
+def test_an_approved_proposal_is_written_as_it_was_and_on_trial() -> None:
+    bench = Bench(taught=True)
+    offered = Proposal.of(bench.decisions[0])
+    assert offered is not None
+    assert offered.digest == bench.decisions[0].digest()
+    again = Proposal.from_dict(offered.to_dict())
+    decision = approve(bench.retuner, again, bench.t_s)
+    assert (decision.action, decision.code) == (Action.COMMIT, "approved")
+    assert decision.gains_after == offered.after
+    assert decision.verdict is not None
+    assert decision.verdict.accepted
+    assert bench.retuner.desk.phase(0) is P.WRITING
+    bench.retuner.committed(0, offered.after)
+    assert bench.retuner.desk.phase(0) is P.TRIAL
+    assert bench.retuner.desk.trial(0).old == SLOW
+    assert approve(bench.retuner, again, bench.t_s).code == "approval_refused"
+
+
+def test_a_proposal_of_an_earlier_session_is_held_to_the_limits_per_change() -> None:
+    assert approve(Bench().retuner, OFFERED, 60.0).action is Action.COMMIT
+    far = replace(OFFERED, after=PidGains(SLOW.kp * 5, SLOW.ki * 5))
+    refused = approve(Bench().retuner, far, 60.0)
+    assert refused.action is Action.NONE
+    assert "outside the limits" in refused.reason
+
+
+def test_what_is_known_now_decides_and_not_what_was_known() -> None:
+    bench = Bench(taught=True)
+    wild = replace(OFFERED, after=PidGains(SLOW.kp * 1.9, SLOW.ki * 30.0))
+    refused = approve(bench.retuner, wild, bench.t_s)
+    assert refused.action is Action.NONE
+    assert refused.gains_after is None
+    assert refused.code == "approval_refused"
+    assert bench.retuner.desk.phase(0) is P.IDLE
+
+
+def test_other_gains_or_no_promise_end_a_proposal() -> None:
+    bench = Bench(GOOD)
+    assert str(Standing.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason
+    bare = replace(OFFERED, promise=None)
+    assert "promises nothing" in approve(Bench().retuner, bare, 60.0).reason
+    with pytest.raises(ValueError, match="does not exist"):
+        approve(bench.retuner, replace(OFFERED, region="elsewhere"), 60.0)
+
+
+@pytest.mark.parametrize(
+    ("in_force", "t_s", "standing"),
+    [(SLOW, 100.0, "OPEN"), (SLOW, 200.0, "OPEN"), (SLOW, 200.1, "EXPIRED"), (GOOD, 150.0, "OTHER_GAINS")],
+)
+def test_a_proposal_stands_until_its_time_or_its_gains_are_over(in_force: PidGains, t_s: float, standing: str) -> None:
+    assert OFFERED.standing(in_force, t_s, 100.0) is Standing[standing]
+
+
+@given(
+    st.text("0123456789abcdef", min_size=64, max_size=64),
+    st.integers(1, 10**6),
+    st.floats(0, 1e9),
+    *(st.floats(1e-6, 1e6) for _ in range(4)),
+)
+def test_a_proposal_comes_back_from_its_document(
+    digest: str, number: int, t_s: float, a: float, b: float, c: float, d: float
+) -> None:
+    offered = Proposal(digest, number, "low", t_s, PidGains(a, b), PidGains(c, d), None)
+    assert Proposal.from_dict(offered.to_dict()) == offered
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"digest": "ab"}, "no SHA-256"), ({"digest": "G" * 64}, "no SHA-256"), ({"t_s": math.nan}, "finite"),
+        ({"after": PidGains(-1.0, -0.1)}, "other way round"),
+    ],
+)  # fmt: skip
+def test_what_is_no_proposal_is_refused(changed: dict[str, object], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        replace(OFFERED, **changed)
+
+
+def test_the_way_back_is_whole_and_not_on_trial() -> None:
+    bench = Bench(GOOD)
+    decision = revert(bench.retuner, 0, BAD["kc /4"], 60.0)
+    assert decision is not None
+    assert (decision.action, decision.code) == (Action.COMMIT, "ordered_back")
+    assert decision.gains_after == BAD["kc /4"]
+    bench.retuner.committed(0, BAD["kc /4"])
+    assert bench.retuner.desk.phase(0) is P.IDLE
+    assert bench.retuner.table.gains == (BAD["kc /4"],)
+
+
+def test_the_way_back_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
+    bench = Bench(GOOD)
+    bench.retuner.ordered(0, Outcome("injected", "for a test"), BAD["kc x4"], PROMISE)
+    bench.retuner.committed(0, BAD["kc x4"])
+    decision = revert(bench.retuner, 0, GOOD, 60.0)
+    assert decision is not None
+    assert (decision.action, decision.code) == (Action.RESTORE, "undo_ordered_back")
+    assert decision.gains_after == GOOD
+    assert bench.retuner.table.gains == (GOOD,)
+    assert bench.retuner.desk.phase(0) is P.RESTORING
+
+
+@pytest.mark.parametrize(
+    ("gains", "told"),
+    [(PidGains(-1.0, -0.1), "the other way round"), (SLOW, "they are in force"), (PidGains(90.0, 1.0), "kc_max")],
+)
+def test_a_way_back_that_leads_nowhere_is_refused(gains: PidGains, told: str) -> None:
+    bench = Bench()
+    retuner = Retuner(
+        bench.retuner.table, replace(bench.retuner.settings, guard=replace(bench.retuner.settings.guard, kc_max=50.0))
+    )
+    for sample in bench.rig.run(2):
+        retuner.observe(sample)
+    decision = revert(retuner, 0, gains, 62.0)
+    assert decision is not None
+    assert decision.action is Action.NONE
+    assert told in decision.reason
+
+
+def test_a_way_back_that_would_be_unstable_now_is_refused() -> None:
+    bench = Bench(taught=True)
+    decision = revert(bench.retuner, 0, PidGains(GOOD.kp * 8, GOOD.ki * 8), bench.t_s)
+    assert decision is not None
+    assert decision.action is Action.NONE
+    assert "would be unstable" in decision.reason
+
+
+def test_a_lock_is_taken_off_and_a_change_that_waits_is_accepted() -> None:
+    bench = Bench(GOOD)
+    assert not unlock(bench.retuner, 0, 60.0)
+    assert not accept(bench.retuner, 0, 60.0)
+    bench.retuner.ordered(0, Outcome("injected", "for a test"), BETTER, PROMISE)
+    bench.retuner.committed(0, BETTER)
+    bench.retuner.desk.event(0, E.PASSED_FOR_APPROVAL, 60.0)
+    assert bench.retuner.desk.phase(0) is P.WAITING
+    assert accept(bench.retuner, 0, 61.0)
+    assert bench.retuner.desk.phase(0) is P.IDLE
+    bench.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
+    bench.retuner.committed(0, GOOD)
+    bench.retuner.abort(E.WORSE)
+    bench.retuner.restored()
+    bench.retuner.desk.event(0, E.TOO_MANY_UNDOS, 62.0)
+    assert bench.retuner.desk.phase(0) is P.LOCKED
+    held = revert(bench.retuner, 0, SLOW, 63.0)
+    assert held is not None
+    assert held.action is Action.COMMIT  # a lock holds the retuner's changes, not the way back
+    assert approve(bench.retuner, replace(OFFERED, before=BETTER, after=GOOD), 63.0).code == "held_locked"
+    assert unlock(bench.retuner, 0, 64.0)
+    assert bench.retuner.desk.phase(0) is P.IDLE
