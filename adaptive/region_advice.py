@@ -11,9 +11,10 @@ chi2 = sum (z_i - m)' (C_i + s^2 I)^-1 (z_i - m) at the best m, the logarithm of
 border is proposed when it passes that, when it leaves no contradiction behind, when it explains better than the same
 split in time (a process that changed is no second region), and when the settings on its two sides differ by enough.
 
-Merge. Neighbours whose settings agree: all that is known of both (the belief, not single records) must place their
-ratio, with its uncertainty, within a factor at which nobody would keep two sets. What is not known does not agree.
-On a map of two axes a border runs through all rows or columns, and so does the proposal.
+Merge. Neighbours whose settings agree: the means of their records must place the ratio, with its uncertainty, within a
+factor at which nobody would keep two sets. What is not known does not agree. The uncertainty of a mean is widened by
+what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On a map of
+two axes a border runs through all rows or columns, and so does the proposal.
 
 Pure: beliefs in, advice out; nothing is changed.
 """
@@ -27,7 +28,7 @@ import numpy as np
 
 from retuner.adaptive.belief import Belief, RecordPoint
 from retuner.adaptive.sample import FloatArray
-from retuner.adaptive.settings_features import SIZE, Features, features
+from retuner.adaptive.settings_features import SIZE, features
 from retuner.schedule.regions import Regions
 
 
@@ -130,10 +131,11 @@ def region_advice(
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """Records explained by one mean: their number, the mean, what it leaves (chi-square)."""
+    """Records explained by one mean: their number, the mean with its covariance, what it leaves (chi-square)."""
 
     count: int
     mean: FloatArray
+    p: FloatArray
     left: float
 
 
@@ -146,7 +148,8 @@ def _side(points: Sequence[_Weighted]) -> _Side:
     total = np.sum([w for _, w in points], axis=0)
     mean = np.linalg.solve(total, np.sum([w @ z for z, w in points], axis=0))
     left = sum(float((z - mean) @ w @ (z - mean)) for z, w in points)
-    return _Side(len(points), mean, left)
+    spread = max(left / (SIZE * max(len(points) - 1, 1)), 1.0)
+    return _Side(len(points), mean, np.asarray(np.linalg.inv(total) * spread, dtype=np.float64), left)
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,8 +245,8 @@ def _merges(
     regions: Regions, beliefs: Mapping[int, Belief], half_sample_s: float, settings: AdviceSettings
 ) -> Iterator[RegionAdvice]:
     """The borders that part nothing."""
-    asked: dict[int, Features] = {
-        i: features(belief.log, half_sample_s)
+    asked = {
+        i: _side(_weighted(belief.points, half_sample_s, settings.scatter))
         for i, belief in beliefs.items()
         if len(belief.points) >= settings.least_records
     }
@@ -259,15 +262,15 @@ def _merges(
                 continue
             apart = max((difference for _, difference in told), key=lambda d: float(np.max(np.abs(d))))
             names = tuple(regions.names[i] for pair in pairs for i in pair)
-            counted = [sum(len(beliefs[pair[side]].points) for pair in pairs) for side in (0, 1)]
+            counted = [sum(asked[pair[side]].count for pair in pairs) for side in (0, 1)]
             yield RegionAdvice(
                 AdviceKind.MERGE, names, axis.label, axis.unit, bound, math.exp(float(apart[0])),
                 math.exp(float(apart[1])), (counted[0], counted[1]), most, settings.merge_factor,
             )  # fmt: skip
 
 
-def _apart(one: Features, other: Features, settings: AdviceSettings) -> tuple[float, FloatArray]:
+def _apart(one: _Side, other: _Side, settings: AdviceSettings) -> tuple[float, FloatArray]:
     """The largest factor between two settings with its uncertainty, and the difference in logarithms."""
-    apart = other.z - one.z
+    apart = other.mean - one.mean
     unsure = settings.bound_std * np.sqrt(np.diag(one.p + other.p))
     return math.exp(float(np.max(np.abs(apart) + unsure))), apart

@@ -136,18 +136,18 @@ def test_structures_may_differ_from_record_to_record() -> None:
     assert [a for a in advice(points) if a.kind is AdviceKind.SPLIT and a.kc_factor != pytest.approx(1, rel=0.3)] == []
 
 
-def settled(gain: float, std: float = 0.02, n: int = 4) -> Belief:
-    rng = random.Random(1)
-    return belief([point(rng, 10.0 * i, 1e3 * i, gain) for i in range(n)], gain, std)
+def settled(gain: float, std: float = STD, n: int = 8) -> Belief:
+    rng = random.Random(int(100 * gain))
+    return belief([point(rng, 10.0 * i, 1e3 * i, gain, std=std) for i in range(n)], gain)
 
 
 @pytest.mark.parametrize(
     ("gains", "std", "records", "merged"),
     [
-        ((1.0, 1.05), 0.02, 4, True),
-        ((1.0, 1.5), 0.02, 4, False),
-        ((1.0, 1.0), 0.15, 4, False),  # equal as far as is known, but not known
-        ((1.0, 1.0), 0.02, 2, False),
+        ((1.0, 1.02), STD, 8, True),
+        ((1.0, 1.5), STD, 8, False),
+        ((1.0, 1.0), 0.6, 8, False),  # equal as far as is known, but not known
+        ((1.0, 1.0), STD, 2, False),
     ],
 )
 def test_neighbours_are_merged_when_they_are_known_to_be_equal(
