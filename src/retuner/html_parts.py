@@ -22,7 +22,8 @@ pre{background:#f4f6f8;padding:.5em .8em;margin:.4em 0;white-space:pre-wrap;font
 @page{margin:11mm}
 @media print{body{max-width:none;margin:0;padding:0;font-size:8pt;line-height:1.35} th,td{padding:.18em .5em}
 details.page{break-before:page;border:0} svg,table,pre{break-inside:avoid} h2,h3{break-after:avoid}
-.columns{grid-template-columns:1fr 1fr;gap:0 1.4em} h3{margin:.6em 0 .2em} p{margin:.3em 0} svg{max-height:7.6cm;margin:0}}
+.columns{grid-template-columns:1fr 1fr;gap:0 1.4em} h3{margin:.6em 0 .2em} p{margin:.3em 0}
+svg{max-height:7.6cm;margin:0}}
 """
 OPEN_TARGET = """
 <script>

@@ -1,6 +1,7 @@
 """The pictures of a report, as PNG bytes: trend with region bands and retune marks, and before/after per region."""
 
 import io
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -44,8 +45,10 @@ def time_axis(t_s: np.ndarray) -> tuple[np.ndarray, str]:
     return t_s - t_s[0], "seconds"
 
 
-def trend_png(run: Columns, fixed: Columns | None, commits: list[float], regions: Regions, unit: str) -> bytes:
-    """Process value, setpoint and output over the whole run; a red mark for each change of gains."""
+def trend_png(
+    run: Columns, fixed: Columns | None, commits: list[float], regions: Regions, unit: str, undone: Sequence[float] = ()
+) -> bytes:
+    """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone)."""
     figure = Figure(figsize=(13, 6.2))
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1))
     x, x_unit = time_axis(run["t"])
@@ -58,9 +61,10 @@ def trend_png(run: Columns, fixed: Columns | None, commits: list[float], regions
     top.plot(x, run["sp"], color=SP, lw=0.9, ls="--", label="sp")
     bottom.plot(x, run["co"], color=PV, lw=0.5)
     scale = (run["t"][-1] - run["t"][0]) / max(float(x[-1]), 1e-12)
-    for i, t_s in enumerate(commits):
-        for axes in (top, bottom):
-            axes.axvline((t_s - run["t"][0]) / scale, color=MARK, lw=1.1, label="gains changed" if not i else None)
+    for times, style, name in ((commits, "-", "gains changed"), (undone, ":", "change taken back")):
+        for i, t_s in enumerate(times):
+            for axes in (top, bottom):
+                axes.axvline((t_s - run["t"][0]) / scale, color=MARK, lw=1.1, ls=style, label=None if i else name)
     top.set_ylabel(f"pv, sp [{unit}]")
     bottom.set_ylabel("co [%]")
     bottom.set_xlabel(f"time [{x_unit}]")

@@ -56,12 +56,13 @@ def render(data: ReportData) -> str:
              for one in worth_pages(documents, MOST_PAGES)]  # fmt: skip
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
-        paragraph(_lead(data), "lead"),
+        paragraph(_lead(data, documents), "lead"),
         "<h2>Regions</h2>",
         _scores_table(data),
         overview(data.after, documents, data.advice),
         "<h2>The whole run</h2>",
-        image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit), "Trend with region bands"),
+        image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit, _undone(documents)),
+              "Trend with region bands"),
         _twins(data),
         "<h2>Decisions</h2>",
         paragraph("One row per recognised response; rows that write or advise other gains are shaded. A number with a "
@@ -75,13 +76,23 @@ def render(data: ReportData) -> str:
     return html_document(f"{data.loop}: retuning report", "".join(body))
 
 
-def _lead(data: ReportData) -> str:
+def _undone(documents: Sequence[Document]) -> list[float]:
+    """When changes were taken back, s."""
+    return [number(one, "t_s") or 0.0 for one in documents if words(one, "action") == "restore"]
+
+
+def _lead(data: ReportData, documents: Sequence[Document]) -> str:
     """The result in a few sentences."""
     hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
     parts = ["The run was stopped before its end."] if data.stopped else []
-    parts.append(f"{_counted(len(data.decisions), 'response')} recognised in {hours:.2g} h.")
+    parts.append(
+        f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {hours:.2g} h."
+    )
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
-    advised = sum(words(document_of(d), "action") == "advise" for d in data.decisions)
+    undone = len(_undone(documents))
+    if undone:
+        parts.append(f"{_counted(undone, 'change')} taken back: the verified gains were restored.")
+    advised = sum(words(d, "action") == "advise" for d in documents)
     if advised:
         parts.append(f"{_counted(advised, 'change')} advised and not written.")
     worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)

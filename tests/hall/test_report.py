@@ -55,3 +55,11 @@ def test_an_equal_error_is_neither_good_nor_bad() -> None:
 def test_the_table_speaks_of_a_comparison_only_where_there_is_one() -> None:
     assert "fixed gains" in str(scores_table([score(1.5, 1.0, 2.0)], "u").title)
     assert "fixed gains" not in str(scores_table([score(1.5, 1.0, None)], "u").title)
+
+
+def test_changes_that_were_taken_back_are_counted_and_not_as_responses() -> None:
+    undo: dict[str, object] = {"number": 2, "t_s": 1800.0, "region": "all", "action": "restore", "reason": "worse"}
+    told = ReportData("loop", "u", TABLE, TABLE, [score(1.5, 1.0, None, 1)], [undo], RUN, None, [900.0])
+    text = render(told)
+    assert "0 responses were recognised in 1 h. 1 change was written to the controller. 1 change was taken back" in text
+    assert '<a href="#decision-2">2</a>' in text

@@ -64,7 +64,7 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     config = recorded.config
     before = config.gain_table()
     names = before.regions.names
-    changes = [row for row in recorded.rows if row.kind == "committed" and row.body.get("why") != "schedule"
+    changes = [row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune"
                and row.body.get("region") in names]  # fmt: skip
     after = _final_table(recorded, before, changes)
     commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
