@@ -35,7 +35,7 @@ class Upset:
     """What starts a response at time 0: a step of the setpoint, of the load at the process input, a pulse of it."""
 
     setpoint: float = 0.0
-    load: float = 0.0
+    load_step: float = 0.0
     pulse: float = 0.0
 
 
@@ -100,7 +100,7 @@ def _with_states(process: LinearProcess) -> LinearProcess:
 
 def _rest(process: LinearProcess, upset: Upset) -> float:
     """Controller output at rest after the upset."""
-    return (0.0 if process.integrators else upset.setpoint / process.k) - upset.load
+    return (0.0 if process.integrators else upset.setpoint / process.k) - upset.load_step
 
 
 class _Lanes:
@@ -117,8 +117,9 @@ class _Lanes:
         self.kd = np.repeat([g.kd for g in gains], n) / filter_s
         self.follow = -np.expm1(-h / filter_s)
         self.b = np.repeat([loop.b for loop in loops], n)
-        self.r, self.load, pulse = (
-            np.tile([getattr(upset, name) for upset in upsets], len(loops)) for name in ("setpoint", "load", "pulse")
+        self.r, self.loads, pulse = (
+            np.tile([getattr(upset, name) for upset in upsets], len(loops))
+            for name in ("setpoint", "load_step", "pulse")
         )
         self.x = start * pulse / h
         delay = np.maximum(np.repeat([loop.process.theta_s for loop in loops], n) / h - 0.5, 0.0)
@@ -141,7 +142,7 @@ class _Lanes:
             at = i + self.lead
             u[at] = np.clip(raw, -LIMIT, LIMIT)
             row = at - self.whole
-            arrives = (1 - self.share) * u[row, lanes] + self.share * u[row - 1, lanes] + self.load
+            arrives = (1 - self.share) * u[row, lanes] + self.share * u[row - 1, lanes] + self.loads
             self.x = np.einsum("ijn,jn->in", self.phi, self.x) + self.gamma * arrives
         return e, u[self.lead :]
 

@@ -82,7 +82,9 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
     if doubt:
         return Judgement(Finding.INCONCLUSIVE, doubt, {"peaks": float(len(seen.response.peaks))})
     setpoint = seen.response.sp_changed
-    now, then = (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load, promised.load_before)
+    now, then = (
+        (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
+    )
     numbers: dict[str, float] = {}
     before = promised.decay_before(setpoint)
     swings = _swings(seen.response, now, before, settings, numbers)

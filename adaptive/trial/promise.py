@@ -22,7 +22,7 @@ from retuner.schedule.gains import PidGains
 
 MOST_MODELS = 16
 """Models, the most likely ones, over which a promise is spread."""
-UPSETS = (Upset(setpoint=1.0), Upset(load=1.0), Upset(pulse=1.0))
+UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0))
 NAMES = ("overshoot", "damping", "decay", "iae", "travel", "settle_s")
 MOST_DECAY = 0.95
 """A promise that rests on a response alone never promises less than this."""
@@ -99,7 +99,7 @@ class Promise:
     """
 
     setpoint: Expected
-    load: Expected
+    load_step: Expected
     setpoint_before: Expected
     load_before: Expected
     models: int
@@ -113,13 +113,13 @@ class Promise:
     @property
     def patience_s(self) -> float:
         """Longest that a response should take until it has settled, s; infinite where a loop may never."""
-        return max(self.setpoint.settle_s.high, self.load.settle_s.high)
+        return max(self.setpoint.settle_s.high, self.load_step.settle_s.high)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
         return {
             "setpoint": self.setpoint.to_dict(),
-            "load": self.load.to_dict(),
+            "load": self.load_step.to_dict(),
             "setpoint_before": self.setpoint_before.to_dict(),
             "load_before": self.load_before.to_dict(),
             "models": self.models,
@@ -142,8 +142,8 @@ class Promise:
         now, then = self.setpoint, self.setpoint_before
         return (
             f"promised: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}), successive peaks at most "
-            f"{max(now.decay.high, self.load.decay.high):.2f}, IAE {_ratio(now.iae, then.iae)} of before after a "
-            f"setpoint step and {_ratio(self.load.iae, self.load_before.iae)} after a load"
+            f"{max(now.decay.high, self.load_step.decay.high):.2f}, IAE {_ratio(now.iae, then.iae)} of before after a "
+            f"setpoint step and {_ratio(self.load_step.iae, self.load_before.iae)} after a load"
         )
 
 

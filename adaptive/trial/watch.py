@@ -60,7 +60,7 @@ class WatchState(NamedTuple):
 
 def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> WatchLaw:
     """The thresholds for one trial. shortest_s : least time at a limit that counts, s."""
-    high = max(promised.setpoint.decay.high, promised.load.decay.high) + settings.decay_slack
+    high = max(promised.setpoint.decay.high, promised.load_step.decay.high) + settings.decay_slack
     before = min(max(promised.decay_before(setpoint=True), promised.decay_before(setpoint=False)), MOST_GROWTH)
     least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
     patience = promised.patience_s if math.isfinite(promised.patience_s) else 0.0

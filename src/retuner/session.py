@@ -64,7 +64,8 @@ class Session:
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._stopping = ""
         self._ends_at_s: float | None = None  # when patience is over, once the end has begun
-        self._over = self._told = False
+        self._over = False
+        self.left_open = ""  # what the session could not bring to its end, in a sentence
 
     @property
     def table(self) -> GainTable:
@@ -197,11 +198,11 @@ class Session:
 
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
-        if not self._told and (self.writer.open or self.writer.restoring):
-            self._told = True
+        if not self.left_open and (self.writer.open or self.writer.restoring):
+            self.left_open = "the controller has not reported that it runs the verified gains"
             running = self.device.running
             names = self.table.regions.names
             body = {"regions": [names[region] for region in self.retuner.desk.restoring],
                     "write_open": self.writer.open, "running": gains_dict(running.gains) if running else None,
-                    "reason": "the controller has not reported that it runs the verified gains"}  # fmt: skip
+                    "reason": self.left_open}  # fmt: skip
             self._record("unrestored", self.writer.t_s, body)

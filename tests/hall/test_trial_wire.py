@@ -229,6 +229,7 @@ def test_when_the_link_stays_lost_the_session_ends_and_says_what_is_open(make_wi
     wire.heard = lambda message: False  # noqa: ARG005
     wire.end()
     assert wire.kinds[-1] == "unrestored"
+    assert "has not reported" in wire.session.left_open
     assert wire.rows[-1][1]["regions"] == ["low"]
     assert wire.session.retuner.table.gains_of(0) == GOOD
 

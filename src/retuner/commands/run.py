@@ -146,8 +146,9 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     with unstoppable():
         record("end", session.trend.rows[-1][0], end)
         _leave(job, ledger, session, fixed, screen, interrupted=interrupted)
-    if session.frozen:
-        raise UserError(f"{session.frozen}; the run was ended, and {job.folder / REPORT} says what the controller runs")
+    if session.frozen or session.left_open:
+        wrong = session.frozen or session.left_open
+        raise UserError(f"{wrong}; the run was ended, and {job.folder / REPORT} says what the controller runs")
     return 130 if interrupted else 0
 
 
@@ -216,7 +217,8 @@ def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
 TOLD = {
     "refused": ("region", "reason"), "link": ("state", "reason"), "restart": ("epoch",), "lost": ("samples",),
     "command": ("command", "reason"), "unknown": ("reason",), "foreign": ("gains",), "dropped": ("reason",),
-    "bus": ("fault", "times"), "variable": ("name", "reason"),
+    "bus": ("fault", "times"), "variable": ("name", "reason"), "abort": ("reason",), "restored": ("regions",),
+    "lockout": ("region", "undos"), "unrestored": ("regions", "reason"),
 }  # fmt: skip
 """Rows beside decisions that a person at the screen should see, and which of their values."""
 
@@ -235,11 +237,11 @@ def _leave(
                            loads_at(config.scenario, columns["t"]))  # fmt: skip
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
-    facts = _facts(job, ledger, trend.name)
+    facts = _facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {})
     data = ReportData(
         config.loop.name, config.loop.pv_unit, before, session.table, scores, list(session.decisions),
         columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
-        stopped=config.scenario is not None and not session.finished,
+        stopped=config.scenario is not None and not session.scenario.finished,
         advice=[one.sentence for one in advice_of(session)],
     )  # fmt: skip
     write_whole(folder / REPORT, render(data))

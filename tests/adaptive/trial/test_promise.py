@@ -39,7 +39,7 @@ def test_iae_and_travel_are_those_of_the_exact_calculation(model: ProcessModel, 
     if not gains.kd:
         assert found.setpoint.iae.best == pytest.approx(exact.iae_setpoint, rel=rough)
         assert found.setpoint.travel.best == pytest.approx(exact.tv_setpoint, rel=rough)
-    assert found.load.iae.best == pytest.approx(exact.iae_load, rel=rough)
+    assert found.load_step.iae.best == pytest.approx(exact.iae_load, rel=rough)
 
 
 def test_peaks_of_a_second_order_decay_have_the_ratio_of_theory() -> None:
@@ -58,7 +58,7 @@ def test_a_loop_that_runs_away_promises_nothing() -> None:
     good = simc(FOPDT, 5.0).gains
     found = promise([Plausible(FOPDT, 0.0)], good, unstable)
     assert math.isinf(found.setpoint.iae.best)
-    assert found.load.decay.best >= 1.0
+    assert found.load_step.decay.best >= 1.0
     assert math.isinf(found.patience_s)
     assert "not known" in found.sentence()
 
@@ -66,10 +66,10 @@ def test_a_loop_that_runs_away_promises_nothing() -> None:
 def test_the_spread_holds_every_allowed_model_and_the_best_one_is_first() -> None:
     stiff = ProcessModel(ProcessType.FOPDT, 2.0, 40.0, 0.0, 8.0)
     gains = simc(FOPDT, 1.0).gains
-    alone = [promise([Plausible(m, 0.0)], gains, gains).load.decay.best for m in (FOPDT, stiff)]
+    alone = [promise([Plausible(m, 0.0)], gains, gains).load_step.decay.best for m in (FOPDT, stiff)]
     both = promise([Plausible(FOPDT, 0.0), Plausible(stiff, 3.0)], gains, gains)
-    assert both.load.decay.best == alone[0]
-    assert both.load.decay.high >= alone[1] > alone[0]
+    assert both.load_step.decay.best == alone[0]
+    assert both.load_step.decay.high >= alone[1] > alone[0]
     assert both.models == 2
 
 
@@ -90,8 +90,8 @@ def test_a_promise_scales_with_time_and_gain(scale_s: float, theta: float, k: fl
 
     one, other = at(1.0, 1.0), at(scale_s, k)
     assert other.setpoint.iae.best == pytest.approx(one.setpoint.iae.best * scale_s, rel=0.06)
-    assert other.load.iae.best == pytest.approx(one.load.iae.best * scale_s * k, rel=0.06)
-    assert other.load.decay.best == pytest.approx(one.load.decay.best, abs=0.03)
+    assert other.load_step.iae.best == pytest.approx(one.load_step.iae.best * scale_s * k, rel=0.06)
+    assert other.load_step.decay.best == pytest.approx(one.load_step.decay.best, abs=0.03)
 
 
 def test_plain_values_and_back() -> None:
@@ -114,8 +114,8 @@ def test_without_a_model_a_promise_is_no_worse_than_what_was_seen() -> None:
     peaks = (Peak(1.0, 4.0), Peak(2.0, -2.0), Peak(3.0, 1.2))
     seen = Response(0.0, 4.0, peaks, Ending.COMPLETE, sp_changed=False, band=0.1)
     found = promise_without_model(seen, PidGains(2.0, 0.2), PidGains(1.8, 0.16))
-    assert found.load.decay.high == pytest.approx(3.2 / 6.0)
-    assert found.load.iae.best == pytest.approx(1 / 0.16)
+    assert found.load_step.decay.high == pytest.approx(3.2 / 6.0)
+    assert found.load_step.iae.best == pytest.approx(1 / 0.16)
     assert found.load_before.iae.best == pytest.approx(1 / 0.2)
     assert math.isinf(found.setpoint.iae.high)
     assert Promise.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
