@@ -17,6 +17,7 @@ from retuner.adaptive.change_request import change_request, unproved_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.confirmation import (
+    TOWARDS_SAFETY,
     Excitation,
     is_clear,
     is_safer_and_known,
@@ -24,12 +25,14 @@ from retuner.adaptive.diagnosis.confirmation import (
     thinned,
     unconfirmed,
 )
+from retuner.adaptive.diagnosis.limit_swing import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.proposing import without_model
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.robust_proposal import RobustProposal, propose
+from retuner.adaptive.robust_settings import later
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
@@ -117,7 +120,15 @@ def _swing(case: Case, settings: RetunerSettings) -> tuple[Diagnosis | None, Sta
         return again, case.standing
     if not swings(case.response, settings.swing):
         return None, None
-    return swing_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
+    cause, standing = swing_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
+    return (None, None) if _held_up(case, cause, settings) else (cause, standing)
+
+
+def _held_up(case: Case, cause: Diagnosis | None, settings: RetunerSettings) -> bool:
+    """Whether a swing taken for one from outside is held up by the output's limits: then the model decides."""
+    if cause is None or cause.cause not in FOREIGN_SWINGS:
+        return False
+    return touches_limits(case.samples, case.response, settings.limit_swing)
 
 
 def _learned(case: Case, settings: RetunerSettings) -> Outcome:
@@ -130,7 +141,7 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
     left = learned.estimate.residual_std / learned.estimate.noise_std
     if left > settings.swing.unexplained:
         hidden, standing = hidden_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
-        if hidden is not None:
+        if hidden is not None and not _held_up(case, hidden, settings):
             return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden, standing=standing)
     if learned.belief is None:
         return _without_model(case, learned, left, learned.estimate.reason, settings)
@@ -155,13 +166,7 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)
-    loads, swing = len(learned.estimate.load_times_s), settings.swing
-    sure = is_safer_and_known(outcome.verdict.ruling, learned.surprise == Surprise.AGREES, excitation)
-    if (
-        sure
-        or runs_away(case.response, left, loads, swing)
-        or is_clear(case.samples, case.response, left, loads, swing)
-    ):
+    if _is_sure(case, outcome.verdict, learned, belief, left, excitation, settings):
         return replace(outcome, belief=belief, excitation=excitation)
     doubt, excitation = unconfirmed(
         case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
@@ -170,6 +175,24 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
         return replace(outcome, belief=belief, excitation=excitation)
     taken = None if doubt.cause in FOREIGN else belief
     return Outcome("unconfirmed", doubt.reason, learned, taken, doubt, outcome.proposal, excitation=excitation)
+
+
+def _is_sure(
+    case: Case, verdict: Verdict, learned: Learned, belief: Belief, left: float, excitation: Excitation,
+    settings: RetunerSettings,
+) -> bool:  # fmt: skip
+    """Whether a change needs no confirmation by the whole diagnosis (see diagnosis/confirmation.py)."""
+    loads, swing = len(learned.estimate.load_times_s), settings.swing
+    if is_clear(case.samples, case.response, left, loads, swing) or runs_away(case.response, left, loads, swing):
+        return True
+    if is_safer_and_known(verdict.ruling, learned.surprise == Surprise.AGREES, excitation):
+        return True
+    model = later(belief.log.model(), settings.sample_time_s / 2)
+    return (
+        verdict.ruling in TOWARDS_SAFETY
+        and touches_limits(case.samples, case.response, settings.limit_swing)
+        and at_own_crossover(case.response, model, case.in_force, settings.limit_swing)
+    )
 
 
 def _tuned(case: Case, learned: Learned, belief: Belief, wanted: RobustProposal, settings: RetunerSettings) -> Outcome:

@@ -6,6 +6,7 @@ from retuner.adaptive.admission import AdmissionSettings
 from retuner.adaptive.borrowing import BorrowingSettings
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.limit_swing import LimitSwingSettings
 from retuner.adaptive.diagnosis.online import SwingSettings
 from retuner.adaptive.diagnosis.tuning_cause import CauseSettings
 from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
@@ -33,6 +34,7 @@ class RetunerSettings:
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
+    limit_swing : what an unstable loop between the output's limits is told by.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
         line: a change is on trial there.
     cause : from which excess a tuning is the cause; slack 1.2, because later records narrow what is known.
@@ -68,6 +70,7 @@ class RetunerSettings:
     without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
+    limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.2))
     robust: RobustSettings = field(

@@ -2,7 +2,8 @@
 
     clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
                  most one load step; or the change makes a loop safer that is over its limit, and a setpoint step is
-                 among what the model rests on and this response agrees with it, or the loop runs away at such a step
+                 among what the model rests on and this response agrees with it, or the loop runs away at such a step,
+                 or it swings at its own crossover between the output's limits (limit_swing.py)
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest. When it does not, nothing is learned from loads until there were twice
@@ -23,6 +24,9 @@ from retuner.adaptive.guard import Ruling
 from retuner.adaptive.response import Response
 from retuner.adaptive.sample import LoopSample, Window
 from retuner.schedule.gains import PidGains
+
+TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})
+"""Rulings of the guard that make a loop over its limit safer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +65,7 @@ def is_clear(
 
 def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation) -> bool:
     """Whether a change towards safety may be believed as it is. agrees : this response agrees with what was known."""
-    return ruling in {Ruling.SAFER, Ruling.URGENT} and agrees and excitation.setpoints > 0
+    return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0
 
 
 def runs_away(response: Response, left: float, loads: int, settings: SwingSettings) -> bool:
