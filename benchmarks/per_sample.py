@@ -17,6 +17,7 @@ from collections.abc import Callable
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import PidLaw, law, start, step
 from retuner.schedule.regions import Regions, choose, enter
@@ -85,6 +86,25 @@ def choose_region(n: int) -> Loop:
     return loop
 
 
+MAP = Regions.along(
+    tuple("abcdefghi"),
+    Axis("pv", "degC", 20.0, (40.0, 120.0), 220.0, 2.0, 60.0, 5.0),
+    Axis("can", "%", 0.0, (30.0, 60.0), 100.0, 2.0, 0.0, 5.0, "flow"),
+)
+
+
+def choose_cell(n: int) -> Loop:
+    """The same on a map of two filtered axes: two filters move at each sample."""
+    settings, pvs = MAP.law(), noisy_pv(n)
+
+    def loop() -> None:
+        state = enter(settings, SP, 0.0, SP)
+        for i, pv in enumerate(pvs):
+            state = choose(settings, state, pv, i * DT_S, pv)
+
+    return loop
+
+
 def quiet_path(n: int) -> Loop:
     """Retuner.observe of a loop at rest: region, noise band, recogniser, memory. The samples are made beforehand."""
     table = GainTable("oven", REGIONS, (GAINS, GAINS, GAINS))
@@ -107,6 +127,7 @@ CASES: dict[str, Callable[[int], Loop]] = {
     "PID step: and a rate limit": pid_step(law(GAINS, b=0.8, tau_f_s=0.5, co_rate_per_s=1e3)),
     "PID step: at the upper limit": pid_step(law(GAINS, b=0.8, tau_f_s=0.5), mean=-200.0),
     "region choice, no change": choose_region,
+    "cell choice, two filtered axes": choose_cell,
     "Retuner.observe, quiet": quiet_path,
 }
 
