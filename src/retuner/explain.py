@@ -76,7 +76,8 @@ def model_text(decision: Decision | Document) -> str:
     if m is None:
         return ""
     count = int(number(document, "records") or 0)
-    records = f"{count} record{'s' if count != 1 else ''}" if count else "not enough"
+    none = "borrowed from its neighbours" if part(document, "known") else "not enough"
+    records = f"{count} record{'s' if count != 1 else ''}" if count else none
     return f"{process_text(m)} ({records})"
 
 

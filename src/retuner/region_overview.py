@@ -40,7 +40,8 @@ def regions_now(names: Sequence[str], decisions: Sequence[Document]) -> list[Reg
 
 def _region(name: str, own: list[Document]) -> RegionNow:
     """One region out of its decisions."""
-    known = next((one for one in reversed(own) if decided_on(one) is not None and number(one, "records")), {})
+    known = next((one for one in reversed(own) if decided_on(one) is not None
+                  and (number(one, "records") or part(one, "known"))), {})  # fmt: skip
     judged = next((one for one in reversed(own) if part(one, "diagnosis")), {})
     changed = [one for one in own if words(one, "action") == "commit"]
     last = own[-1] if own else {}

@@ -24,6 +24,12 @@ from retuner.schedule.gains import PidGains
 MS_LIMIT = 1.8
 """Design limit of Ms, for the circle where the document names none (Astrom & Hagglund 2006: 1.4 to 2)."""
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
+BASES = {
+    "model": "from the process as known", "borrowed": "from the neighbours' process (borrowed)",
+    "pattern": "from the pattern of the response, without a model",
+    "slow_oscillation": "from the slow oscillation, without a model", "pretune": "from a commanded step",
+}  # fmt: skip
+"""What a proposal rests on, in words."""
 FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
 """Groups of evidence that are shown at once; the others unfold."""
 LARGE = 1e4
@@ -107,7 +113,8 @@ def _learned(view: DecisionView) -> str:
     records = number(view.document, "records")
     surprise = words(view.document, "surprise").upper()
     rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, std)]
-    rows += [("records behind it", f"{records:.0f}" if records else ""),
+    none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
+    rows += [("records behind it", f"{records:.0f}" if records else none),
              ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
              ("the fit", words(view.estimate, "reason")), ("left by the fit", _residual(view)),
              ("other models still allowed", str(len(view.allowed)) if view.allowed else "")]  # fmt: skip
@@ -151,13 +158,13 @@ def _proposal(view: DecisionView) -> str:
     names = ("on trial", "", "put back") if view.undoes else ("in force", "rule", "let through")
     columns = zip(names, (view.before, wanted, view.after), strict=True)
     shown = [(name, gains) for name, gains in columns if gains is not None]
-    basis = words(view.document, "basis").replace("_", " ")
+    basis = BASES.get(words(view.document, "basis"), "")
     rule, tau_c = words(proposal, "rule"), number(proposal, "tau_c")
     if not rule and view.after is None:
         return ""
     lead = f"Rule {rule}" if rule else ""
     lead += f", tau_c {tau_c:.4g} s" if tau_c is not None else ""
-    lead += f", from the {basis}." if lead and basis else "." if lead else ""
+    lead += f", {basis}." if lead and basis else "." if lead else ""
     rows = [(label, *(_setting(gains, label) for _, gains in shown)) for label in SETTINGS_SHOWN]
     rows = [row for row in rows if any(cell not in {"-", "0"} for cell in row[1:])]
     return (

@@ -80,7 +80,7 @@ RESTORED = changed(
 )  # fmt: skip
 PATTERN = changed(basis="pattern", estimate=None, surprise=None, records=0, verdict=None, diagnosis=None,
                   proposal={"rule": "pattern", "form": "ideal", "parallel": WANTED, "tau_c": None})  # fmt: skip
-BORROWED = changed(basis="borrowed", records=0)
+BORROWED = changed(basis="borrowed", records=0, known={"model": MODEL, "std": {"k": 0.8, "theta": 9.0}})
 EVERY_KIND = {"commit": COMMIT, "refuse": REFUSED, "advise": ADVISED, "restore": RESTORED, "pattern": PATTERN,
               "borrowed": BORROWED}  # fmt: skip
 

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.margins import margins
+from retuner.explain import one_line
 from retuner.explained import page as page_module
 from retuner.explained.page import article, ms_limit, page
 from retuner.explained.telling import headline
@@ -69,8 +70,10 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
         (REFUSED, ["Refused: not robust on every model.", "Nothing was changed.", "at worst unstable"], ["Written"]),
         (RESTORED, ["The settings from before were put back", "The loop answers worse than was promised."],
          ["<h3>Proof", "<h3>Cause", "<h3>Proposal", "let through"]),
-        (PATTERN, ["Rule pattern, from the pattern."], ["<h3>Proof", "<h3>Cause", "<h3>What is known"]),
-        (BORROWED, ["Rule simc, tau_c 36 s, from the borrowed."], []),
+        (PATTERN, ["Rule pattern, from the pattern of the response, without a model."],
+         ["<h3>Proof", "<h3>Cause", "<h3>What is known"]),
+        (BORROWED, ["Rule simc, tau_c 36 s, from the neighbours&#x27; process (borrowed).", "26 +- 9 ",
+                    "none of its own: borrowed from its neighbours"], []),
     ],
 )  # fmt: skip
 def test_the_page_says_what_happened(document: dict[str, object], said: list[str], unsaid: list[str]) -> None:
@@ -149,6 +152,21 @@ def test_pages_are_for_what_changes_and_the_newest_of_the_rest() -> None:
     found = [fine, cause, refused, commit]
     assert [one["number"] for one in worth_pages(found, 9)] == [2, 3, 4]
     assert [one["number"] for one in worth_pages(found, 2)] == [3, 4]
+
+
+def test_one_line_says_the_same_in_short() -> None:
+    assert one_line(COMMIT).split(" | ") == [
+        "setpoint response, overshoot 53%, damping 0.45, period 190 s",
+        "aggressive: Ms 2.88 is over 1.8, gain margin 1.72",
+        "k 2 tau1 240 s tau2 9 s theta 26 s (2 records)",
+        "write Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s, Ms 2.88 -> 1.65 (at worst 2.03, 62% of the step)",
+    ]
+    assert one_line(REFUSED).endswith("theta 26 s (2 records) | no change")
+    assert one_line(RESTORED) == (
+        "undecided: the loop answers worse than was promised | restore Kc 1.5 tau_I 250 s -> Kc 2.4 tau_I 150 s"
+    )
+    assert "(borrowed from its neighbours) | write" in one_line(BORROWED)
+    assert one_line(PATTERN).endswith("| write Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s")
 
 
 def test_the_circle_is_the_guards_limit() -> None:
