@@ -239,17 +239,9 @@ class Retuner:
         """Everything that the decision depends on."""
         w = self._watcher
         return Case(
-            seen.region,
-            seen.response,
-            w.window(seen.response),
-            w.samples,
-            w.table,
-            self.commissioned,
-            self.beliefs,
-            self.standing.get(seen.region),
-            self.excitation.get(seen.region, Excitation()),
-            w.scheduled,
-        )
+            seen.region, seen.response, w.window(seen.response), w.samples, w.table, self.commissioned, self.beliefs,
+            self.standing.get(seen.region), self.excitation.get(seen.region, Excitation()), w.scheduled,
+        )  # fmt: skip
 
     def _decision(
         self, region: int, outcome: Outcome, response: Response | None = None, judgement: Judgement | None = None
@@ -260,8 +252,17 @@ class Retuner:
         )
         if not phase_allows:
             outcome = held(outcome, self.desk.trial(region), self._now_s)
+        accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
+        in_force = self.table.gains_of(region)
+        promised = promise_of(outcome, in_force, response, self.settings) if accepted else None
+        return self._recorded(region, outcome, response, judgement, promised, accepted=accepted)
+
+    def _recorded(
+        self, region: int, outcome: Outcome, response: Response | None, judgement: Judgement | None,
+        promised: Promise | None, *, accepted: bool,
+    ) -> Decision:  # fmt: skip
+        """The record; accepted : gains may be written, as far as proof and trial desk are concerned."""
         verdict, learned = outcome.verdict, outcome.learned
-        accepted = verdict is not None and verdict.accepted and phase_allows
         mode = self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
         belief = learned.belief if learned else None
@@ -287,7 +288,7 @@ class Retuner:
             basis=outcome.basis,
             proposal=outcome.proposal,
             verdict=verdict,
-            promise=promise_of(outcome, self.table.gains_of(region), response, self.settings) if accepted else None,
+            promise=promised,
             judgement=judgement,
             trial=str(self.desk.phase(region)),
         )
