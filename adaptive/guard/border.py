@@ -7,6 +7,11 @@ parameters of the fits (structure.py):
 
 - hard lookup: the new gains run alone up to the border plus its hysteresis, the reach.
 - interpolated lookup: the gains are (1-w) new + w neighbour's, between the two centres.
+
+On a map of two axes the cells that meet in a corner are asked as well, along the diagonal between their centres: inside
+a square of four cells Ms may be larger than on all of its sides (the excess of two ways multiplies). There the weights
+are (1-w)^2 for the own cell, w (1-w) for both beside it and w^2 for the one across, in the gains and, in logarithms, in
+the process.
 """
 
 import math
@@ -14,12 +19,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from retuner.adaptive.guard.allowed import sampled
-from retuner.adaptive.guard.request import Border
+from retuner.adaptive.guard.request import Beside, Border
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 
 SHARES_HARD = (1.0, 0.5)
 """Weights at which a hard border is proved, in shares of the reach: the farthest first, then half way."""
@@ -31,22 +36,43 @@ SHARES_UNKNOWN = (0.5, 0.25)
 
 def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[Border, ...]:
     """What the table says of a region's borders. models : what is known of the regions, by index; may lack some."""
-    interpolated = table.lookup is Lookup.INTERPOLATED
+    regions = table.regions
     found = []
-    for other in table.regions.neighbours(region):
-        axis, value = table.regions.border(region, other)
-        own, far = table.regions.centre(region, axis), table.regions.centre(other, axis)
-        reach = (abs(value - own) + table.regions.axes[axis].hysteresis) / abs(far - own)
-        found.append(
-            Border(
-                table.regions.names[other],
-                table.gains_of(other),
-                tuple(models.get(other, ())),
-                1.0 if interpolated else min(reach, 1.0),
-                interpolated,
+    for other in range(len(regions)):
+        steps = [abs(i - j) for i, j in zip(regions.cell(region), regions.cell(other), strict=True)]
+        if max(steps) == 1:
+            beside = _beside(table, region, other, models) if sum(steps) > 1 else ()
+            interpolated = table.lookup is Lookup.INTERPOLATED
+            reach = (
+                1.0 if interpolated else max(_reach(table, region, other, k) for k, step in enumerate(steps) if step)
             )
-        )
-    return tuple(found)
+            found.append(Border(regions.names[other], table.gains_of(other), tuple(models.get(other, ())), reach,
+                                interpolated, beside))  # fmt: skip
+    return tuple(sorted(found, key=lambda border: len(border.beside)))
+
+
+def _reach(table: GainTable, region: int, other: int, axis: int) -> float:
+    """Weight of the other region up to which this region's gains run alone, along an axis."""
+    regions = table.regions
+    own, far = regions.centre(region, axis), regions.centre(other, axis)
+    low, high = regions.span(region, axis)
+    border = high if far > own else low
+    return min((abs(border - own) + regions.axes[axis].hysteresis) / abs(far - own), 1.0)
+
+
+def _beside(
+    table: GainTable, region: int, other: int, models: Mapping[int, Sequence[Plausible]]
+) -> tuple[Beside, Beside]:
+    """The two cells between one and the one diagonally opposite."""
+    (i, j), (m, n) = table.regions.cell(region), table.regions.cell(other)
+    one, two = table.regions.region_at((i, n)), table.regions.region_at((m, j))
+    return _cell(table, one, models), _cell(table, two, models)
+
+
+def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> Beside:
+    """What is known of a cell."""
+    known = models.get(region, ())
+    return Beside(table.gains_of(region), known[0].model if known else None)
 
 
 def at_border(
@@ -93,7 +119,7 @@ def _ms(
     pair: tuple[ProcessModel, ProcessModel], border: Border, gains: PidGains, share: float, sample_time_s: float
 ) -> float:
     """Ms at a weight of the neighbour."""
-    between = between_models(*pair, share)
+    between = between_models(*pair, share) if not border.beside else _inside(pair, border, share)
     return sensitivity_peak(sampled(between or pair[0], sample_time_s), _mixed(gains, border, share))
 
 
@@ -101,8 +127,22 @@ def _mixed(gains: PidGains, border: Border, share: float) -> PidGains:
     """The gains in force at a weight of the neighbour."""
     if not border.interpolated:
         return gains
-    other = border.gains
-    return PidGains(*((1 - share) * getattr(gains, n) + share * getattr(other, n) for n in ("kp", "ki", "kd")))
+    shares = [(gains, 1 - share), (border.gains, share)]
+    if border.beside:
+        shares = [(gains, (1 - share) ** 2), (border.gains, share**2)]
+        shares += [(cell.gains, share * (1 - share)) for cell in border.beside]
+    return PidGains(*(sum(w * getattr(one, name) for one, w in shares) for name in GAIN_NAMES))
+
+
+def _inside(pair: tuple[ProcessModel, ProcessModel], border: Border, share: float) -> ProcessModel | None:
+    """The process inside a square of four cells, on its diagonal; between the two corners where a side is unknown."""
+    here, there = pair
+    one, two = (cell.model for cell in border.beside)
+    if one is not None and two is not None:
+        sides = between_models(here, one, share), between_models(two, there, share)
+        if sides[0] is not None and sides[1] is not None:
+            return between_models(sides[0], sides[1], share)
+    return between_models(here, there, share)
 
 
 def between_models(one: ProcessModel, other: ProcessModel, share: float) -> ProcessModel | None:

@@ -4,8 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.gains import PidGains
 
@@ -58,6 +60,13 @@ NO_DERIVATIVE = Locks(tau_d=True)
 KC_ONLY = Locks(tau_i=True, tau_d=True)
 
 
+class Beside(NamedTuple):
+    """A cell between this one and the one diagonally opposite. gains : its set. model : its best, None if unknown."""
+
+    gains: PidGains
+    model: ProcessModel | None
+
+
 @dataclass(frozen=True, slots=True)
 class Border:
     """A neighbouring region, as far as the changed gains reach into it.
@@ -65,6 +74,8 @@ class Border:
     name : of the neighbour. gains : its set. models : of its process, best first, empty where not known.
     reach : largest weight of the neighbour's process (0 own centre, 1 its centre) at which the gains still take part.
     interpolated : the gains are mixed with the neighbour's by that weight; otherwise they run alone up to it.
+    beside : on a map of two axes, for a neighbour that meets this region in a corner only: the two cells between; the
+        weight is then that along both axes.
 
     Raises
     ------
@@ -77,6 +88,7 @@ class Border:
     models: tuple[Plausible, ...]
     reach: float
     interpolated: bool = False
+    beside: tuple[Beside, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.reach <= 1:
