@@ -1,7 +1,8 @@
 """What a response looks like, in numbers by name: peaks of the error, and what pv and co did meanwhile.
 
-Of every response, as far as it goes: height_bands (the largest error), overshoot,
-damping, period_s, and the times between its peaks (response.py).
+Of every response, as far as it goes: height_bands (the largest error), overshoot, damping, period_s, the times between
+its peaks (response.py), and limited_share, how much of the time that the error was outside the noise band co stood at
+one of its extremes: integral action moves it there, unless a limit holds it.
 
 Of a load response: rise_s, until the error is largest; tail_s, from there until it stays inside the noise band;
 rebound, how far it grows again on its way back, as a share of its largest value (a swing that rides on a slow return);
@@ -35,12 +36,23 @@ def pattern_numbers(response: Response, window: Window) -> dict[str, float]:
     during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     height = float(np.max(np.abs(window.sp - window.pv)[during], initial=0.0))
     found = {"peaks": float(len(response.peaks)), "height_bands": height / response.band}
+    found["limited_share"] = _limited_share(window, during, response.band)
     shown = {"overshoot": response.overshoot, "damping": response.damping, "period_s": response.period_s}
     found |= {name: value for name, value in shown.items() if value is not None}
     times = [peak.t_s for peak in response.peaks]
     if len(times) == 3:
         found |= {"first_s": times[1] - times[0], "second_s": times[2] - times[1]}
     return found | (_of_setpoint(response, window) if response.sp_changed else _of_load(response, window))
+
+
+def _limited_share(window: Window, during: npt.NDArray[np.bool_], band: float) -> float:
+    """Share of the upset in which co stood still at its largest or smallest value; 0 without an upset."""
+    upset = during & (np.abs(window.sp - window.pv) > band)
+    co = window.co[upset]
+    if not co.size:
+        return 0.0
+    still = sum(max(int(np.sum(co == extreme)) - 1, 0) for extreme in (window.co.max(), window.co.min()))
+    return still / co.size
 
 
 def _of_setpoint(response: Response, window: Window) -> dict[str, float]:

@@ -45,6 +45,7 @@ class Reading(StrEnum):
     NO_ORDINARY = "damping {damping:.2f} is far from overshoot {overshoot:.2f}: no ordinary response"
     UNEVEN = "its peaks are {first_s:.3g} s and {second_s:.3g} s apart: two upsets, not one oscillation"
     WEAK = "the response is {height_bands:.1f} noise bands high: too little to read a pattern from"
+    LIMITED = "co stood at a limit for {limited_share:.0%} of the upset: what it did then is not the tuning's doing"
     PULSE = "co came back to where it had been: the load was a pulse, which makes overshoot by itself"
     UNDYING = "it swings on (damping {damping:.2f}): a valve or another loop may do that, and no diagnosis rules it out"
 
@@ -131,6 +132,8 @@ def _refusal(
         return Reading.CUT_SHORT
     if numbers["height_bands"] < settings.least_bands:
         return Reading.WEAK
+    if numbers["limited_share"] > settings.limited:
+        return Reading.LIMITED
     if numbers.get("co_way", 1.0) < settings.pulse:
         return Reading.PULSE
     if "damping" not in numbers:

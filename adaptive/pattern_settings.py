@@ -27,6 +27,7 @@ class PatternSettings:
     least_bands : least height of a response in noise bands; 3 to 20, default 6 (an overshoot of a sixth shows then).
     gap : damping and overshoot further apart belong to no ordinary response; default 0.35.
     uneven : ratio of the times between the peaks of a load response above which they are two upsets; default 2.5.
+    limited : largest share of the upset with co at a limit; 0.01 to 0.5, default 0.1.
     pulse : share of its own travel that co must end away from where it began after a load; default 0.4.
     undying : damping above which a swing may be a valve's or another loop's; default 0.85.
     alone : nothing else looks for such causes: act on an undying swing, too; default no. For comparisons.
@@ -56,6 +57,7 @@ class PatternSettings:
     least_bands: float = 6.0
     gap: float = 0.35
     uneven: float = 2.5
+    limited: float = 0.1
     pulse: float = 0.4
     undying: float = 0.85
     alone: bool = False

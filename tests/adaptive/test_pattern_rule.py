@@ -36,12 +36,12 @@ def load_decay(s: float, period_s: float = 30.0) -> FloatArray:
 
 
 def made(error: FloatArray, *, setpoint: bool = True, dead: int = 5) -> Window:
-    """A window with this error after the upset (dead samples later); after a load, co goes from 0 to 1 - error."""
+    """A window with this error after the upset (dead samples later); co goes along, and never stands."""
     after = np.arange(N) >= BEFORE
     late = np.concatenate((np.zeros(BEFORE), np.full(dead, error[0]), error))[:N]
     e = np.pad(late, (0, N - len(late)))
     sp = np.where(after & setpoint, 1.0, 0.0)
-    co = np.where(after, 1.0 - (0.0 if setpoint else 1.0) * e, 0.0)
+    co = np.where(after, 1.0 + (0.5 if setpoint else -1.0) * e, 0.0) + 1e-6 * np.arange(N)
     return Window(np.arange(N, dtype=np.float64), sp, sp - e, co)
 
 
@@ -126,7 +126,8 @@ CASES: dict[Reading, PatternAdvice] = {
     ),
     Reading.UNEVEN: advised(LOAD, response=UNEVEN),
     Reading.WEAK: advised(made(decay(0.5)), response=seen(made(decay(0.5)), band=0.2)),
-    Reading.PULSE: advised(replace(LOAD, co=np.where(LOAD.t_s > 70, 0.0, LOAD.co))),
+    Reading.LIMITED: advised(replace(LOAD, co=np.minimum(LOAD.co, 0.8))),
+    Reading.PULSE: advised(replace(LOAD, co=np.where(LOAD.t_s > 70, 1e-6 * LOAD.t_s, LOAD.co))),
     Reading.UNDYING: advised(made(decay(0.95))),
 }
 
