@@ -1,0 +1,229 @@
+"""On line, cause before cure: what swings without a reason of its own waits, is explained, and teaches nothing."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.confirmation import (
+    Excitation,
+    is_clear,
+    is_safer_and_known,
+    runs_away,
+    thinned,
+    unconfirmed,
+    was_at_rest,
+)
+from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.limit_swing import LimitSwingSettings, at_own_crossover, touches_limits
+from retuner.adaptive.diagnosis.online import Standing, SwingSettings, goes_on, stretch, swing_cause, swings
+from retuner.adaptive.guard import Ruling
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.response import Ending, Peak, Response
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.schedule.forms import SeriesGains
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import change, law, start, step
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+SWING, DIAGNOSIS, LIMITS = SwingSettings(), DiagnosisSettings(), LimitSwingSettings()
+GOOD = SeriesGains(5.0, 40.0).to_parallel()  # SIMC for e^-5s / (50 s + 1)
+
+
+def response(*errors: float, period_s: float = 20.0, sp_changed: bool = False, end_s: float = 100.0) -> Response:
+    """Peaks half a period apart, the last one a quarter of a period before the end."""
+    first = end_s - 0.25 * period_s - (len(errors) - 1) * period_s / 2
+    peaks = tuple(Peak(first + i * period_s / 2, e) for i, e in enumerate(errors))
+    return Response(first - 0.25 * period_s, end_s, peaks, Ending.COMPLETE, sp_changed, 0.1)
+
+
+def samples(errors: Iterable[float], *, limited: int = 0, revision: int = 0) -> list[LoopSample]:
+    return [LoopSample(float(i), e, 0.0, 50.0, LoopMode.AUTO, limited, 0.0, revision) for i, e in enumerate(errors)]
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (response(1.0, -0.9, 0.8), True),
+        (response(1.0, -0.9, 0.8, sp_changed=True), False),
+        (response(1.0, -0.2, 0.04), False),
+        (response(1.0, -0.9), False),
+        (response(1.0), False),
+    ],
+)
+def test_a_load_response_that_hardly_decays_swings(found: Response, expected: bool) -> None:
+    assert swings(found, SWING) is expected
+
+
+def test_a_stretch_ends_where_other_gains_ran_and_where_it_was_asked_to() -> None:
+    kept = samples([0.0] * 10) + [s._replace(t_s=s.t_s + 10, revision=1) for s in samples([0.0] * 10)]
+    assert [s.t_s for s in stretch(kept, 0.0)] == [float(t) for t in range(10, 20)]
+    assert [s.t_s for s in stretch(kept, 15.0)] == [float(t) for t in range(15, 20)]
+
+
+def test_too_few_cycles_are_waited_for_and_not_explained() -> None:
+    wave = samples(np.sin(2 * np.pi * np.arange(61) / 20))
+    found, standing = swing_cause(wave, response(1.0, -0.9, 0.9, end_s=60.0), GOOD, SWING, DIAGNOSIS)
+    assert found is not None
+    assert found.cause == Cause.UNKNOWN
+    assert found.evidence["cycles"] == pytest.approx(3.0)
+    assert standing is None
+
+
+def test_an_oscillation_that_was_explained_goes_on_until_its_period_changes_or_it_is_long_ago() -> None:
+    standing = Standing(Cause.STICTION, 20.0, 100.0, "a valve sticks")
+    again = goes_on(response(1.0, -0.9, 0.8, period_s=22.0, end_s=200.0), standing, SWING)
+    assert again is not None
+    assert again.cause == Cause.STICTION
+    assert goes_on(response(1.0, -0.9, 0.8, period_s=40.0, end_s=200.0), standing, SWING) is None
+    late_s = 100.0 + 20.0 * SWING.remembered_cycles
+    assert goes_on(response(1.0, -0.9, 0.8, end_s=late_s + 1), standing, SWING) is None
+    assert goes_on(response(1.0, -0.9, 0.8, end_s=late_s - 1), standing, SWING) is not None
+    assert goes_on(response(1.0, -0.9, 0.8, sp_changed=True), standing, SWING) is None
+    assert goes_on(response(1.0, -0.9, 0.8), None, SWING) is None
+
+
+def test_a_case_is_clear_after_a_setpoint_step_from_rest_that_the_loop_explains() -> None:
+    answer = response(1.0, -0.3, period_s=20.0, sp_changed=True, end_s=100.0)
+    quiet, restless = samples([0.0] * 101), samples([0.0, 0.5] * 50)
+    assert was_at_rest(quiet, answer, SWING)
+    assert not was_at_rest(restless, answer, SWING)
+    assert is_clear(quiet, answer, SWING.unexplained, SWING.loads_beside, SWING)
+    assert not is_clear(quiet, answer, SWING.unexplained + 0.01, 0, SWING)
+    assert not is_clear(quiet, answer, 1.0, SWING.loads_beside + 1, SWING)
+    assert not is_clear(restless, answer, 1.0, 0, SWING)
+    assert not is_clear(quiet, response(1.0, -0.3), 1.0, 0, SWING)
+
+
+def test_a_growing_swing_after_a_setpoint_step_needs_no_rest() -> None:
+    growing = response(1.0, -1.2, 1.5, sp_changed=True)
+    assert runs_away(growing, 1.0, 0, SWING)
+    assert not runs_away(growing, 1.0, 1, SWING)
+    assert not runs_away(growing, SWING.unexplained + 0.01, 0, SWING)
+    assert not runs_away(response(1.0, -0.9, 0.8, sp_changed=True), 1.0, 0, SWING)
+    assert not runs_away(response(1.0, -1.2, 1.5), 1.0, 0, SWING)
+
+
+@pytest.mark.parametrize("ruling", list(Ruling))
+def test_only_changes_towards_safety_are_believed_on_agreement(ruling: Ruling) -> None:
+    safe = ruling in {Ruling.SAFER, Ruling.URGENT}
+    assert is_safer_and_known(ruling, True, Excitation(setpoints=1)) is safe
+    assert not is_safer_and_known(ruling, False, Excitation(setpoints=1))
+    assert not is_safer_and_known(ruling, True, Excitation(loads=9))
+
+
+def test_one_load_response_alone_is_not_enough() -> None:
+    excitation = Excitation().with_response(response(1.0))
+    assert excitation == Excitation(loads=1)
+    doubt, after = unconfirmed(samples([0.0] * 101), response(1.0), GOOD, excitation, SWING, DIAGNOSIS)
+    assert doubt is not None
+    assert doubt.cause == Cause.UNKNOWN
+    assert after == excitation
+
+
+def test_after_a_doubt_loads_are_thinned_until_there_were_twice_as_many() -> None:
+    asked = Excitation(loads=2, asked=2)
+    assert thinned(response(1.0), asked, SWING) is not None
+    assert thinned(response(1.0), Excitation(loads=3, asked=2), SWING) is None
+    assert thinned(response(1.0, sp_changed=True), asked, SWING) is None
+    assert thinned(response(1.0), Excitation(loads=5), SWING) is None
+
+
+@pytest.mark.parametrize("bad", [{"setpoints": -1}, {"loads": -1}, {"asked": -1}])
+def test_counts_are_counts(bad: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        Excitation(**bad)
+
+
+def test_a_limit_must_be_touched_in_every_cycle() -> None:
+    swing = response(1.0, -0.9, 0.8, period_s=20.0)
+    touched = [s._replace(limited=1 if i % 20 == 5 else 0) for i, s in enumerate(samples([0.0] * 101))]
+    once = [s._replace(limited=1 if i == 95 else 0) for i, s in enumerate(samples([0.0] * 101))]
+    assert touches_limits(touched, swing, LIMITS)
+    assert not touches_limits(once, swing, LIMITS)
+    assert not touches_limits(samples([0.0] * 101), swing, LIMITS)
+    assert not touches_limits(touched, response(1.0), LIMITS)
+
+
+@pytest.mark.parametrize("kc", [0.95, 1.5, 6.0])
+def test_an_unstable_loop_swings_at_its_own_crossover(kc: float) -> None:
+    """k' e^-theta s / s under kc alone: w180 = pi / (2 theta), gain margin pi / (2 k' kc theta)."""
+    theta = 4.0
+    model = ProcessModel(ProcessType.INTEGRATING, math.pi / (2 * theta), 0.0, 0.0, theta)
+    own = response(1.0, -0.9, 0.9, period_s=4 * theta)
+    foreign = response(1.0, -0.9, 0.9, period_s=4 * theta * math.exp(LIMITS.off_crossover + 0.02))
+    gains = PidGains(kc, 0.0)  # gain margin 1 / kc
+    assert at_own_crossover(own, model, gains, LIMITS)
+    assert not at_own_crossover(foreign, model, gains, LIMITS)
+    assert not at_own_crossover(own, model, PidGains(1 / LIMITS.gm_most - 0.02, 0.0), LIMITS)
+    assert not at_own_crossover(response(1.0), model, gains, LIMITS)
+
+
+class Rig:
+    """e^-5s / (50 s + 1) under PI between limits, with a disturbance at the input."""
+
+    def __init__(self, gains: PidGains, co_max: float = 1e9, mode: Mode = Mode.AUTO) -> None:
+        table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (gains,))
+        self.retuner = Retuner(table, RetunerSettings(1.0, 10.0, mode))
+        self.limits = (-co_max, co_max)
+        self.rules = law(gains, co_min=-co_max, co_max=co_max)
+        self.state = start(self.rules, 0.0, 0.0, 0.0)
+        self.rng = np.random.default_rng(7)
+        self.past, self.y, self.t, self.revision = [0.0] * 5, 0.0, 0.0, 0
+
+    def run(self, seconds: int, sp: float = 0.0, amplitude: float = 0.0, period_s: float = 60.0) -> list[Decision]:
+        found = []
+        a = math.exp(-1 / 50.0)
+        for _ in range(seconds):
+            load = amplitude * math.sin(2 * math.pi * self.t / period_s)
+            self.y = a * self.y + (1 - a) * (self.past.pop(0) + load)
+            pv = self.y + 0.005 * float(self.rng.standard_normal())
+            self.state, co = step(self.rules, self.state, sp, pv, 1.0)
+            self.past.append(co)
+            limited = 1 if co >= self.limits[1] else -1 if co <= self.limits[0] else 0
+            self.t += 1.0
+            sample = LoopSample(self.t, sp, pv, co, LoopMode.AUTO, limited, sp, self.revision)
+            decision = self.retuner.observe(sample)
+            if decision is not None:
+                found.append(decision)
+                self._obey(decision, sp, pv)
+        return found
+
+    def _obey(self, decision: Decision, sp: float, pv: float) -> None:
+        if decision.action not in {Action.COMMIT, Action.RESTORE} or decision.gains_after is None:
+            return
+        new = law(decision.gains_after, co_min=self.limits[0], co_max=self.limits[1])
+        self.state, self.rules = change(self.rules, new, self.state, sp, pv, 1.0), new
+        self.revision += 1
+        if decision.action == Action.COMMIT:
+            self.retuner.committed(0, decision.gains_after)
+        else:
+            self.retuner.restored()
+
+
+@pytest.mark.parametrize("period_s", [45.0, 90.0])
+def test_a_well_tuned_loop_under_an_outside_tone_is_left_alone(period_s: float) -> None:
+    rig = Rig(GOOD)
+    assert rig.run(60) == []
+    decisions = rig.run(int(16 * period_s), amplitude=1.0, period_s=period_s)
+    assert decisions
+    assert {d.action for d in decisions} == {Action.NONE}
+    assert Cause.EXTERNAL in {d.diagnosis.cause for d in decisions if d.diagnosis}
+    assert rig.retuner.standing[0].cause == Cause.EXTERNAL
+
+
+def test_an_unstable_loop_between_its_limits_is_made_stable() -> None:
+    rig = Rig(PidGains(3.2 * GOOD.kp, 3.2 * GOOD.ki), co_max=1.5)
+    rig.run(60)
+    decisions = rig.run(400, sp=0.3)
+    committed = [d for d in decisions if d.action == Action.COMMIT]
+    assert committed
+    assert committed[0].gains_after is not None
+    assert committed[0].gains_after.kp < 0.7 * committed[0].gains_before.kp
+    assert rig.retuner.table.gains_of(0).kp < 1.3 * GOOD.kp
