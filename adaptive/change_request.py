@@ -46,6 +46,7 @@ def change_request(
             age_s=max(t_s - beliefs[region].t_s, 0.0),
             innovation=learned.innovation if learned is not None and odd else 0.0,
             gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
+            borrowed=beliefs[region].records == 0,
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
         urgent=_urgent(damping, settings),

@@ -10,7 +10,7 @@ from retuner.adaptive.belief import Belief, Known
 from retuner.adaptive.change_request import change_request, unproved_request
 from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Support, allowed
+from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, Support, allowed, prove
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.tracker import predicted
@@ -46,6 +46,17 @@ def test_what_is_known_is_asked() -> None:
     assert hot.name == "hot"
     assert hot.models[0].model.k == pytest.approx(4.0)
     assert not asked.urgent
+
+
+def test_a_borrowed_model_is_no_record() -> None:
+    lent = replace(belief(2.0), records=0)
+    asked = change_request(BEST, 1, (NOW, START), {1: lent}, None, 0.0, SETTINGS)
+    assert asked.evidence.borrowed
+    verdict = prove(asked, SETTINGS.guard)
+    assert verdict.ruling == Ruling.TOO_FEW_RECORDS
+    assert "neighbouring region" in verdict.checks[0].words
+    own = change_request(BEST, 1, (NOW, START), {1: belief(2.0)}, None, 0.0, SETTINGS)
+    assert not own.evidence.borrowed
 
 
 def test_locks_of_the_region_come_before_those_of_the_loop() -> None:

@@ -128,6 +128,15 @@ def test_a_cut_that_turns_the_integral_action_back_leaves_no_room() -> None:
     assert not cut(wanted, GuardSettings(kc_max=2.5), old)[0].no_room
 
 
+def test_a_derivative_is_turned_back_in_time_not_in_gain() -> None:
+    old = IdealGains(4.0, 80.0, 3.0).to_parallel()
+    (less,) = cut(IdealGains(4.0, 80.0, 2.8).to_parallel(), GuardSettings(tau_d_max_s=2.0), old)
+    assert not less.no_room
+    assert times_of(less.gains)[2] == pytest.approx(2.0)
+    (more,) = cut(IdealGains(4.0, 80.0, 3.5).to_parallel(), GuardSettings(tau_d_max_s=2.0), old)
+    assert more.no_room
+
+
 def test_no_derivative_allowed_at_all() -> None:
     old = IdealGains(1.0, 20.0, 2.0).to_parallel()
     (more,) = cut(IdealGains(1.0, 20.0, 3.0).to_parallel(), GuardSettings(tau_d_max_s=0.0), old)

@@ -45,6 +45,13 @@ def test_defaults_are_twice_towards_more_and_a_quarter_towards_less(goal: PidGai
     assert (found.kp, found.ki) == (pytest.approx(wanted.kp), pytest.approx(wanted.ki))
 
 
+def test_the_defaults_are_the_published_ones() -> None:
+    s = GuardSettings()
+    assert (s.step_up_max, s.step_down_max, s.total_ratio_max) == (2.0, 4.0, 4.0)
+    assert (s.ms_nominal, s.ms_worst, s.tau_c_max_ratio) == (1.75, 2.1, 1.3)
+    assert s.age_max_s == 30 * 24 * 3600
+
+
 def test_the_derivative_has_limits_of_its_own() -> None:
     old = PidGains(1.0, 0.1, 2.0)
     assert moved(old, PidGains(1.0, 0.1, 20.0)).kd == pytest.approx(4.0)
