@@ -11,7 +11,8 @@ them unstable without that having been seen says nothing of their IAE. shape.py 
 the peaks.) It is judged only if the upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs
 time but undoes nothing:
 
-    cut short by the next setpoint change; first peak within seen_bands of noise; no rest before the setpoint's step;
+    first peak within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
+    worse by then will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
 
@@ -23,6 +24,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.sample import FloatArray, Window
@@ -95,6 +97,8 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
     if swings or costs:
         return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs))), numbers)
     told = _told(numbers)
+    if seen.response.ending == Ending.SETPOINT:
+        return Judgement(Finding.INCONCLUSIVE, f"{seen.response.ending}; until then {told}", numbers)
     better = numbers.get("iae", math.inf) < now.iae.low and numbers["decay"] <= max(now.decay.best, now.decay.low)
     if better:
         return Judgement(Finding.BETTER, f"better than promised: {told}", numbers)
@@ -106,8 +110,6 @@ def _doubt(seen: Seen, settings: TrialSettings) -> str:
     response = seen.response
     if seen.outside:
         return f"not judged: {seen.outside}"
-    if response.ending == Ending.SETPOINT:
-        return f"not judged: {response.ending}"
     least = settings.seen_bands * response.band
     if not response.peaks or abs(response.peaks[0].e) < least:
         return f"not judged: its first peak is below {least:.3g}, {settings.seen_bands:g} noise bands"
@@ -118,8 +120,7 @@ def _unlike_a_step(seen: Seen) -> str:
     """Why a setpoint's response is not one of a step from rest, if so."""
     window, response = seen.window, seen.response
     before = window.t_s < response.t_start_s
-    during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
-    later = window.sp[during]
+    later = window.sp[_during(seen)]
     if later.size and float(np.ptp(later)) > response.band:
         return "not judged: the setpoint went on moving during the response"
     error = (window.sp - window.pv)[before]
@@ -165,7 +166,7 @@ def _costs(
 ) -> str:
     """What speaks against the IAE, if anything; its numbers are put down."""
     response, window = seen.response, seen.window
-    during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
+    during = _during(seen)
     e, t = (window.sp - window.pv)[during], window.t_s[during]
     if len(t) < 3 or seen.limited_share > LIMITED:
         return ""
@@ -187,6 +188,13 @@ def _costs(
     )
 
 
+def _during(seen: Seen) -> NDArray[np.bool_]:
+    """The samples of the response; the one with the setpoint change that cut it short belongs to the next."""
+    t_s, response = seen.window.t_s, seen.response
+    cut = response.ending == Ending.SETPOINT
+    return (t_s >= response.t_start_s) & (t_s < response.t_end_s if cut else t_s <= response.t_end_s)
+
+
 def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, least: float) -> float:
     """Size of the upset: of the setpoint's step, or of the load that the integral took over; 0 when it is not known.
 
@@ -195,7 +203,7 @@ def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, least: floa
     """
     if seen.response.sp_changed:
         before = seen.window.sp[seen.window.t_s < seen.response.t_start_s]
-        after = float(np.median(seen.window.sp[seen.window.t_s >= seen.response.t_start_s]))
+        after = float(np.median(seen.window.sp[_during(seen)]))
         return abs(after - float(before[-1])) if before.size else 0.0
     taken_over = abs(_area(e, t))
     return abs(gains.ki) * taken_over if taken_over >= least else 0.0

@@ -100,7 +100,6 @@ def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
     assert judge(example(), PROMISE, GOOD, S).finding is Finding.WORSE
     small = (Peak(1.0, 0.3), Peak(2.0, -0.3), Peak(3.0, 0.3))
     for seen, why in (
-        (example(ending=Ending.SETPOINT), "cut short"),
         (example(peaks=small), "noise bands"),
         (example(peaks=()), "noise bands"),
         (replace(example(), outside="an oscillation from outside"), "from outside"),
@@ -108,6 +107,32 @@ def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
         found = judge(seen, PROMISE, GOOD, S)
         assert found.finding is Finding.INCONCLUSIVE
         assert why in found.reason
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_response_that_was_cut_short_may_speak_against_the_gains_but_not_for_them(seed: int) -> None:
+    def cut(gains: PidGains, after: int) -> Judgement:
+        rig = Rig(gains, noise=0.025, seed=seed)
+        watcher_sees = responses(Stepped(rig, 200, after), 100 + after)
+        assert watcher_sees[0].response.ending is Ending.SETPOINT
+        return judge(watcher_sees[0], PROMISE, gains, S)
+
+    assert cut(GOOD, 25).finding is Finding.INCONCLUSIVE
+    assert cut(BAD["kc /4"], 20).finding is Finding.INCONCLUSIVE
+    assert cut(BAD["kc /4"], 80).finding is Finding.WORSE
+
+
+class Stepped:
+    """A rig whose setpoint goes up after some samples and down again after some more."""
+
+    def __init__(self, rig: Rig, up: int, after: int) -> None:
+        self.rig, self.gains, self.i, self.up, self.down = rig, rig.gains, 0, up, up + after
+
+    def run(self, samples: int):
+        for _ in range(samples):
+            self.i += 1
+            self.rig.sp = 5.0 if self.up < self.i <= self.down else 0.0
+            yield from self.rig.run(1)
 
 
 def test_a_setpoint_that_moves_on_or_a_start_from_motion_is_inconclusive() -> None:
