@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from online import batch, injected, walks
-from online.judge import Judge
+from online.judge import Judge, Judgement
 from online.loop import FixedGains, WatchedLoop
 from online.runner import rows_of
 from online.supervisors import Watching, one_region, settings
+from retuner.adaptive.decision import Action
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]
@@ -69,7 +70,8 @@ def _example(member: batch.Member, start: tuple[float, float], seed: int, above:
     gains = PidGains(judge.best.kp * start[0], judge.best.ki * start[0] / start[1])
     watching = Watching(one_region(gains), settings(judge.dt_s, batch.PV_SPAN))
     loop = WatchedLoop(HeldPlant(member.process, judge.dt_s), watching.retuner.table, judge.dt_s, watching)
-    rng, n = np.random.default_rng(seed), int(batch.LENGTH_THETA * batch.SAMPLES_PER_THETA)
+    rng = np.random.default_rng(seed)
+    n = int(batch.LENGTH_THETA * batch.SAMPLES_PER_THETA * max(1.0, 1 / start[0]))
     trace, sps, sp, load, size = [], [], 0.0, 0.0, judge.load_like_setpoint()
     for i in range(5):
         if i:
@@ -81,19 +83,12 @@ def _example(member: batch.Member, start: tuple[float, float], seed: int, above:
     above.plot(t, [pv for pv, _ in trace], lw=0.8)
     above.plot(t, sps, lw=0.8, color="C1")
     below.plot(t, [co for _, co in trace], lw=0.7, color="C2")
-    for d in watching.writes:
-        if d.gains_after is not None:
-            found = judge.of(d.gains_after)
-            for axes in (above, below):
-                axes.axvline(d.t_s, color="k", lw=0.7, ls=":")
-            word = "back" if d.action == "restore" else "new gains"
-            above.annotate(
-                f"{word}\nMs {found.ms:.2f}\nJ {found.j:.2f}", (d.t_s, above.get_ylim()[1]), fontsize=6, va="top"
-            )
-    first = judge.of(gains)
-    ms = f"{first.ms:.2f}" if np.isfinite(first.ms) else "unstable"
+    for i, d in enumerate(d for d in watching.writes if d.gains_after is not None):
+        word = "put back" if d.action == Action.RESTORE else f"change {i + 1}"
+        _mark(above, below, d.t_s, f"{word}: {_words(judge.of(d.gains_after))}", i)
+    above.legend(fontsize=7)
     above.set_title(
-        f"{member.name}: Kc x {start[0]:g}, tau_I x {start[1]:g} (Ms {ms}, J {first.j:.2f})", fontsize=8, loc="left"
+        f"{member.name}: Kc x {start[0]:g}, tau_I x {start[1]:g} ({_words(judge.of(gains))})", fontsize=8, loc="left"
     )
     _labels(above, below)
 
@@ -107,24 +102,24 @@ def put_back(path: Path, task: injected.Task) -> None:
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
     trial, size = injected.OnTrial(loop.best, loop.dt_s), judge.load_like_setpoint()
     watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), one_region(loop.best), loop.dt_s, trial)
-    n, trace, sp, load = int(25 * injected.SAMPLES_PER_THETA), [], 0.0, 0.0
+    n, trace, sps, sp, load = int(25 * injected.SAMPLES_PER_THETA), [], [], 0.0, 0.0
     for i in range(4):
         if i == 1:
             trial.inject(bad, wrong, bad)
         if i:
             sp, load = (1.0 - sp, load) if i % 2 else (sp, size - load)
         trace += watched.run(sp, load, (injected.NOISE * rng.standard_normal(n)).tolist())
+        sps += [sp] * n
     t = np.arange(1, len(trace) + 1) * loop.dt_s / loop.theta_s
     above.plot(t, [pv for pv, _ in trace], lw=0.8)
+    above.plot(t, sps, lw=0.8)
     below.plot(t, [co for _, co in trace], lw=0.8, color="C2")
-    marks = {"bad set written": n * loop.dt_s, f"put back: {trial.cause}": trial.restored_s or 0.0}
-    for i, (word, at) in enumerate(marks.items()):
-        for axes in (above, below):
-            axes.axvline(at / loop.theta_s, color=f"C{3 + i}", lw=1, ls=":")
-        above.annotate(word, (at / loop.theta_s, above.get_ylim()[1]), fontsize=7, va="top", color=f"C{3 + i}")
-    found = judge.of(bad)
-    ms = f"Ms {found.ms:.2f}" if np.isfinite(found.ms) else "unstable"
-    above.set_title(f"A bad change injected ({task.kind}, {ms}), taken back by the trial", fontsize=8, loc="left")
+    _mark(above, below, n * loop.dt_s / loop.theta_s, "bad set written", 0)
+    if trial.restored_s is not None:
+        _mark(above, below, trial.restored_s / loop.theta_s, f"put back: {trial.cause}", 1)
+    above.legend(fontsize=7)
+    title = f"Kc and tau_I both wrong, {_words(judge.of(bad))}: put on trial, taken back"
+    above.set_title(title, fontsize=8, loc="left")
     _labels(above, below)
     below.set_xlabel("effective dead times", fontsize=7)
     figure.savefig(path, dpi=DPI)
@@ -159,6 +154,16 @@ def walk(path: Path, task: walks.Task) -> None:
     below.legend(fontsize=7)
     below.tick_params(labelsize=7)
     figure.savefig(path, dpi=DPI)
+
+
+def _words(found: Judgement) -> str:
+    return f"Ms {found.ms:.2f}, J {found.j:.2f}" if np.isfinite(found.ms) else "unstable"
+
+
+def _mark(above: Axes, below: Axes, at: float, word: str, i: int) -> None:
+    """A moment in both parts, named in the legend."""
+    above.axvline(at, color=f"C{3 + i}", lw=1, ls="--", label=word)
+    below.axvline(at, color=f"C{3 + i}", lw=1, ls="--")
 
 
 def _labels(above: Axes, below: Axes) -> None:
