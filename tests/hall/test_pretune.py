@@ -214,7 +214,7 @@ def test_ctrl_c_takes_the_step_back_before_it_ends_the_run(loop: Made, monkeypat
 def stepped() -> list[LoopSample]:
     """An exact step of 5 % on e^-4s/(40 s + 1), a little noise that repeats."""
     rows, x = [], 0.0
-    for i in range(220):
+    for i in range(120):
         wobble = 0.02 * ((i * 7919) % 13 - 6) / 6
         rows.append(LoopSample(float(i), 50.0, 50.0 + x + wobble, 55.0 if i >= 30 else 50.0, mode=0))
         x += ((5.0 if i - 4 >= 30 else 0.0) - x) * 0.0247
