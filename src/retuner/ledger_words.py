@@ -6,6 +6,7 @@ Works on the documents that rows hold, whatever release wrote them: what a row l
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
+from retuner.errors import one_line
 from retuner.explain import cause_text, model_text, ms_words, response_text, settings_text
 from retuner.explained.reading import Document, gains_of, number, part, words
 from retuner.ledger import Row
@@ -48,9 +49,8 @@ class Told:
 def told(row: Row) -> Told:
     """A row in words."""
     body: Document = row.body
-    why, old, new, evidence, verdict = WORDS.get(row.kind, _other)(body)
-    return Told(row.seq, row.clock_s, row.kind, _who(row.kind, body), words(body, "region"), why, old, new, evidence,
-                verdict)  # fmt: skip
+    texts = (row.kind, _who(row.kind, body), words(body, "region"), *WORDS.get(row.kind, _other)(body))
+    return Told(row.seq, row.clock_s, *map(one_line, texts))
 
 
 def _who(kind: str, body: Document) -> str:

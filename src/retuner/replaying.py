@@ -94,7 +94,7 @@ class Replay:
             self._take_frames()
         except RecordingError as error:
             result.stopped = str(error)
-        if not result.stopped and self._next < len(self._rows):
+        if result.identical and self._next < len(self._rows):
             row = self._rows[self._next]
             result.stopped = (
                 f"{log}: ends after sample {result.samples}, and row {row.seq} of the ledger stands after sample "
@@ -133,8 +133,13 @@ class Replay:
                     f"{self._log_trouble()}"
                 )
                 return
-            self._row(row)
-            if self._result.difference is not None:
+            try:
+                self._row(row)
+            except (KeyError, TypeError, ValueError) as error:
+                self._result.stopped = (
+                    f"row {row.seq} of the ledger is not what a session of this release writes: {error}"
+                )
+            if not self._result.identical:
                 return
         if self._waiting:
             made = self._waiting[0]

@@ -15,7 +15,7 @@ from retuner.commands.recorded_loop import renamed
 from retuner.config import Config, load_config
 from retuner.drivers.frame_log import is_frame_log
 from retuner.drivers.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
-from retuner.errors import UserError
+from retuner.errors import UserError, user_input
 from retuner.explain import one_line
 from retuner.schedule.gains import PidGains
 
@@ -82,7 +82,8 @@ def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
     config = load_config(config_file)
     retuner = make_retuner(config, Mode.ADVISE)
-    found = answer(retuner, recorded_loop(log, columns, config))
+    with user_input(str(log)):
+        found = answer(retuner, recorded_loop(log, columns, config))
     if as_json:
         sys.stdout.write(json.dumps(document(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
         return 0
