@@ -1,0 +1,93 @@
+"""The rules of admission in a running retuner: what is not admitted teaches nothing and says why."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.admission import Ground
+from retuner.adaptive.decision import Action, Decision, Mode
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.sample import LoopSample
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+GAINS = PidGains(5.0, 5.0 / 40)
+STEP_AT, N = 80, 420
+Fault = Callable[[LoopSample], LoopSample]
+
+
+def heard(fault: Fault, sp: Callable[[int], float] = lambda i: float(i >= STEP_AT)) -> tuple[Retuner, list[Decision]]:
+    """e^-5s/(50 s + 1) under good PI gains and one percent of noise; the fault is in what telemetry says."""
+    table = GainTable("loop", Regions("pv", "-", ("low", "high"), -50.0, (20.0,), 50.0, 2.0), (GAINS, GAINS))
+    retuner, rng = Retuner(table, RetunerSettings(1.0, 10.0, Mode.AUTO)), np.random.default_rng(4)
+    x = integral = 0.0
+    past, decisions, a = [0.0] * 5, [], float(np.exp(-1 / 50.0))
+    for i in range(N):
+        pv = x + 0.01 * float(rng.standard_normal())
+        integral += GAINS.ki * (sp(i) - pv)
+        co = GAINS.kp * (sp(i) - pv) + integral
+        past.append(co)
+        x = a * x + (1 - a) * past.pop(0)
+        decision = retuner.observe(fault(LoopSample(float(i), sp(i), pv, co)))
+        decisions += [decision] if decision is not None else []
+    return retuner, decisions
+
+
+def limited(s: LoopSample) -> LoopSample:
+    return s._replace(limited=1) if s.t_s > STEP_AT else s
+
+
+def rewritten(s: LoopSample) -> LoopSample:
+    return s._replace(revision=int(s.t_s > STEP_AT + 15))
+
+
+def uneven(s: LoopSample) -> LoopSample:
+    return s._replace(t_s=s.t_s + (0.4 if s.t_s % 4 == 0 else 0.0))
+
+
+def stuck() -> Fault:
+    kept: list[LoopSample] = []
+
+    def fault(s: LoopSample) -> LoopSample:
+        if s.t_s == STEP_AT + 3:
+            kept.append(s)
+        return kept[0]._replace(t_s=s.t_s) if kept and s.t_s < STEP_AT + 120 else s
+
+    return fault
+
+
+@pytest.mark.parametrize(
+    ("ground", "fault"),
+    [
+        (Ground.SATURATED, limited),
+        (Ground.GAINS_CHANGED, rewritten),
+        (Ground.IRREGULAR, uneven),
+        (Ground.REPEATED, stuck()),
+    ],
+)
+def test_what_is_not_admitted_teaches_nothing_and_says_why(ground: Ground, fault: Fault) -> None:
+    retuner, decisions = heard(fault)
+    assert decisions[0].code == ground.name.lower()
+    assert decisions[0].action is Action.NONE
+    assert decisions[0].estimate is None
+    assert "limit" in decisions[0].numbers
+    assert all(d.code != "ok" for d in decisions) == (not retuner.beliefs)
+
+
+def test_the_slave_of_a_cascade_is_not_learned_from_while_its_master_moves() -> None:
+    rng = np.random.default_rng(9)
+    led = np.cumsum(np.where(np.arange(N) % 3 == 0, 0.01 * rng.standard_normal(N), 0.0)) + (np.arange(N) >= STEP_AT)
+    retuner, decisions = heard(lambda s: s, lambda i: float(led[i]))
+    assert decisions
+    assert {d.code for d in decisions} <= {Ground.SETPOINT_LED.name.lower(), Ground.LOW_EXCITATION.name.lower()}
+    assert Ground.SETPOINT_LED.name.lower() in {d.code for d in decisions}
+    assert not retuner.beliefs
+
+
+def test_the_same_loop_without_a_fault_teaches() -> None:
+    retuner, decisions = heard(lambda s: s)
+    assert 0 in retuner.beliefs
+    assert decisions[0].estimate is not None
