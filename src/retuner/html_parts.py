@@ -12,7 +12,7 @@ table{border-collapse:collapse;width:100%;font-size:.92em}
 th,td{text-align:left;padding:.35em .6em;border-bottom:1px solid #ddd;vertical-align:top}
 th{background:#f4f6f8} td.n,th.n{text-align:right;white-space:nowrap} .good{color:#1a7f37} .bad{color:#b42318}
 .twins{display:flex;flex-wrap:wrap;gap:1em} .twins img{flex:1 1 340px;max-width:560px} tr.commit td{background:#fff8e6}
-table.pairs th{width:1%;min-width:9em} code{background:#f4f6f8;padding:0 .25em;overflow-wrap:anywhere}
+table.pairs th{width:1%;min-width:11em} code{background:#f4f6f8;padding:0 .25em;overflow-wrap:anywhere}
 .columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(430px,1fr));gap:0 2.2em;align-items:start}
 .columns section{min-width:0} article td.long{overflow-wrap:anywhere} .good,.bad{white-space:nowrap}
 .badge{display:inline-block;border:1.5px solid;border-radius:1em;padding:0 .7em;font-size:.85em;font-weight:600}

@@ -8,7 +8,7 @@ from retuner.html_parts import paragraph, section, text_table
 MEASURES = {
     "overshoot": ("overshoot (-E2/E1)", 100.0, " %"), "damping": ("damping", 1.0, ""),
     "decay": ("ratio of successive peaks", 1.0, ""), "iae": ("IAE per unit of the upset", 1.0, ""),
-    "travel": ("travel of co per unit", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
+    "travel": ("travel of co per unit (told, not judged)", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
 }  # fmt: skip
 """Numbers of a promise in words, with their factor and unit."""
 UPSETS = ("setpoint", "load")

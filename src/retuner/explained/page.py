@@ -4,13 +4,14 @@ The page tells what stands in the decision's document; only curves and margins a
 it. A section for which there is nothing is left out.
 """
 
+from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.rules.explanation import explanation
 from retuner.adaptive.rules.kinds import ControllerKind
 from retuner.adaptive.rules.registry import RULES, settings
 from retuner.adaptive.rules.rule import Wishes
 from retuner.adaptive.tracker import Surprise
 from retuner.evidence_words import evidence_table
-from retuner.explain import settings_text
+from retuner.explain import process_text, settings_text
 from retuner.explained.outcome import judgement_section, later_section, promise_section
 from retuner.explained.reading import finite, gains_of, number, numbers, part, parts, words
 from retuner.explained.response_drawing import response_svg
@@ -112,15 +113,14 @@ def _learned(view: DecisionView) -> str:
     std = {name: value for name, raw in part(known, "std").items() if (value := finite(raw)) is not None}
     records = number(view.document, "records")
     surprise = words(view.document, "surprise").upper()
-    rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, std)]
+    rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, std, view.unit)]
     none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
     rows += [("records behind it", f"{records:.0f}" if records else none),
              ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
              ("the fit", words(view.estimate, "reason")), ("left by the fit", _residual(view)),
              ("other models still allowed", str(len(view.allowed)) if view.allowed else "")]  # fmt: skip
     if part(view.document, "known") and view.of_record:
-        shown = "  ".join(f"{k} {v:.4g}" for k, v in view.of_record.to_dict().items() if isinstance(v, float) and v)
-        rows.append(("this record by itself and with what was known", shown))
+        rows.append(("the record's own estimate", process_text(view.of_record)))
     return pairs(rows)
 
 
@@ -211,10 +211,17 @@ def _formula(view: DecisionView, wanted: PidGains) -> str:
         if _same(found.gains, wanted):
             told = explanation(rule, kind, sampled, None, wishes, found)
             lines = [*told.formula, *(line for line in told.with_numbers if line not in told.formula)]
-            note = "theta here has half a sampling interval added." if view.sample_time_s else ""
-            source = paragraph(f"{note} {told.source}".strip(), "muted")
+            source = paragraph(f"{_put_in(view, model, kind)} {told.source}".strip(), "muted")
             return f"<pre>{escaped(chr(10).join(lines))}</pre>{source}"
     return ""
+
+
+def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> str:
+    """How the numbers of the formula come from those of the process."""
+    told = ["half a sampling interval in theta"] if view.sample_time_s else []
+    if model.tau2_s and kind == ControllerKind.PI:
+        told.append("half of tau2 in theta" + (" and half in tau1 (half rule)" if model.tau1_s else " (half rule)"))
+    return f"Put in with {', '.join(told)}." if told else ""
 
 
 def _same(one: PidGains, other: PidGains) -> bool:

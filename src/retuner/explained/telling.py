@@ -114,10 +114,11 @@ def structure(model: ProcessModel) -> str:
     return f"{text}, swinging (zeta {model.zeta:.2f})" if model.zeta < 1 else text
 
 
-def parameters(model: ProcessModel, std: dict[str, float]) -> list[tuple[str, str]]:
-    """Name and value with standard deviation of each parameter that the structure has."""
+def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tuple[str, str]]:
+    """Name and value with standard deviation of each parameter that the structure has; unit : of pv."""
     integrating = model.type in {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
-    rows = [("k' (slope gain)" if integrating else "k (gain)", "k", model.k, " pv/(co s)" if integrating else " pv/co"),
+    gain, per = ("k' (slope gain)", f" {unit}/(% s)") if integrating else ("k (gain)", f" {unit}/%")
+    rows = [(gain, "k", model.k, per),
             ("tau1 (lag)", "tau1", model.tau1_s, " s"), ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
             ("theta (dead time)", "theta", model.theta_s, " s")]  # fmt: skip
     return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]
@@ -133,8 +134,8 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
         return []
     columns = [margins(view.process, view.before)]
     if view.tried:
-        columns.append(margins(view.process, view.tried))
-        columns += worst_of([margins(model, view.tried) for model in view.allowed])
+        found = [margins(model, view.tried) for model in (view.process, *view.allowed)]
+        columns += [found[0], *([max(found, key=lambda one: one.ms)] if view.allowed else [])]
     rows = []
     for label, name, unit, usual in (
         ("Ms", "ms", "", "at most 1.8"), ("gain margin", "gm", "", "at least 2"),
@@ -143,11 +144,6 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
     ):  # fmt: skip
         rows.append((label, *(_margin(one, name, unit) for one in columns), usual))
     return rows
-
-
-def worst_of(found: list[Margins]) -> list[Margins]:
-    """The one with the largest Ms, in a list; none for none."""
-    return [max(found, key=lambda one: one.ms)] if found else []
 
 
 def _margin(found: Margins, name: str, unit: str) -> str:

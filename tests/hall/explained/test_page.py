@@ -108,6 +108,7 @@ def test_the_formula_is_shown_only_where_it_gives_the_proposal() -> None:
     right = changed(proposal={**proposal, "parallel": {"kp": kc, "ki": kc / tau1, "kd": 0.0}})
     text = article(view(right, drawn=False))
     assert "Kc = 244.5/(2 * (36 + 31.5))" in text
+    assert "Put in with half a sampling interval in theta, half of tau2 in theta and half in tau1 (half rule)." in text
     assert "Skogestad 2003" in text
 
 
