@@ -9,13 +9,18 @@ What a sample means is worked out first, as one event; then the table says where
 
     START     the error left twice the band                RETREAT   it came back from the extreme by one band
     NEW_MAX   it passed the extreme again                  CROSS     it stands beyond the band on the other side
-    QUIET     inside the band for quiet_s                  TIMEOUT   nothing of this within wait_s
+    QUIET     inside the band for quiet_s                  TIMEOUT   nothing of this in time
     SETPOINT  the setpoint moved by more than the band
+
+In time means within wait_s; after the first crossing within `reach` times what it took to get there, if that is less
+(a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
+back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times).
 
 `step` is a pure function of plain scalars (it compiles under numba as it stands); `take` turns the ADAPT state into a
 Response. A loop at rest costs four comparisons a sample.
 """
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -74,10 +79,15 @@ class RecogniserLaw(NamedTuple):
 
     wait_s : longest wait for the next peak, seconds (EXACT's time scale); range > 0.
     quiet_s : the error counts as at rest after this long inside the band; range 0 to wait_s.
+    reach : longest wait after a crossing, in times from the upset to it; range 3 to infinite, default 5 (half a period
+        of a swing is about twice the time to its first crossing).
+    longest_s : longest response, seconds; what is longer is cut.
     """
 
     wait_s: float
     quiet_s: float
+    reach: float = 5.0
+    longest_s: float = math.inf
 
 
 class RecogniserState(NamedTuple):
@@ -87,6 +97,7 @@ class RecogniserState(NamedTuple):
     inside_s : since when the error is inside the band, infinite outside. sp, sp_changed : last setpoint taken; whether
     the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed.
     t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, once in ADAPT. event : what led to the last move.
+    e_near : smallest |error| since the extreme, by which a coming back is seen; infinite outside VERIFY_1.
     """
 
     phase: int
@@ -104,9 +115,10 @@ class RecogniserState(NamedTuple):
     e2: float
     verified: int
     event: int
+    e_near: float = math.inf
 
 
-_OUTSIDE = float("inf")
+_OUTSIDE = math.inf
 
 
 def begin(t_s: float, sp: float) -> RecogniserState:
@@ -126,7 +138,7 @@ def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: f
     event = _event(law, state, t_s, sp, e, band, inside_s)
     phase = TABLE[state.phase][event]
     if phase == state.phase and event == Event.NONE:
-        return _follow(state, t_s, e, inside_s)
+        return _follow(state, t_s, e, band, inside_s)
     return _move(state, Phase(phase), Event(event), t_s, sp, e, band)
 
 
@@ -151,10 +163,23 @@ def _event(
         return Event.QUIET
     if phase == Phase.LOCATE_1 and not state.started:
         return Event.START
-    late = t_s - state.since_s > law.wait_s
+    late = _late(law, state, t_s)
     if phase == Phase.SETTLE:  # a swing is followed from where it crosses zero, so that its first extreme is one
         return Event.TIMEOUT if late and inside_s < _OUTSIDE else Event.NONE
     return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+
+
+def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
+    """Whether the wait has taken too long (see the head of this file)."""
+    waited = t_s - state.since_s
+    if waited > law.wait_s:
+        return True
+    if state.phase == Phase.SETTLE:
+        return False
+    if t_s - state.t_start_s > law.longest_s:
+        return True
+    crossed = state.phase > Phase.VERIFY_1
+    return crossed and waited > max(law.reach * (state.since_s - state.t_start_s), law.quiet_s)
 
 
 def _peak_event(phase: int, e_peak: float, e: float, band: float) -> Event:
@@ -171,11 +196,15 @@ def _peak_event(phase: int, e_peak: float, e: float, band: float) -> Event:
     return Event.NONE
 
 
-def _follow(state: RecogniserState, t_s: float, e: float, inside_s: float) -> RecogniserState:
-    """Stay, and take a larger error as the new extreme."""
-    outward = e > state.e_peak if state.e_peak > 0 else e < state.e_peak
-    if outward and state.phase in {Phase.LOCATE_1, Phase.LOCATE_2, Phase.LOCATE_3}:
-        return state._replace(t_peak_s=t_s, e_peak=e, inside_s=inside_s)
+def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s: float) -> RecogniserState:
+    """Stay; take a larger error as the new extreme, and one that has come back by a band as a new beginning."""
+    if state.phase in {Phase.LOCATE_1, Phase.LOCATE_2, Phase.LOCATE_3}:
+        if e > state.e_peak if state.e_peak > 0 else e < state.e_peak:
+            return state._replace(t_peak_s=t_s, e_peak=e, inside_s=inside_s)
+    elif state.phase == Phase.VERIFY_1:
+        size = e if e > 0 else -e
+        if size < state.e_near - band:
+            return state._replace(since_s=t_s, inside_s=inside_s, e_near=size)
     return state if inside_s == state.inside_s else state._replace(inside_s=inside_s)
 
 
@@ -194,8 +223,8 @@ def _move(
     if event == Event.CROSS:
         return _pass_peak(state, phase, t_s, e)
     if event == Event.NEW_MAX:
-        return state._replace(phase=phase, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event)
-    return state._replace(phase=phase, event=event)
+        return state._replace(phase=phase, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event, e_near=math.inf)
+    return state._replace(phase=phase, event=event, e_near=math.inf)
 
 
 def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
@@ -227,7 +256,8 @@ def _end(state: RecogniserState, event: Event, t_s: float) -> RecogniserState:
 
 def _pass_peak(state: RecogniserState, phase: Phase, t_s: float, e: float) -> RecogniserState:
     """The error is on the other side: the extreme was a peak, and the next one is followed from here."""
-    moved = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS)
+    moved = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS,
+                           e_near=math.inf)  # fmt: skip
     if phase == Phase.LOCATE_2:
         return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
     return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)

@@ -247,7 +247,9 @@ class Watcher:
         gains = self.table.at(self._region.region, *self.scheduled)
         tau_i = gains.kp / gains.ki if gains.ki else 0.0
         wait = s.wait_s or max(s.wait_tau_i * tau_i, s.shortest_wait * s.sample_time_s)
-        self._law = RecogniserLaw(wait, min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait))
+        quiet = min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait)
+        longest = (s.history - s.lead_samples) / (1 + s.lead_share) * s.sample_time_s  # its window is then still kept
+        self._law = RecogniserLaw(wait, quiet, longest_s=longest)
 
     def _complete(self, state: RecogniserState) -> Completed:
         """A response is complete."""

@@ -151,3 +151,39 @@ def test_units_do_not_matter(scale: float, errors: list[float]) -> None:
         plain = step(LAW, plain, float(i), 0.0, e, 0.25)
         scaled = step(LAW, scaled, float(i), 0.0, e * scale, 0.25 * scale)
         assert scaled.phase == plain.phase
+
+
+def test_a_sluggish_loop_with_a_short_integral_time_is_followed_to_its_end() -> None:
+    dt, tau = 1.0, 150.0  # the error takes 2.5 waiting times for one time constant
+    sp = [0.0] * 50 + [5.0] * 1500
+    pv = [0.0] * 50 + [5.0 * (1 - math.exp(-i * dt / tau)) for i in range(1500)]
+    (response,) = run(pv, sp, dt, band=0.05, law=LAW)
+    assert len(response.peaks) == 1
+    assert response.t_end_s - response.t_start_s > 3.5 * tau
+
+
+def test_an_error_that_stands_still_is_waited_for_once() -> None:
+    sp = [0.0] * 50 + [5.0] * 400
+    pv = [0.0] * 50 + [min(4.0, 0.2 * i) for i in range(400)]
+    (response,) = run(pv, sp, 1.0, band=0.05, law=LAW)
+    assert response.ending == Ending.TIMEOUT
+    assert response.t_end_s - response.t_start_s == pytest.approx(20 + LAW.wait_s, abs=3)
+
+
+def test_after_an_early_crossing_a_long_integral_time_does_not_hold_the_response() -> None:
+    dt, patient = 0.5, RecogniserLaw(wait_s=2000.0, quiet_s=20.0)
+    sp = [0.0] * 100 + [5.0] * 3000
+    error = [5.0 * math.exp(-i * dt / 2) - math.exp(-i * dt / 300) * (i > 0) for i in range(3000)]
+    pv = [0.0] * 100 + [5.0 - e for e in error]
+    response, *_ = run(pv, sp, dt, 0.05, patient)
+    assert response.ending == Ending.TIMEOUT
+    assert response.t_end_s - response.t_start_s < 30
+
+
+def test_no_response_is_longer_than_allowed() -> None:
+    short = RecogniserLaw(wait_s=1e6, quiet_s=8.0, longest_s=300.0)
+    sp = [0.0] * 50 + [5.0] * 900
+    pv = [0.0] * 50 + [0.004 * i for i in range(900)]
+    response, *_ = run(pv, sp, 1.0, 0.05, short)
+    assert response.ending == Ending.TIMEOUT
+    assert response.t_end_s - response.t_start_s == pytest.approx(300.0, abs=2)
