@@ -49,6 +49,7 @@ def change_request(
             borrowed=beliefs[region].records == 0,
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
+        filter_s=settings.filter_s,
         urgent=_urgent(damping, settings),
         locks=settings.locks_of(region),
     )

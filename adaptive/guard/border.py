@@ -76,20 +76,31 @@ def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible
 
 
 def at_border(
-    border: Border, own: Sequence[Plausible], new: PidGains, old: PidGains, limit: float, sample_time_s: float
+    border: Border,
+    own: Sequence[Plausible],
+    new: PidGains,
+    old: PidGains,
+    limit: float,
+    sample_time_s: float,
+    filter_s: float = 0.0,
 ) -> tuple[float, bool]:
     """Largest Ms on the way to the neighbour, and whether it is everywhere within the limit or no worse than before.
 
     All models are asked at the first weight; at the others the best of both and the pair that was worst. own : models
-    of the region. NaN where there is nothing to ask.
+    of the region. filter_s : filter time of the derivative. NaN where there is nothing to ask.
     """
+
+    def ms_of(pair: tuple[ProcessModel, ProcessModel], gains: PidGains, share: float) -> float:
+        process = sampled(_between(pair, border, share) or pair[0], sample_time_s)
+        return sensitivity_peak(process, _mixed(gains, border, share), filter_s)
+
     worst, proper = -math.inf, True
     pairs, shares = _pairs(border, own), _shares(border)
     for place, share in enumerate(shares):
-        asked = [(_ms(pair, border, new, share, sample_time_s), pair) for pair in pairs]
+        asked = [(ms_of(pair, new, share), pair) for pair in pairs]
         for ms, pair in asked:
             worst = max(worst, ms)
-            proper = proper and (ms <= limit or ms <= _ms(pair, border, old, share, sample_time_s))
+            proper = proper and (ms <= limit or ms <= ms_of(pair, old, share))
         if not proper:
             break
         if place == 0 and pairs:
@@ -115,12 +126,9 @@ def _shares(border: Border) -> tuple[float, ...]:
     return SHARES_MIXED if border.models else SHARES_UNKNOWN
 
 
-def _ms(
-    pair: tuple[ProcessModel, ProcessModel], border: Border, gains: PidGains, share: float, sample_time_s: float
-) -> float:
-    """Ms at a weight of the neighbour."""
-    between = between_models(*pair, share) if not border.beside else _inside(pair, border, share)
-    return sensitivity_peak(sampled(between or pair[0], sample_time_s), _mixed(gains, border, share))
+def _between(pair: tuple[ProcessModel, ProcessModel], border: Border, share: float) -> ProcessModel | None:
+    """The process at a weight of the neighbour."""
+    return _inside(pair, border, share) if border.beside else between_models(*pair, share)
 
 
 def _mixed(gains: PidGains, border: Border, share: float) -> PidGains:

@@ -19,10 +19,10 @@ from retuner.schedule.gains import PidGains
 
 
 class Loops:
-    """Several processes, the first the one identified."""
+    """Several processes, the first the one identified; filter_s : filter time of the controller's derivative."""
 
-    def __init__(self, processes: Sequence[LinearProcess]) -> None:
-        self._processes = tuple(processes)
+    def __init__(self, processes: Sequence[LinearProcess], filter_s: float = 0.0) -> None:
+        self._processes, self._filter_s = tuple(processes), filter_s
         self._known: dict[tuple[int, PidGains], float] = {}
         self._order = list(range(len(self._processes)))
 
@@ -33,7 +33,7 @@ class Loops:
         """Ms on one process, infinite when unstable."""
         key = (i, gains)
         if key not in self._known:
-            self._known[key] = sensitivity_peak(self._processes[i], gains)
+            self._known[key] = sensitivity_peak(self._processes[i], gains, self._filter_s)
         return self._known[key]
 
     def nominal(self, gains: PidGains) -> float:

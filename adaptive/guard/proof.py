@@ -71,7 +71,8 @@ class _Case:
 
 def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     """Decide what may be written; see the head of this file."""
-    case = _Case(request, settings, Loops([sampled(p.model, request.sample_time_s) for p in request.models]))
+    processes = [sampled(p.model, request.sample_time_s) for p in request.models]
+    case = _Case(request, settings, Loops(processes, request.filter_s))
     doubt = _door(case) or evidence_doubt(request, settings)
     if doubt is not None and not (doubt[0] in EVIDENCE and (case.over or request.urgent)):
         return _refused(case, *doubt)
@@ -193,7 +194,8 @@ def _borders_hold(case: _Case, gains: PidGains) -> bool:
 def _border_check(case: _Case, border: Border, gains: PidGains) -> Check | None:
     """One border; None where nothing is known to ask."""
     request, limit = case.request, case.settings.ms_border
-    ms, passed = at_border(border, request.models, gains, request.in_force, limit, request.sample_time_s)
+    ms, passed = at_border(border, request.models, gains, request.in_force, limit, request.sample_time_s,
+                           request.filter_s)  # fmt: skip
     if math.isnan(ms):
         return None
     return Check("ms_border", f"Ms towards region {border.name} (or no worse than before)", ms, limit, passed)

@@ -106,6 +106,7 @@ class ChangeRequest:
     models : what the records still allow, best first (allowed.py); may be empty for a proposal by the pattern.
     sample_time_s : of the controller; half of it counts as dead time.
     slower : the rule's own settings at larger tau_c, in order of tau_c; the guard finds SIMC's by itself.
+    filter_s : filter time of the controller's derivative, s.
     urgent : a measured oscillation that does not decay. locks : parameters that must stay.
 
     Raises
@@ -123,12 +124,15 @@ class ChangeRequest:
     evidence: Evidence = Evidence()
     borders: Sequence[Border] = ()
     slower: Sequence[Tuning] = ()
+    filter_s: float = 0.0
     urgent: bool = False
     locks: Locks = NO_LOCKS
 
     def __post_init__(self) -> None:
         if not 0 < self.sample_time_s < math.inf:
             raise ValueError(f"sample_time_s = {self.sample_time_s} must be positive and finite")
+        if not 0 <= self.filter_s < math.inf:
+            raise ValueError(f"filter_s = {self.filter_s} must be a finite time, 0 or more")
         excesses = [p.excess for p in self.models]
         if not all(0 <= excess < math.inf for excess in excesses) or (excesses and excesses[0] > min(excesses)):
             raise ValueError(f"models: excesses {excesses} must be finite, 0 or more, the first the least")

@@ -14,6 +14,7 @@ from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -81,6 +82,20 @@ def test_a_hard_border_is_met_by_the_new_gains_alone() -> None:
     near, passed_near = at_border(border(HOT, 0.1), OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)
     assert near < 2.1
     assert passed_near
+
+
+def test_the_filter_of_the_derivative_counts_at_the_border_too() -> None:
+    gains = PidGains(GAINS.kp, GAINS.ki, 4.0 * GAINS.kp)
+    one = border(MODEL)
+    plain, filtered = (at_border(one, OWN, gains, gains, 2.1, 1.0, tau_f)[0] for tau_f in (0.0, 3.0))
+    assert filtered == pytest.approx(sensitivity_peak(replace(MODEL, theta_s=5.5).linear(), gains, 3.0))
+    assert filtered != pytest.approx(plain, rel=1e-3)
+    proposal = Tuning("x", "parallel", gains)
+    lagging = replace(request(times(0.6, 0.6, gains=gains), proposal, OWN), borders=(one,), filter_s=3.0)
+    verdict = prove(lagging, GuardSettings(ms_nominal=3.0, ms_worst=3.0, ms_border=3.0))
+    found = {check.name: check.value for check in verdict.checks}
+    assert found["ms_border"] == pytest.approx(filtered)
+    assert found["ms_nominal"] == pytest.approx(filtered)
 
 
 def test_what_was_worse_before_does_not_hold_up_what_is_better() -> None:

@@ -36,6 +36,7 @@ def test_what_is_known_is_asked() -> None:
     asked = change_request(BEST, 1, (NOW, START), beliefs, None, DAY, SETTINGS)
     assert (asked.in_force, asked.commissioned, asked.proposal) == (times(0.8, 0.8), times(0.5, 0.5), BEST)
     assert asked.sample_time_s == 1.0
+    assert change_request(BEST, 1, (NOW, START), beliefs, None, DAY, replace(SETTINGS, filter_s=3.0)).filter_s == 3.0
     variance = SETTINGS.tracker.walk_per_day**2
     log = predicted(beliefs[1], DAY, SETTINGS.tracker)
     assert asked.models == allowed(log, beliefs[1].plausible, variance, SETTINGS.guard)

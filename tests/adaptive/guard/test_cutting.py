@@ -212,6 +212,9 @@ def test_a_request_is_checked_at_the_door() -> None:
     for wrong in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="sample_time_s"):
             ChangeRequest(GAINS, GAINS, proposal, known(), wrong)
+        if wrong != 0.0:
+            with pytest.raises(ValueError, match="filter_s"):
+                ChangeRequest(GAINS, GAINS, proposal, known(), 1.0, filter_s=wrong)
     with pytest.raises(ValueError, match="first the least"):
         ChangeRequest(GAINS, GAINS, proposal, tuple(reversed(known())), 1.0)
     with pytest.raises(ValueError, match="finite"):

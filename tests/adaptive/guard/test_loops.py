@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import pytest
 from guard_cases import GAINS, MODEL, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -40,6 +41,12 @@ def test_both_limits_count() -> None:
     assert loops.within(GAINS, nominal, worst)
     assert loops.all_over(GAINS, nominal - 1e-6)
     assert not loops.all_over(GAINS, nominal)
+
+
+def test_the_filter_of_the_derivative_counts() -> None:
+    gains = PidGains(GAINS.kp, GAINS.ki, 4.0 * GAINS.kp)
+    assert Loops([PLAIN], 3.0).nominal(gains) == sensitivity_peak(PLAIN, gains, 3.0)
+    assert Loops([PLAIN], 3.0).nominal(gains) != pytest.approx(Loops([PLAIN]).nominal(gains), rel=1e-3)
 
 
 def test_safer_is_not_less_gain() -> None:
