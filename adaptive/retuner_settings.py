@@ -37,9 +37,9 @@ class RetunerSettings:
     limit_swing : what an unstable loop between the output's limits is told by.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
         line: a change is on trial there.
-    cause : from which excess a tuning is the cause; slack 1.2, because later records narrow what is known.
+    cause : from which excess a tuning is the cause; slack 1.15, because later records narrow what is known.
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
-        (ms_nominal 1.75, as the guard's; ms_third 1.85, hidden_share 0.1), because it is seen again and again.
+        (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
@@ -72,10 +72,8 @@ class RetunerSettings:
     swing: SwingSettings = field(default_factory=SwingSettings)
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
-    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.2))
-    robust: RobustSettings = field(
-        default_factory=lambda: RobustSettings(ms_nominal=1.75, ms_third=1.85, hidden_share=0.1)
-    )
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
+    robust: RobustSettings = field(default_factory=lambda: RobustSettings(ms_third=1.85, hidden_share=0.1))
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
 
