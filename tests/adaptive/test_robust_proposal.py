@@ -1,0 +1,64 @@
+"""The proposal on line: robust on what is still allowed, and none where too little is known, unless there is danger."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.belief import Belief, Known
+from retuner.adaptive.borrowing import spread
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.robust_proposal import propose
+from retuner.adaptive.robust_settings import later
+from retuner.adaptive.rules.simc import simc
+from retuner.schedule.gains import PidGains
+
+S = RetunerSettings(0.5, 100.0)
+FIRST = ProcessModel(ProcessType.FOPDT, 2.0, 20.0, 0.0, 4.0)
+LAGGING = ProcessModel(ProcessType.INTEGRATING_LAG, 0.1, 0.0, 8.0, 0.8)
+SECOND = ProcessModel(ProcessType.SOPDT, 1.0, 10.0, 10.0, 0.5, 0.5)
+
+
+def known(model: ProcessModel, std: float = 0.02, *, identifiable: bool = True) -> Belief:
+    x = parameters_of(model)
+    log = LogModel(x, std**2 * np.eye(len(x)), 1, model.type)
+    return Belief((Known(log, 0.0),), 2, 0.0, None, (), spread(log), identifiable, "the record moves too little")
+
+
+def ms(model: ProcessModel, gains: PidGains) -> float:
+    return sensitivity_peak(later(model, S.sample_time_s / 2).linear(), gains)
+
+
+def of(belief: Belief, gains: PidGains) -> tuple[PidGains, Cause, bool]:
+    found = propose(belief, belief.log, gains, S)
+    return found.tuning.gains, found.diagnosis.cause, found.ready
+
+
+@pytest.mark.parametrize(("model", "most"), [(FIRST, 1.68), (SECOND, 1.68), (LAGGING, 1.75)])
+def test_the_nominal_limit_is_kept_and_used(model: ProcessModel, most: float) -> None:
+    gains, _, ready = of(known(model, 1e-3), PidGains(0.1, 0.001))
+    assert ready
+    assert ms(model, gains) <= most + 1e-9
+    if model is not FIRST:
+        assert ms(model, gains) > most - 0.05
+
+
+def test_what_is_less_known_gets_a_slower_proposal() -> None:
+    sure, _, _ = of(known(FIRST, 0.02), PidGains(0.1, 0.001))
+    unsure, _, _ = of(known(FIRST, 0.25), PidGains(0.1, 0.001))
+    assert unsure.kp < 0.95 * sure.kp
+    assert sure.kp == pytest.approx(simc(later(FIRST, S.sample_time_s / 2)).gains.kp, rel=0.02)
+
+
+def test_too_little_known_gives_nothing_unless_the_loop_is_in_danger_on_every_allowed_model() -> None:
+    best = simc(FIRST).gains
+    vague = known(FIRST, 0.15, identifiable=False)
+    times = [(0.3, Cause.SLUGGISH, False), (1.35, Cause.AGGRESSIVE, False), (4.0, Cause.AGGRESSIVE, True)]
+    for factor, cause, ready in times:
+        assert of(vague, PidGains(best.kp * factor, best.ki * factor))[1:] == (cause, ready)
+    assert of(replace(vague, identifiable=True), PidGains(best.kp * 0.3, best.ki * 0.3))[2]
