@@ -25,10 +25,16 @@ def promise_section(view: DecisionView) -> str:
     if not rows:
         return ""
     models = number(promise, "models")
-    over = f" over the {models:.0f} models that the records allow" if models else ", from what was seen"
+    over = (
+        f" over the {models:.0f} model{'s' * (models != 1)} that the records allow"
+        if models
+        else ", from what was seen"
+    )
     spread = f"In brackets the least and the greatest{over}."
     heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
-    heading = "The promise that was not kept" if view.undoes else "Promise, for the next responses to be judged against"
+    heading = (
+        "The promise of what was taken back" if view.undoes else "Promise, for the next responses to be judged against"
+    )
     return section(heading, text_table(heads, rows),
                    paragraph(spread, "muted"))  # fmt: skip
 

@@ -54,10 +54,12 @@ def _draw(panels: list[Axes], view: DecisionView, samples: Samples) -> None:
     panels[-1].plot(*thinned(*steps(x, samples.co)), color=AFTER, lw=1.0)
     panels[-1].set_ylabel("co [%]")
     panels[-1].set_xlabel(f"{since} [{name}]")
-    for t_s in numbers(view.estimate, "loads"):
-        for i, axes in enumerate(panels):
-            label = "load step as the fit places it" if i == 0 and t_s == numbers(view.estimate, "loads")[0] else None
-            axes.axvline((t_s - zero) / scale, color=LIMIT, lw=1.1, ls="-.", label=label)
+    marks = ((numbers(view.estimate, "loads"), "-.", "load step as the fit places it"),
+             (samples.changed_s, ":", "other gains run"))  # fmt: skip
+    for times, style, label in marks:
+        for i, t_s in enumerate(times):
+            for axes in panels:
+                axes.axvline((t_s - zero) / scale, color=LIMIT, lw=1.3, ls=style, label=None if i else label)
     panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=6, borderaxespad=0.2)
     panels[0].figure.align_ylabels(panels)
 

@@ -23,13 +23,17 @@ LAST_SAMPLES = 300
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """The samples of a response: arrays of shape (n,). explained : pv as the model gives it, None where not known."""
+    """The samples of a response: arrays of shape (n,).
+
+    explained : pv as the model gives it, None where not known. changed_s : when other gains began to run.
+    """
 
     t_s: FloatArray
     sp: FloatArray
     pv: FloatArray
     co: FloatArray
     explained: FloatArray | None = None
+    changed_s: tuple[float, ...] = ()
 
     @property
     def sample_time_s(self) -> float:
@@ -144,7 +148,8 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
     """The samples of a response out of a trend: with a quarter of its length before it, in one region, without a gap.
 
     Without a response the last samples before the decision: what was seen when a trial was ended in mid-response.
-    columns : t, sp, pv, co and region by name. end_s : time of the decision.
+    columns : t, sp, pv, co and region by name, sequence (of the gain set) where it is known.
+    end_s : time of the decision.
     """
     t = columns["t"]
     if not response and len(t) > LAST_SAMPLES:
@@ -159,7 +164,10 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
     begun = int(np.searchsorted(t, start))
     region = columns["region"]
     first += _unbroken(region[first : begun + 1], t[first : begun + 1])
-    return Samples(*(columns[name][first:last] for name in ("t", "sp", "pv", "co")))
+    sets = columns["sequence"][first:last] if "sequence" in columns else np.zeros(last - first)
+    changed = t[first:last][1:][np.diff(sets) != 0]
+    sp, pv, co = (columns[name][first:last] for name in ("sp", "pv", "co"))
+    return Samples(t[first:last], sp, pv, co, None, tuple(changed.tolist()))
 
 
 def _unbroken(region: FloatArray, t_s: FloatArray) -> int:

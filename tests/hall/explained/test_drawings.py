@@ -2,10 +2,11 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from decision_documents import COMMIT, MODEL, REFUSED, RESPONSE, changed, samples, view
+from decision_documents import COMMIT, MODEL, REFUSED, RESPONSE, RESTORED, changed, samples, view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -110,10 +111,15 @@ def test_samples_begin_in_the_region_and_after_a_gap() -> None:
     longer = {name: np.concatenate([values, values]) for name, values in columns.items()}
     longer["t"] = 1000.0 + 2.0 * np.arange(len(longer["t"]))
     longer["region"] = np.zeros(len(longer["t"]))
+    longer["sequence"] = np.where(longer["t"] < 2000.0, 1.0, 2.0)
     last = samples_of(longer, {}, 2198.0)
     assert last is not None
     assert last.t_s[-1] == 2198.0
     assert len(last.t_s) >= 300
+    assert last.changed_s == (2000.0,)
+    shown = texts(response_svg(replace(view(RESTORED), samples=last)))
+    assert "other gains run" in shown
+    assert "time [min]" in shown
     assert samples_of(columns, {"t_start_s": 9000.0, "t_end_s": 9100.0}, 9100.0) is None
 
 
