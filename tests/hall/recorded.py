@@ -6,6 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from retuner.cli import main
+from retuner.commands import run as run_command
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.chain import Row
 
@@ -37,8 +41,18 @@ start_co_pct = 30.0
 noise = 0.01
 [scenario]
 duration_s = 80.0
-steps = [{ at_s = 0.0, sp = 2.0 }, { at_s = 10.0, sp = 3.0 }, { at_s = 50.0, load = -5.0 }]
+steps = [{ at_s = 0.0, sp = 2.0 }, { at_s = 10.0, sp = 3.0 }, { at_s = 45.0, sp = 2.0 }]
 """
+
+
+def run_short(folder: Path, *arguments: str) -> Path:
+    """The session of a run of it; without its report, which other tests look at and which takes longest of all."""
+    (folder / "short.toml").write_text(SHORT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_command, "render", lambda data: f"{len(data.decisions)} decisions")
+        command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", *arguments]
+        assert main(command) == 0
+    return folder / "run"
 
 
 def rewritten(session: Path, to: Path, change: Callable[[Row], dict[str, Any] | None]) -> Path:

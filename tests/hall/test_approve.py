@@ -21,7 +21,7 @@ from retuner.session import Session
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import SHORT, bodies
+from recorded import SHORT, bodies, run_short
 
 BY = ["--by", "Ada", "--note", "as discussed"]
 
@@ -67,7 +67,6 @@ def written(session: Session, sample: LoopSample) -> bool:
 @pytest.fixture
 def with_person(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """`retuner run` of the short loop with a person who gives orders."""
-    (tmp_path / "short.toml").write_text(SHORT)
 
     def run(orders: list[tuple[str, Any]], *arguments: str) -> tuple[Path, Person]:
         person = Person(tmp_path / "run", orders)
@@ -79,8 +78,7 @@ def with_person(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
                 person.watch(self.session, sample)
 
         monkeypatch.setattr(run_command, "Run", Watched)
-        command = ["run", str(tmp_path / "short.toml"), "--out", str(person.folder), "--no-compare", *arguments]
-        assert main(command) == 0
+        run_short(tmp_path, *arguments)
         monkeypatch.undo()
         return person.folder, person
 
@@ -190,10 +188,7 @@ def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(
 @pytest.fixture(scope="module")
 def advice(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An ended session with open proposals."""
-    folder = tmp_path_factory.mktemp("advice")
-    (folder / "short.toml").write_text(SHORT)
-    assert main(["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare"]) == 0
-    return folder / "run"
+    return run_short(tmp_path_factory.mktemp("advice"))
 
 
 @pytest.fixture

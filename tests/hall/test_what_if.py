@@ -23,16 +23,14 @@ from retuner.schedule.table import GainTable
 
 sys.path.append(str(Path(__file__).parent))
 
-from recorded import SHORT, bodies
+from recorded import SHORT, bodies, run_short
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a configuration and the session of another run of it, in which gains were changed."""
     folder = tmp_path_factory.mktemp("whatif")
-    (folder / "short.toml").write_text(SHORT)
-    command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", "--mode", "auto"]
-    assert main(command) == 0
+    run_short(folder, "--mode", "auto")
     return folder
 
 
@@ -52,7 +50,7 @@ def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
     trend, bus = asked(run / "trend.csv", config, capsys), asked(run / "bus.blf", config, capsys)
     assert {d["action"] for found in (trend, bus) for d in found["decisions"]} <= {"advise", "none"}
     assert trend["decisions"]
-    changed = len([body for body in bodies(run, "committed") if body["why"] == "retune"])
+    changed = len([body for body in bodies(run, "committed") if body["why"] != "schedule"])
     for found in (trend, bus):
         first = found["decisions"][0]
         assert first["t_s"] == live["t_s"]
@@ -60,15 +58,13 @@ def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
         assert first["gains_after"] == pytest.approx(live["gains_after"], rel=1e-6)
         assert len(found["gains_changed_s"]) == changed
     assert trend["samples"] <= bus["samples"] <= trend["samples"] + 2
-    assert asked(run / "bus.blf", config, capsys) == bus
     left = {path.name for path in run.iterdir() if not path.name.startswith("ledger")}
     assert left == {name for name in before if not name.startswith("ledger")}
-    for suffix in (".asc", ".log"):
-        other = tmp_path / f"bus{suffix}"
-        with can.Logger(other) as writer:
-            for message in read_frames(run / "bus.blf"):
-                writer.on_message_received(message)
-        assert asked(other, config, capsys)["decisions"] == bus["decisions"]
+    other = tmp_path / "bus.log"
+    with can.Logger(other) as writer:
+        for message in read_frames(run / "bus.blf"):
+            writer.on_message_received(message)
+    assert asked(other, config, capsys)["decisions"] == bus["decisions"]
 
 
 def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,7 +88,9 @@ def show(session: Path, selection: Selection, *, as_json: bool) -> int:
         console = Console()
         console.print(_table([told(row) for row in chosen]) if console.width >= WIDE else _list(chosen))
         ending = f"broken: {broken}" if broken else "the chain holds"
-        console.print(f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False)
+        console.print(
+            f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
+        )
     return 1 if broken else 0
 
 
