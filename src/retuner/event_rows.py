@@ -77,5 +77,7 @@ def abort_cause(event: Event) -> TrialEvent | None:
             return None if event.ours else TrialEvent.OPERATOR_EDIT
         case WriteUnknown():
             return TrialEvent.WRITE_UNKNOWN
+        case VariableChanged():  # nobody can say in which region its responses would be
+            return None if event.known else TrialEvent.LOST_TELEMETRY
         case _:
             return None

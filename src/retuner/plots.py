@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from retuner.schedule.regions import Regions
 from retuner.scores import Columns, Twin
 
-BANDS = ("#e8f1fb", "#fdf3e3", "#fbe9e7", "#e9f5ec", "#f1ebf8")
+BANDS = ("#e8f1fb", "#fdf3e3", "#fbe9e7", "#e9f5ec", "#f1ebf8", "#fdf9d8", "#e3f4f4", "#f3ece4", "#fbe6f1")
 PV, SP, FIXED, MARK = "#1f5fa8", "#333333", "#d08a3c", "#c0392b"
 DPI = 110
 
@@ -49,9 +49,11 @@ def trend_png(
     run: Columns, fixed: Columns | None, commits: list[float], regions: Regions, unit: str, undone: Sequence[float] = ()
 ) -> bytes:
     """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone)."""
-    figure = Figure(figsize=(13, 6.2))
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1))
+    top, bottom, *further = _panels("x2" in run and len(regions.axes) > 1)
     x, x_unit = time_axis(run["t"])
+    for axes, axis in zip(further, regions.axes[1:], strict=False):
+        axes.plot(x, run["x2"], color=PV, lw=0.5)
+        axes.set_ylabel(f"{axis.label} [{axis.unit}]")
     _bands(top, x, run["region"], regions)
     if fixed is not None:
         n = min(len(x), len(fixed["t"]))
@@ -63,16 +65,25 @@ def trend_png(
     scale = (run["t"][-1] - run["t"][0]) / max(float(x[-1]), 1e-12)
     for times, style, name in ((commits, "-", "gains changed"), (undone, ":", "change taken back")):
         for i, t_s in enumerate(times):
-            for axes in (top, bottom):
+            for axes in (top, bottom, *further):
                 axes.axvline((t_s - run["t"][0]) / scale, color=MARK, lw=1.1, ls=style, label=None if i else name)
     top.set_ylabel(f"pv, sp [{unit}]")
     bottom.set_ylabel("co [%]")
-    bottom.set_xlabel(f"time [{x_unit}]")
+    (bottom, *further)[-1].set_xlabel(f"time [{x_unit}]")
     top.legend(loc="upper left", fontsize=9, framealpha=0.9)
-    for axes in (top, bottom):
+    for axes in (top, bottom, *further):
         axes.margins(x=0)
         axes.grid(alpha=0.3)
+    figure = top.get_figure()
+    assert isinstance(figure, Figure)
     return _png(figure)
+
+
+def _panels(with_second: bool) -> tuple[Axes, ...]:
+    """The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one."""
+    heights = (2.4, 1.0, 0.7) if with_second else (2.4, 1.0)
+    figure = Figure(figsize=(13, 7.4 if with_second else 6.2))
+    return tuple(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
 
 
 def twin_png(run: Columns, twin: Twin, name: str, unit: str) -> bytes:

@@ -11,6 +11,7 @@ import pytest
 
 from retuner.adaptive.decision import Mode
 from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.trial.phase import TrialEvent
 from retuner.assembly import (
     device_settings,
     link_settings,
@@ -24,10 +25,12 @@ from retuner.config.model import Config
 from retuner.drivers.bus import CanLink
 from retuner.drivers.can_device import CanDevice
 from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.device import VariableChanged
 from retuner.drivers.device_process import DeviceOnBus
 from retuner.drivers.frame_log import read_frames
 from retuner.drivers.overhearing import Overhearing
 from retuner.drivers.virtual_device import VirtualDevice
+from retuner.event_rows import abort_cause
 from retuner.scenario import ScenarioPlayer
 from retuner.schedule.pid import step
 from retuner.session import Session
@@ -167,6 +170,11 @@ def test_before_the_flow_was_ever_heard_nothing_is_scheduled() -> None:
         assert b.session.retuner.region is None
         assert b.told("intent") == []
         assert "never heard" in str(b.told("variable")[0]["reason"])
+
+
+def test_a_change_on_trial_is_taken_back_when_a_variable_becomes_unknown() -> None:
+    assert abort_cause(VariableChanged("PLANT.aux", known=False, reason="")) is TrialEvent.LOST_TELEMETRY
+    assert abort_cause(VariableChanged("PLANT.aux", known=True, reason="")) is None
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".asc"])
