@@ -218,7 +218,7 @@ TOLD = {
     "refused": ("region", "reason"), "link": ("state", "reason"), "restart": ("epoch",), "lost": ("samples",),
     "command": ("command", "reason"), "unknown": ("reason",), "foreign": ("gains",), "dropped": ("reason",),
     "bus": ("fault", "times"), "variable": ("name", "reason"), "abort": ("reason",), "restored": ("regions",),
-    "lockout": ("region", "undos"), "unrestored": ("regions", "reason"),
+    "lockout": ("region", "undos"), "unrestored": ("regions", "reason"), "order": ("order", "by", "accepted", "reason"),
 }  # fmt: skip
 """Rows beside decisions that a person at the screen should see, and which of their values."""
 
