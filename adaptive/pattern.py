@@ -88,7 +88,7 @@ def _rebound(error: FloatArray, band: float) -> float:
     top = int(np.argmax(np.abs(error)))
     back = error[top:] * np.sign(error[top])
     growth = float(np.max(back - np.minimum.accumulate(back)))
-    return max(growth - band / 2, 0.0) / float(back[0])
+    return max(growth - band / 2, 0.0) / float(back[0]) if back[0] else 0.0
 
 
 def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> dict[str, float]:
@@ -98,7 +98,7 @@ def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> dict[str, float]:
     before = float(np.median(co[: max(first, SMOOTHED)]))
     way = float(np.mean(co[last + 1 - 2 * SMOOTHED : last + 1])) - before
     travel = max(float(np.max(own)), before) - min(float(np.min(own)), before)
-    if way == 0:
+    if way == 0 or travel == 0:
         return {"co_way": 0.0}
     return {"co_way": abs(way) / travel, "co_overshoot": float(np.max((own - before) / way)) - 1.0}
 

@@ -160,7 +160,8 @@ def _reading(gains: PidGains, numbers: dict[str, float], settings: PatternSettin
     if "overshoot" not in numbers:
         return _without_second_peak(gains, room, numbers, settings)
     ratio = gains.ki / gains.kp * numbers["period_s"] if gains.kp else math.inf
-    numbers["period_over_tau_i"] = ratio
+    if gains.kp:
+        numbers["period_over_tau_i"] = ratio
     if m < settings.dead_zone and _is_slow(ratio, numbers, settings):
         return Reading.SLOW, Move(kc=settings.least_up)
     if abs(m) <= settings.dead_zone:

@@ -201,6 +201,7 @@ def test_controllers_without_one_of_the_actions_are_moved_in_what_they_have(gain
     assert calmer.gains.direction == gains.direction
     assert abs(calmer.gains.kp) <= abs(gains.kp)
     assert abs(calmer.gains.ki) <= abs(gains.ki)
+    assert all(math.isfinite(value) for value in advised(made(decay(0.5)), gains).numbers.values())
     assert (calmer.gains.kp == 0, calmer.gains.ki == 0) == (gains.kp == 0, gains.ki == 0)
 
 
@@ -241,3 +242,21 @@ def test_units_do_not_matter(size: float, time: float, gain: float, s: float) ->
 def test_settings_out_of_sense_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         replace(SETTINGS, **{name: value})
+
+
+@given(
+    e=st.lists(st.sampled_from([-1.0, 0.0, 0.1, 1.0]) | st.floats(-5, 5), min_size=3, max_size=60),
+    co=st.lists(st.sampled_from([0.1, 0.3]) | st.floats(-100, 100), min_size=1, max_size=3),
+    peaks=st.integers(0, 3), setpoint=st.booleans(), first=st.integers(0, 20), ending=st.sampled_from(Ending),
+)  # fmt: skip
+def test_whatever_was_recorded_the_numbers_are_finite_and_the_rule_answers(
+    e: list[float], co: list[float], peaks: int, setpoint: bool, first: int, ending: Ending
+) -> None:
+    n = len(e)
+    window = Window(np.arange(float(n)), np.zeros(n), -np.array(e), np.resize(np.array(co), n))
+    found = tuple(Peak(float(i), (-1.0) ** i * (1 + i)) for i in range(peaks))
+    response = Response(float(min(first, n - 1)), float(n - 1), found, ending, setpoint, 0.05)
+    for gains in (PI, PidGains(0.0, 0.1), PidGains(2.0, 0.0)):
+        advice = advised(window, gains, response=response)
+        assert all(math.isfinite(value) for value in advice.numbers.values())
+        assert advice.sentence
