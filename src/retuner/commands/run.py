@@ -144,7 +144,7 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
         fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
         interrupted = fixed is None
     with unstoppable():
-        record("end", session.trend.rows[-1][0], end)
+        record("end", session.writer.t_s, end)
         _leave(job, ledger, session, fixed, screen, interrupted=interrupted)
     if session.frozen or session.left_open:
         wrong = session.frozen or session.left_open
