@@ -19,6 +19,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.confirmation import (
     TOWARDS_SAFETY,
     Excitation,
+    calm_before,
     is_clear,
     is_safer_and_known,
     runs_away,
@@ -185,9 +186,11 @@ def _is_sure(
 ) -> bool:  # fmt: skip
     """Whether a change needs no confirmation by the whole diagnosis (see diagnosis/confirmation.py)."""
     loads, swing = len(learned.estimate.load_times_s), settings.swing
-    if is_clear(case.samples, case.response, left, loads, swing) or runs_away(case.response, left, loads, swing):
+    seen = (case.samples, case.response)
+    if is_clear(*seen, left, loads, swing) or runs_away(*seen, left, loads, swing):
         return True
-    if is_safer_and_known(verdict.ruling, learned.surprise == Surprise.AGREES, excitation):
+    calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
+    if is_safer_and_known(verdict.ruling, agrees, excitation, calm):
         return True
     model = later(belief.log.model(), settings.sample_time_s / 2)
     return (

@@ -63,19 +63,33 @@ def is_clear(
     return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
 
 
-def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation) -> bool:
-    """Whether a change towards safety may be believed as it is. agrees : this response agrees with what was known."""
-    return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0
+def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool) -> bool:
+    """Whether a change towards safety may be believed as it is.
+
+    agrees : this response agrees with what was known. calm : see calm_before; a step on top of a swing that was there
+    before it proves nothing.
+    """
+    return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0 and calm
 
 
-def runs_away(response: Response, left: float, loads: int, settings: SwingSettings) -> bool:
+def runs_away(
+    samples: Sequence[LoopSample], response: Response, left: float, loads: int, settings: SwingSettings
+) -> bool:
     """Whether a setpoint step was answered by a swing that grows, and the loop by itself explains it: no rest needed.
 
     An unstable loop is never at rest, and there is no time to wait for it. Arguments as is_clear.
     """
     damping = response.damping
     grows = bool(response.sp_changed) and damping is not None and damping > settings.grows
-    return grows and not loads and left <= settings.unexplained
+    return grows and not loads and left <= settings.unexplained and calm_before(samples, response, settings)
+
+
+def calm_before(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
+    """Whether the error moved little before a response, against the swing in it (its last peak)."""
+    since = response.t_start_s - (response.t_end_s - response.t_start_s)
+    before = [abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s]
+    swing = abs(response.peaks[-1].e) if response.peaks else 0.0
+    return max(before, default=0.0) <= max(settings.calm * swing, response.band)
 
 
 def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:

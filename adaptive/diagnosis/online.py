@@ -41,6 +41,8 @@ class SwingSettings:
         0.02 to 0.5, default 0.1.
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
     grows : damping of a setpoint response from which the loop runs away; 1 to 1.5, default 1.05.
+    calm : greatest error before a response over the last peak of its swing, up to which the swing began with it;
+        0.1 to 0.8, default 0.4.
     again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
     """
@@ -56,6 +58,7 @@ class SwingSettings:
     restless: float = 0.1
     loads_beside: int = 1
     grows: float = 1.05
+    calm: float = 0.4
     again: float = 2.0
     most_lookback: float = 10.0
 

@@ -103,19 +103,22 @@ def test_a_case_is_clear_after_a_setpoint_step_from_rest_that_the_loop_explains(
 
 def test_a_growing_swing_after_a_setpoint_step_needs_no_rest() -> None:
     growing = response(1.0, -1.2, 1.5, sp_changed=True)
-    assert runs_away(growing, 1.0, 0, SWING)
-    assert not runs_away(growing, 1.0, 1, SWING)
-    assert not runs_away(growing, SWING.unexplained + 0.01, 0, SWING)
-    assert not runs_away(response(1.0, -0.9, 0.8, sp_changed=True), 1.0, 0, SWING)
-    assert not runs_away(response(1.0, -1.2, 1.5), 1.0, 0, SWING)
+    small, large = samples([0.3, -0.3] * 51), samples([1.0, -1.0] * 51)
+    assert runs_away(small, growing, 1.0, 0, SWING)
+    assert not runs_away(large, growing, 1.0, 0, SWING)
+    assert not runs_away(small, growing, 1.0, 1, SWING)
+    assert not runs_away(small, growing, SWING.unexplained + 0.01, 0, SWING)
+    assert not runs_away(small, response(1.0, -0.9, 0.8, sp_changed=True), 1.0, 0, SWING)
+    assert not runs_away(small, response(1.0, -1.2, 1.5), 1.0, 0, SWING)
 
 
 @pytest.mark.parametrize("ruling", list(Ruling))
 def test_only_changes_towards_safety_are_believed_on_agreement(ruling: Ruling) -> None:
     safe = ruling in {Ruling.SAFER, Ruling.URGENT}
-    assert is_safer_and_known(ruling, True, Excitation(setpoints=1)) is safe
-    assert not is_safer_and_known(ruling, False, Excitation(setpoints=1))
-    assert not is_safer_and_known(ruling, True, Excitation(loads=9))
+    assert is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=True) is safe
+    assert not is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=False)
+    assert not is_safer_and_known(ruling, False, Excitation(setpoints=1), calm=True)
+    assert not is_safer_and_known(ruling, True, Excitation(loads=9), calm=True)
 
 
 def test_one_load_response_alone_is_not_enough() -> None:
