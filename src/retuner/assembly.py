@@ -66,6 +66,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
         mode=mode or Mode(a.mode),
+        region_modes=region_modes(config, mode),
         band=a.noise_band,
         wait_s=a.wait_s,
         setpoint_weight=loop.b,
@@ -79,6 +80,15 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         admission=AdmissionSettings(**a.admission.model_dump()),
         without_model=without_model_settings(config),
     )
+
+
+def region_modes(config: Config, mode: Mode | None = None) -> tuple[Mode | None, ...]:
+    """What may be done in single regions; a mode given for the run is the most that any region may do."""
+    own = tuple(None if region.mode is None else Mode(region.mode) for region in config.schedule.regions)
+    if mode is None:
+        return own
+    rising = list(Mode)
+    return tuple(None if region is None else min(region, mode, key=rising.index) for region in own)
 
 
 def without_model_settings(config: Config) -> WithoutModelSettings:

@@ -5,11 +5,13 @@ from pathlib import Path
 import pytest
 
 from retuner.adaptive.admission import AdmissionSettings
+from retuner.adaptive.decision import Mode
 from retuner.adaptive.proposing import WithoutModelSettings
 from retuner.assembly import retuner_settings
 from retuner.cli import main
-from retuner.config.loading import load_config
+from retuner.config.loading import load_config, parse_config
 
+OVEN = Path(__file__).parents[2] / "examples" / "oven.toml"
 LOOP = """
 schema = 1
 [loop]
@@ -71,3 +73,15 @@ def test_what_is_out_of_range_is_one_line_with_its_place(
     assert error.count("\n") == 1
     assert named in error
     assert "loop.toml" in error
+
+
+def test_a_region_has_its_own_mode_and_the_mode_of_a_run_is_the_most_it_may_do() -> None:
+    oven = OVEN.read_text()
+    assert oven.count('name = "middle"') == 1
+    config = parse_config(oven.replace('name = "middle"', 'name = "middle"\nmode = "advise"'))
+    configured = retuner_settings(config)
+    assert [configured.mode_of(i) for i in range(3)] == [Mode.AUTO, Mode.ADVISE, Mode.AUTO]
+    for mode in Mode:
+        lowest = min(mode, Mode.ADVISE, key=list(Mode).index)
+        given = retuner_settings(config, mode)
+        assert [given.mode_of(i) for i in range(3)] == [mode, lowest, mode]

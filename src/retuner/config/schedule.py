@@ -45,6 +45,10 @@ class RegionConfig(Section):
         source="the order in the file",
     )  # fmt: skip
 
+    mode: Literal["off", "advise", "trial", "auto"] | None = setting(
+        "What may be done in this region; absent: [adaptation] mode. --mode lowers it and does not raise it", unit="-",
+        default=None, source="user",
+    )  # fmt: skip
     locked: Many[Literal["kc", "tau_i", "tau_d"]] | None = setting(
         "Parameters that stay as they are in this region; absent: those of [adaptation] locked", unit="-",
         default=None, source="user",
