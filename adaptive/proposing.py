@@ -61,7 +61,7 @@ def without_model(
     """
     if not settings.allowed:
         return Proposed("not_allowed", "without a model nothing is changed: the settings say so", {})
-    slow = slow_oscillation_online(response, gains, diagnosis, settings.slow)
+    slow = slow_oscillation_online(response, gains, diagnosis, settings.slow, locks)
     if slow.tuning is not None:
         return _locked(Proposed(slow.reading.name.lower(), slow.sentence, slow.numbers, slow.tuning,
                                 Basis.SLOW_OSCILLATION), gains, locks)  # fmt: skip

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.guard.request import NO_LOCKS, Locks
 from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.rules.slow_oscillation import SHORTEST_PERIOD, slow_oscillation
 from retuner.adaptive.rules.tuning import Tuning
@@ -33,7 +34,7 @@ class SlowReading(StrEnum):
 
     APPLIES = (
         "by the slow-oscillation rule (period {ratio:.1f} tau_I, zeta {zeta:.2f}): Kc tau_I x {factor:.2f}, "
-        "Kc and tau_I x {each:.2f} each"
+        "Kc x {kc_factor:.2f}, tau_I x {tau_i_factor:.2f}"
     )
     NO_PI = "the slow-oscillation rule needs proportional and integral action"
     OTHER_CAUSE = "the slow-oscillation rule does not apply: {cause}"
@@ -79,19 +80,26 @@ class SlowAdvice:
 
 
 def slow_oscillation_online(
-    response: Response, gains: PidGains, diagnosis: Diagnosis | None, settings: SlowSettings
+    response: Response,
+    gains: PidGains,
+    diagnosis: Diagnosis | None,
+    settings: SlowSettings,
+    locks: Locks = NO_LOCKS,
 ) -> SlowAdvice:
     """What the rule asks for after a response under these gains.
 
-    diagnosis : what is known of the cause; None where nobody looked.
+    diagnosis : what is known of the cause; None where nobody looked. locks : where one of Kc and tau_I is locked, the
+    other takes the whole factor.
     """
     numbers: dict[str, float] = {}
     reading = _reading(response, gains, diagnosis, settings, numbers)
+    if reading is SlowReading.APPLIES:
+        numbers |= _shared(numbers["factor"], locks)
     sentence = reading.value.format(cause=diagnosis.reason if diagnosis else "", **numbers)
     if reading is not SlowReading.APPLIES:
         return SlowAdvice(reading, sentence, numbers)
-    each = numbers["each"]  # the derivative keeps its time, as the rule does not speak of it
-    moved = PidGains(gains.kp * each, gains.ki, gains.kd * each)
+    kc, tau_i = numbers["kc_factor"], numbers["tau_i_factor"]
+    moved = PidGains(gains.kp * kc, gains.ki * kc / tau_i, gains.kd * kc)  # the rule does not speak of tau_D: it stays
     return SlowAdvice(reading, sentence, numbers, Tuning("slow-oscillation", "ideal", moved, None, (sentence,)))
 
 
@@ -125,10 +133,16 @@ def _reading(
         return SlowReading.DAMPED
     numbers |= {
         "factor": 1 / zeta**2,
-        "each": 1 / zeta,
         "printed_factor": slow_oscillation(period_s, tau_i).factor,
     }
     return SlowReading.APPLIES
+
+
+def _shared(factor: float, locks: Locks) -> dict[str, float]:
+    """How Kc and tau_I share the factor on their product."""
+    kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)
+    tau_i = 1.0 if locks.tau_i else factor if locks.kc else math.sqrt(factor)
+    return {"kc_factor": kc, "tau_i_factor": tau_i}
 
 
 def zeta_of(ratio: float) -> float:

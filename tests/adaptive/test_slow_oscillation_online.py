@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.guard.request import Locks
 from retuner.adaptive.response import Ending, Peak, Response
 from retuner.adaptive.slow_oscillation_online import (
     SlowAdvice,
@@ -62,7 +63,7 @@ def test_afterwards_the_product_is_four(zeta: float, w0: float, slope: float, si
     product = sign * slope * new.kp * new.kp / new.ki
     assert 3.8 < product < 4.2
     assert product == pytest.approx(4.0, rel=1e-6)
-    assert new.ki == gains.ki
+    assert new.ki == pytest.approx(gains.ki)
 
 
 @pytest.mark.parametrize(("zeta", "printed"), [(0.05, 396), (0.1, 99.7), (0.2, 25.7), (0.3, 12.1), (0.5, 5.3)])
@@ -71,6 +72,16 @@ def test_the_printed_factor_stands_beside_the_exact_one(zeta: float, printed: fl
     numbers = asked(swing(zeta), pi(zeta)).numbers
     assert numbers["factor"] == pytest.approx(1 / zeta**2)
     assert numbers["printed_factor"] == pytest.approx(printed, rel=0.01)
+
+
+@pytest.mark.parametrize("locks", [Locks(kc=True), Locks(tau_i=True)])
+def test_where_one_is_locked_the_other_takes_it_all(locks: Locks) -> None:
+    gains = pi(0.2)
+    new = slow_oscillation_online(swing(0.2), gains, None, SETTINGS, locks).tuning
+    assert new is not None
+    assert 0.1 * new.gains.kp**2 / new.gains.ki == pytest.approx(4.0)
+    assert (new.gains.kp == gains.kp) == locks.kc
+    assert (new.gains.kp / new.gains.ki == pytest.approx(gains.kp / gains.ki)) == locks.tau_i
 
 
 def test_zeta_and_period_belong_together() -> None:
