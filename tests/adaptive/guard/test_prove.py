@@ -97,6 +97,17 @@ def test_a_loop_over_its_limit_may_always_be_made_safer() -> None:
     assert ms_of(MODEL, verdict.gains) < ms_of(MODEL, wild)
 
 
+def test_where_nothing_is_proved_the_safest_whole_step_is_taken() -> None:
+    verdict = prove(request(times(2.5, 2.5), models=known(0.6)), SETTINGS)
+    slowest = simc(SAMPLED, 1.3 * 5.5)
+    assert verdict.ruling == Ruling.SAFER
+    assert verdict.step == 1.0
+    assert verdict.gains is not None
+    assert (verdict.gains.kp, verdict.gains.ki) == pytest.approx((slowest.gains.kp, slowest.gains.ki))
+    assert verdict.tau_c_s == pytest.approx(slowest.tau_c_s)
+    assert verdict.ms_worst > SETTINGS.ms_worst
+
+
 def test_an_oscillating_loop_takes_the_whole_step_at_once() -> None:
     wild = times(6.0, 40.0)
     verdict = prove(request(wild), SETTINGS)
