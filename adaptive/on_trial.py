@@ -15,7 +15,7 @@ from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.promise import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.trial import Trial
-from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
 
 OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
 """Causes behind a response for which the gains on trial are not to blame."""
@@ -23,17 +23,22 @@ NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not 
 
 
 def promise_of(
-    outcome: Outcome, in_force: PidGains, response: Response | None, settings: RetunerSettings
-) -> Promise | None:
-    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted."""
+    outcome: Outcome, table: GainTable, region: int, at: tuple[float, float], response: Response | None,
+    settings: RetunerSettings,
+) -> Promise | None:  # fmt: skip
+    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
+
+    at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
+    """
     verdict = outcome.verdict
     if verdict is None or verdict.gains is None:
         return None
+    in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
     if verdict.allowed:
-        promised = promise(verdict.allowed, in_force, verdict.gains, settings.sample_time_s / 2,
+        promised = promise(verdict.allowed, in_force, new, settings.sample_time_s / 2,
                            settings.setpoint_weight, settings.filter_s)  # fmt: skip
         return replace(promised, decay_seen=decay_seen(response))
-    return promise_without_model(response, in_force, verdict.gains) if response else None
+    return promise_without_model(response, in_force, new) if response else None
 
 
 def seen_of(response: Response, window: Window, samples: Sequence[LoopSample], outcome: Outcome) -> Seen:

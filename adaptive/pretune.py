@@ -42,7 +42,7 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
     verdict, mode = outcome.verdict, retuner.settings.mode_of(region)
     if verdict is None or verdict.gains is None or mode == Mode.OFF:
         return retuner.ordered(region, outcome)
-    promised = promise_of(outcome, retuner.table.gains_of(region), None, retuner.settings)
+    promised = promise_of(outcome, retuner.table, region, retuner.scheduled, None, retuner.settings)
     if mode == Mode.ADVISE:
         advised = retuner.ordered(region, outcome)
         return replace(advised, action=Action.ADVISE, gains_after=verdict.gains, promise=promised)

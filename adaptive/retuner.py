@@ -233,7 +233,8 @@ class Retuner:
         w = self._watcher
         looked_at = seen_of(seen.response, w.window(seen.response), w.samples, outcome)
         ask = self.settings.mode_of(seen.region) == Mode.TRIAL
-        return self.desk.judge(seen.region, looked_at, self._now_s, ask=ask)
+        ran = w.table.at(seen.region, *w.scheduled)
+        return self.desk.judge(seen.region, looked_at, ran, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> Case:
         """Everything that the decision depends on."""
@@ -253,8 +254,8 @@ class Retuner:
         if not phase_allows:
             outcome = held(outcome, self.desk.trial(region), self._now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
-        in_force = self.table.gains_of(region)
-        promised = promise_of(outcome, in_force, response, self.settings) if accepted else None
+        at = self._watcher.scheduled
+        promised = promise_of(outcome, self.table, region, at, response, self.settings) if accepted else None
         return self._recorded(region, outcome, response, judgement, promised, accepted=accepted)
 
     def _recorded(

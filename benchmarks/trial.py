@@ -60,7 +60,8 @@ class Tried(FixedGains):
         if ended:
             self.findings[ended[0].name.lower()] += 1
         elif isinstance(seen, Completed) and self.desk.phase(0) is TrialPhase.TRIAL:
-            found = self.desk.judge(0, Seen(seen.response, self.watcher.window(seen.response)), sample.t_s, ask=False)
+            looked_at = Seen(seen.response, self.watcher.window(seen.response))
+            found = self.desk.judge(0, looked_at, self.watcher.table.gains_of(0), sample.t_s, ask=False)
             if found is not None:
                 self.findings[found.finding.name.lower()] += 1
 

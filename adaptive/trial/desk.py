@@ -146,15 +146,16 @@ class TrialDesk:
                 ended[at] = found
         return ended
 
-    def judge(self, region: int, seen: Seen, t_s: float, *, ask: bool) -> Judgement | None:
+    def judge(self, region: int, seen: Seen, ran: PidGains, t_s: float, *, ask: bool) -> Judgement | None:
         """Judge a response of a region on trial, and go on accordingly; None when it is not on trial.
 
+        ran : gains under which it ran (in an interpolated table, the mean that was in force).
         ask : a person has the next word when the trial passes.
         """
         trial = self.trial(region)
-        if trial.phase != P.TRIAL or trial.promise is None or trial.new is None:
+        if trial.phase != P.TRIAL or trial.promise is None:
             return None
-        found = judge(seen, trial.promise, trial.new, self.settings)
+        found = judge(seen, trial.promise, ran, self.settings)
         event = FINDINGS[found.finding]
         self._move(region, event, t_s)
         if event in KEPT:

@@ -7,7 +7,7 @@
 While a set is being taken back the table has the verified one already, so no way leads to the tried one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from retuner.adaptive.decision import Decision, gains_dict
@@ -43,12 +43,13 @@ class Why(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A set that should run."""
+    """A set that should run. stored : what the region's place in the table holds then, for a decision."""
 
     why: Why
     region: int
     gains: PidGains
     decision: Decision | None = None
+    stored: PidGains | None = None
 
 
 class GainWriter:
@@ -97,7 +98,7 @@ class GainWriter:
         """A decision wants its gains written; it waits for the wire."""
         if decision.gains_after is not None:
             region = self.retuner.table.regions.names.index(decision.region)
-            self._pending = Wanted(Why.RETUNE, region, decision.gains_after, decision)
+            self._pending = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after)
 
     def hold(self, reason: str) -> None:
         """Write no decision for a while."""
@@ -124,16 +125,20 @@ class GainWriter:
             return
         body = {"why": write.why, "region": self._name(write.region), "sequence": event.seq,
                 "gains": gains_dict(event.gains), "crc": event.running.crc}  # fmt: skip
+        mixed = self.retuner.table.lookup == Lookup.INTERPOLATED
+        stored = write.stored if mixed and write.stored is not None else event.gains
+        if write.why == Why.RETUNE and mixed:
+            body["stored"] = gains_dict(stored)
         self._record("committed", self.t_s, body)
         if write.why != Why.RETUNE:
             return
         before = self.retuner.table
-        if self.retuner.committed(write.region, event.gains) is before:  # given up meanwhile; it is being taken back
+        if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
             return
         self.commits.append((self.t_s, write.region))
         trial = self.retuner.desk.trial(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
-            row = {"region": self._name(write.region), "gains": gains_dict(event.gains),
+            row = {"region": self._name(write.region), "gains": gains_dict(stored),
                    "verified": gains_dict(trial.old), "promise": trial.promise.to_dict() if trial.promise else None,
                    "decision": write.decision.digest() if write.decision else None}  # fmt: skip
             self._record("trial", self.t_s, row)
@@ -199,15 +204,31 @@ class GainWriter:
             return None
         if self._pending is not None:
             held = self.t_s < self._hold_until_s
-            if self._pending.region == region and not held and not self.frozen:
+            if self._given_up(self._pending):
+                self._drop("it was given up before it could be written")
+            elif self._pending.region == region and not held and not self.frozen:
                 wanted, self._pending = self._pending, None
-                return wanted
-            self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
+                return self._here(wanted)
+            else:
+                self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
         if self.t_s < self._retry_at_s:
             return None
         gains = self._in_table()
         far = gains is not None and change_factor(running, gains) > self._tolerance
         return Wanted(Why.SCHEDULE, region, gains) if gains is not None and far else None
+
+    def _given_up(self, pending: Wanted) -> bool:
+        """Whether a change that was to be on trial no longer is: nothing is written that nobody would watch."""
+        promised = pending.decision is not None and pending.decision.promise is not None
+        return promised and self.retuner.desk.phase(pending.region) != TrialPhase.WRITING
+
+    def _here(self, wanted: Wanted) -> Wanted:
+        """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""
+        table = self.retuner.table
+        if table.lookup != Lookup.INTERPOLATED:
+            return wanted
+        new = table.with_gains(wanted.region, wanted.gains)
+        return replace(wanted, gains=new.at(wanted.region, *self.retuner.scheduled))
 
     def _drop(self, reason: str) -> None:
         """A decision that waited for the wire is not written."""

@@ -29,7 +29,7 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
     """
     match kind, body.get("why"):
         case "committed", "retune":
-            retuner.committed(retuner.table.index(str(body["region"])), gains_of(body["gains"]))
+            retuner.committed(retuner.table.index(str(body["region"])), gains_of(body.get("stored") or body["gains"]))
         case ("refused", "retune") | ("dropped", "retune"):
             if body.get("unchanged", True):
                 retuner.not_written(retuner.table.index(str(body["region"])))

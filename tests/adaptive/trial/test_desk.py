@@ -129,16 +129,16 @@ def test_passing_resets_the_count_and_a_person_has_the_next_word_where_asked() -
     bench.undo()
     bench.t_s = 1e5
     bench.write(new=GOOD)
-    assert bench.desk.judge(0, seen, bench.t_s, ask=True).finding is not Finding.WORSE
+    assert bench.desk.judge(0, seen, GOOD, bench.t_s, ask=True).finding is not Finding.WORSE
     assert bench.desk.phase(0) is P.WAITING
     assert bench.table[0] == GOOD
     assert bench.desk.trial(0).undos == 0
     assert not bench.desk.may_change(0, 1e9)
     bench.desk.event(0, E.APPROVED, bench.t_s)
     bench.write(new=GOOD)
-    bench.desk.judge(0, seen, bench.t_s, ask=False)
+    bench.desk.judge(0, seen, GOOD, bench.t_s, ask=False)
     assert bench.desk.phase(0) is P.IDLE
-    assert bench.desk.judge(0, seen, bench.t_s, ask=False) is None
+    assert bench.desk.judge(0, seen, GOOD, bench.t_s, ask=False) is None
 
 
 def test_several_responses_may_have_to_keep_the_promise() -> None:
@@ -146,7 +146,7 @@ def test_several_responses_may_have_to_keep_the_promise() -> None:
     bench = Bench(TrialSettings(responses=3))
     bench.write(new=GOOD)
     for phase in (P.TRIAL, P.TRIAL, P.IDLE):
-        bench.desk.judge(0, seen, 1.0, ask=False)
+        bench.desk.judge(0, seen, GOOD, 1.0, ask=False)
         assert bench.desk.phase(0) is phase
 
 
@@ -155,7 +155,7 @@ def test_a_response_that_is_worse_takes_the_set_back() -> None:
     seen = responses(Rig(bad), 1500, load=10.0)[0]
     bench = Bench(table={0: GOOD})
     bench.write(new=bad)
-    found = bench.desk.judge(0, seen, 1.0, ask=False)
+    found = bench.desk.judge(0, seen, bad, 1.0, ask=False)
     assert found is not None
     assert found.finding is Finding.WORSE
     assert bench.desk.restoring == (0,)
