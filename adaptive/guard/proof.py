@@ -55,6 +55,7 @@ class _Case:
     settings: GuardSettings
     loops: Loops
     at_border: Check | None = None
+    asked: dict[tuple[str, PidGains], tuple[float, bool]] = field(default_factory=dict)
     over: bool = field(init=False)
     oscillates: bool = field(init=False)
 
@@ -194,8 +195,11 @@ def _borders_hold(case: _Case, gains: PidGains) -> bool:
 def _border_check(case: _Case, border: Border, gains: PidGains) -> Check | None:
     """One border; None where nothing is known to ask."""
     request, limit = case.request, case.settings.ms_border
-    ms, passed = at_border(border, request.models, gains, request.in_force, limit, request.sample_time_s,
-                           request.filter_s)  # fmt: skip
+    key = (border.name, gains)
+    if key not in case.asked:
+        case.asked[key] = at_border(border, request.models, gains, request.in_force, limit, request.sample_time_s,
+                                    request.filter_s)  # fmt: skip
+    ms, passed = case.asked[key]
     if math.isnan(ms):
         return None
     return Check("ms_border", f"Ms towards region {border.name} (or no worse than before)", ms, limit, passed)
