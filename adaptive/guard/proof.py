@@ -80,10 +80,10 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     wanted = _goals(case)
     open_goals = [goal for goal in wanted if not goal.no_room]
     if not open_goals:
-        return _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers)
+        return _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers, wanted[0].notes)
     small = _too_small(case, open_goals[0])
     if small is not None:
-        return _refused(case, *small)
+        return _refused(case, *small, open_goals[0].notes)
     if not request.models:
         return _unproved(case, open_goals[0])
     tried = list(_candidates(case, open_goals))
@@ -261,12 +261,12 @@ def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
                    candidate.goal.notes, tuple(request.models), urgent)  # fmt: skip
 
 
-def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float]) -> Verdict:
+def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float], notes: tuple[str, ...] = ()) -> Verdict:
     """Nothing may be written: Ms as it stays."""
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
     checks = (*evidence_checks(request, s), *_failed(ruling, numbers))
-    return Verdict(ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, (),
+    return Verdict(ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, notes,
                    tuple(request.models), False)  # fmt: skip
 
 

@@ -180,6 +180,8 @@ def test_a_cut_change_is_written_and_says_so() -> None:
 def test_at_the_limit_nothing_is_left_and_the_limit_is_named() -> None:
     at = prove(request(times(0.6, 0.6)), GuardSettings(kc_max=0.6 * GAINS.kp, tau_i_max_s=times(1, 1).kp / GAINS.ki))
     assert at.ruling == Ruling.OUTSIDE_LIMITS
+    assert "kc cut from" in at.sentence
+    assert "by kc_max" in at.sentence
     total = prove(request(times(0.6, 0.6), commissioned=times(0.15, 0.15)), SETTINGS)
     assert total.ruling == Ruling.OUTSIDE_TOTAL
     assert total.numbers["wanted"] == pytest.approx(GAINS.kp)
