@@ -4,6 +4,9 @@ python-can's readers raise whatever their parsing meets; here that becomes one l
 read. Frames before the damage are given out, so a caller that stops counting there knows where it stands.
 """
 
+import contextlib
+import importlib
+import logging
 import struct
 import zlib
 from collections.abc import Iterator
@@ -44,6 +47,7 @@ def read_frames(path: Path) -> Iterator[can.Message]:
     """
     _check(path)
     count = 0
+    errors = READING_ERRORS + (_errors_of_mf4() if path.suffix.lower() == ".mf4" else ())
     try:
         with _opened(path) as stream:
             for message in READERS[path.suffix.lower()](stream):
@@ -51,9 +55,19 @@ def read_frames(path: Path) -> Iterator[can.Message]:
                 yield message
     except (ImportError, NotImplementedError):
         raise RecordingError(f"{path}: reading this format needs asammdf; pip install asammdf") from None
-    except READING_ERRORS as error:
+    except errors as error:
         told = f": {error}" if str(error) else ""
         raise RecordingError(f"{path}: damaged after {count} frames{told}; give a whole log") from error
+
+
+def _errors_of_mf4() -> tuple[type[Exception], ...]:
+    """What asammdf and its decompressor raise of their own; their own words about it stay away from the screen."""
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
+    found: list[type[Exception]] = []
+    for module, name in (("asammdf.blocks.utils", "MdfException"), ("isal.isal_zlib", "IsalError")):
+        with contextlib.suppress(ImportError, AttributeError):
+            found.append(getattr(importlib.import_module(module), name))
+    return tuple(found)
 
 
 def _opened(path: Path) -> AbstractContextManager[Any]:

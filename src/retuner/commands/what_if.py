@@ -15,7 +15,7 @@ from retuner.commands.recorded_loop import renamed
 from retuner.config import Config, load_config
 from retuner.drivers.frame_log import is_frame_log
 from retuner.drivers.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
-from retuner.errors import UserError, user_input
+from retuner.errors import UserError
 from retuner.explain import one_line
 from retuner.schedule.gains import PidGains
 
@@ -62,7 +62,10 @@ def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
     found, in_force = Answer(), InForce(retuner)
     for sample, gains in recorded:
         found.samples += 1
-        decision = retuner.observe(sample)
+        try:
+            decision = retuner.observe(sample)
+        except ValueError as error:
+            raise UserError(f"sample {found.samples} of the log: {error}") from None
         if decision is not None:
             found.decisions.append(decision)
         if in_force.take(gains):
@@ -82,8 +85,7 @@ def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
     config = load_config(config_file)
     retuner = make_retuner(config, Mode.ADVISE)
-    with user_input(str(log)):
-        found = answer(retuner, recorded_loop(log, columns, config))
+    found = answer(retuner, recorded_loop(log, columns, config))
     if as_json:
         sys.stdout.write(json.dumps(document(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
         return 0
