@@ -57,7 +57,8 @@ class TrackerSettings:
     walk_per_record : how far they wander from record to record, whatever the time; 0 to 0.1, default 0.03: a gain that
         doubles within thirty records is followed.
     scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
-        operating point is never quite the same and no structure is quite right; default 0.12 (12 %).
+        operating point is never quite the same and no structure is quite right; 0.02 to 0.2, default 0.06 (with 0.12 a
+        gain that doubles at once passes the gate and is followed too slowly).
     gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 6,
         default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and then, and a
         gain or delay that has doubled lies far beyond 4.5.
@@ -67,7 +68,7 @@ class TrackerSettings:
 
     walk_per_day: float = 0.1
     walk_per_record: float = 0.03
-    scatter: float = 0.12
+    scatter: float = 0.06
     gate: float = 4.5
     most_lead: float = 60.0
     danger_ms: float = 2.3
