@@ -8,16 +8,20 @@ from dataclasses import asdict, dataclass
 
 from retuner.errors import one_line
 from retuner.explain import cause_text, model_text, ms_words, response_text, settings_text
-from retuner.explained.reading import Document, gains_of, number, part, words
+from retuner.explained.reading import Document, gains_of, number, numbers, part, words
 from retuner.ledger import Row
 
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
-    "decision": RETUNER, "dropped": RETUNER, "session": PROGRAM, "end": PROGRAM, "bus": BUS, "link": BUS, "lost": BUS,
-    "unknown": CONTROLLER, "restart": CONTROLLER, "reverted": CONTROLLER, "command": CONTROLLER,
-    "foreign": "somebody else", "foreign_host": "another host", "lease": "another host", "conflict": "two controllers",
+    "decision": RETUNER, "dropped": RETUNER, "trial": RETUNER, "judged": RETUNER, "restore": RETUNER,
+    "lockout": RETUNER, "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
+    "link": BUS, "lost": BUS, "variable": BUS, "restored": CONTROLLER, "unknown": CONTROLLER, "restart": CONTROLLER,
+    "reverted": CONTROLLER, "command": CONTROLLER, "foreign": "somebody else", "foreign_host": "another host",
+    "lease": "another host", "conflict": "two controllers",
 }  # fmt: skip
 """Who stands behind a row, where it does not say so itself."""
+BY_ORDER = {"approved", "ordered_back"}
+"""Codes of decisions that a person stands behind; the order before them says who."""
 HIDDEN = {"samples", "gains", "before", "reason", "region", "why", "by", "decision", "proposal", "crc", "running",
           "record"}  # fmt: skip
 """Values of other rows that have a column of their own, or say nothing to a person."""
@@ -59,6 +63,8 @@ def _who(kind: str, body: Document) -> str:
         return words(body, "by") or "an order file"
     if kind in {"intent", "committed", "refused"}:
         return SCHEDULE if words(body, "why") == "schedule" else RETUNER
+    if kind == "decision" and words(body, "code") in BY_ORDER:
+        return "a person"
     return BY.get(kind, PROGRAM)
 
 
@@ -83,10 +89,7 @@ def _decision(body: Document) -> Words:
 
 def _write(body: Document) -> Words:
     """A write that is meant, done, or has not come about."""
-    digest = words(body, "decision")
-    evidence = f"decision {digest[:8]}" if digest else ""
-    verdict = words(body, "reason")
-    return words(body, "why"), _settings(body, "before"), _settings(body, "gains"), evidence, verdict
+    return words(body, "why"), _settings(body, "before"), _settings(body, "gains"), _digest(body), words(body, "reason")
 
 
 def _order(body: Document) -> Words:
@@ -101,6 +104,32 @@ def _order(body: Document) -> Words:
     return why, _settings(proposal, "before"), new, f"ordered {words(body, 'at')}".strip(), verdict
 
 
+def _trial(body: Document) -> Words:
+    """A change that is on trial now, and what it promises."""
+    promised = part(body, "promise")
+    pairs = [(upset, *(numbers(part(promised, name), "iae") for name in (upset, f"{upset}_before")))
+             for upset in ("setpoint", "load")]  # fmt: skip
+    told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
+    verdict = f"promises IAE per unit of {', '.join(told)}" if told else ""
+    return "on trial", _settings(body, "verified"), _settings(body, "gains"), _digest(body), verdict
+
+
+def _judged(body: Document) -> Words:
+    """A response that was judged against the promise."""
+    return f"judged: {words(body, 'trial')}", "", "", "", words(body, "reason")
+
+
+def _restore(body: Document) -> Words:
+    """Verified gains that are to come back."""
+    return words(body, "reason"), "", _settings(body, "gains"), _digest(body), words(body, "cause")
+
+
+def _digest(body: Document) -> str:
+    """Which decision a row belongs to."""
+    digest = words(body, "decision")
+    return f"decision {digest[:8]}" if digest else ""
+
+
 def _session(body: Document) -> Words:
     """What the run is made with."""
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
@@ -109,13 +138,15 @@ def _session(body: Document) -> Words:
 
 def _other(body: Document) -> Words:
     """Any other row: its reason, and what else it says."""
-    more = ", ".join(f"{key} {value}" for key, value in body.items() if key not in HIDDEN and value is not None)
+    plain = {key: value for key, value in body.items() if isinstance(value, str | int | float)}
+    plain |= {key: ", ".join(map(str, value)) for key, value in body.items() if isinstance(value, list)}
+    more = ", ".join(f"{key} {value}" for key, value in plain.items() if key not in HIDDEN)
     return words(body, "reason"), "", _settings(body, "gains"), more, ""
 
 
 WORDS: dict[str, Callable[[Document], Words]] = {
     "decision": _decision, "intent": _write, "committed": _write, "refused": _write, "order": _order,
-    "session": _session,
+    "session": _session, "trial": _trial, "judged": _judged, "restore": _restore,
 }  # fmt: skip
 
 
