@@ -1,0 +1,70 @@
+"""A run that ends in mid-trial: the change is taken back, told everywhere, and a replay decides it again."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from retuner.cli import main
+from retuner.ledger import LedgerReader
+
+SHORT = """
+schema = 1
+[loop]
+name = "short"
+pv_unit = "bar"
+pv_min = 0.0
+pv_max = 10.0
+sample_time_s = 0.1
+[schedule]
+variable = "sp"
+bounds = [5.0]
+hysteresis = 0.2
+[[schedule.region]]
+name = "low"
+kc = 5.0
+tau_i_s = 4.0
+[[schedule.region]]
+name = "high"
+kc = 20.0
+tau_i_s = 4.0
+[adaptation]
+mode = "auto"
+[device]
+kind = "virtual"
+seed = 3
+[device.plant]
+kind = "linear"
+k = 0.1
+lags_s = [5.0, 0.1]
+theta_s = 0.4
+start_pv = 2.0
+start_co_pct = 30.0
+noise = 0.01
+[scenario]
+duration_s = 50.0
+steps = [{ at_s = 0.0, sp = 2.0 }, { at_s = 20.0, sp = 3.0 }]
+[output]
+directory = "out"
+"""
+"""A sluggish loop: its first response ends three seconds before the run does."""
+
+
+def test_an_undecided_change_is_taken_back_at_the_end_and_decided_again_by_a_replay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
+    assert main(["run", "short.toml", "--no-compare"]) == 0
+    assert "the session ends" in capsys.readouterr().out
+    with LedgerReader(tmp_path / "out" / "ledger.sqlite") as reader:
+        rows = [(row.kind, json.loads(row.text)) for row in reader.rows()]
+        assert reader.verify().ok
+    bodies = dict(rows)
+    told = [kind for kind, _ in rows if kind in {"trial", "abort", "restore", "restored"}]
+    assert told == ["trial", "abort", "restore", "restored"]
+    assert bodies["restored"]["gains"] == bodies["trial"]["verified"] == bodies["restore"]["gains"]
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["scores"][0]["after"] == summary["scores"][0]["before"]
+    assert main(["replay", "out"]) == 0
+    assert "identical" in capsys.readouterr().out
