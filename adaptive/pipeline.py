@@ -226,7 +226,8 @@ def _without_model(case: Case, learned: Learned, left: float, why: str, settings
     found = without_model(case.response, case.window, case.in_force, None, settings.without_model,
                           settings.locks_of(case.region))  # fmt: skip
     reason = f"{why}; {found.sentence}"
-    if found.tuning is None:
+    silent = learned.surprise == Surprise.SILENT and not case.response.sp_changed  # noise has peaks as well
+    if found.tuning is None or silent:
         return Outcome(NOT_KNOWN, reason, learned, numbers=found.numbers)
     stored = case.table.stored_for(case.region, found.tuning.gains, *case.at)
     if stored is None:

@@ -127,6 +127,13 @@ def unconfirmed(
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
         return _unknown(reason, excitation), excitation
+    peak = max((abs(p.e) for p in response.peaks), default=0.0)
+    if not response.sp_changed and peak < swing.load_bands * response.band:
+        reason = (
+            f"a load response of {peak / response.band:.1f} noise bands is too small to change gains by; "
+            f"{swing.load_bands:g} are needed, or a setpoint step"
+        )
+        return _unknown(reason, excitation), excitation
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s)
     found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis

@@ -36,6 +36,8 @@ class SwingSettings:
     unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
         default 1.5.
     lookback : lengths of a response that are looked at with it when its rivals are asked; default 3.
+    load_bands : noise bands that a load response must reach before gains change by it; 2 to 20, default 5 (coloured
+        noise wanders over three now and then).
     fewest_loads : load responses that a change needs where no setpoint step was seen; 1 to 5, default 2.
     restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
         0.02 to 0.5, default 0.1.
@@ -54,6 +56,7 @@ class SwingSettings:
     remembered_cycles: float = 40.0
     unexplained: float = 1.5
     lookback: float = 3.0
+    load_bands: float = 5.0
     fewest_loads: int = 2
     restless: float = 0.1
     loads_beside: int = 1

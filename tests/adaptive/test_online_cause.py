@@ -130,6 +130,13 @@ def test_one_load_response_alone_is_not_enough() -> None:
     assert after == excitation
 
 
+def test_a_load_response_near_the_noise_changes_nothing() -> None:
+    small = response(SWING.load_bands * 0.1 - 0.01, -0.1)  # the band is 0.1
+    doubt, _ = unconfirmed(samples([0.0] * 101), small, GOOD, Excitation(loads=5), SWING, DIAGNOSIS)
+    assert doubt is not None
+    assert "noise bands" in doubt.reason
+
+
 def test_after_a_doubt_loads_are_thinned_until_there_were_twice_as_many() -> None:
     asked = Excitation(loads=2, asked=2)
     assert thinned(response(1.0), asked, SWING) is not None
