@@ -99,6 +99,8 @@ NOT_KNOWN = "not_identifiable"
 
 def decide(case: Case, settings: RetunerSettings) -> Outcome:
     """The pipeline."""
+    if case.table.lookup == Lookup.INTERPOLATED:
+        settings = replace(settings, swing=replace(settings.swing, same_gains=False))
     admission = _admission(case, settings)
     if not admission.admitted:
         return Outcome(

@@ -135,7 +135,7 @@ def unconfirmed(
         )
         return _unknown(reason, excitation), excitation
     length_s = response.t_end_s - response.t_start_s
-    seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s)
+    seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
     return (None, excitation) if found.retune else (found, replace(excitation, asked=excitation.loads))
 

@@ -39,6 +39,7 @@ class SwingSettings:
     load_bands : noise bands that a load response must reach before gains change by it; 2 to 20, default 5 (coloured
         noise wanders over three now and then).
     fewest_loads : load responses that a change needs where no setpoint step was seen; 1 to 5, default 2.
+    same_gains : a stretch ends where other gains ran; False for interpolated tables, whose gains move with the loop.
     restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
         0.02 to 0.5, default 0.1.
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
@@ -58,6 +59,7 @@ class SwingSettings:
     lookback: float = 3.0
     load_bands: float = 5.0
     fewest_loads: int = 2
+    same_gains: bool = True
     restless: float = 0.1
     loads_beside: int = 1
     grows: float = 1.05
@@ -82,12 +84,12 @@ def swings(response: Response, settings: SwingSettings) -> bool:
     return not response.sp_changed and damping is not None and damping > settings.damping
 
 
-def stretch(samples: Sequence[LoopSample], from_s: float) -> list[LoopSample]:
-    """The newest samples that ran the same set of gains, from a time on."""
+def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = True) -> list[LoopSample]:
+    """The newest samples from a time on. same_gains : that ran the same set of gains."""
     revision = samples[-1].revision
     kept = []
     for sample in reversed(samples):
-        if sample.revision != revision or sample.t_s < from_s:
+        if (same_gains and sample.revision != revision) or sample.t_s < from_s:
             break
         kept.append(sample)
     return kept[::-1]
@@ -106,7 +108,7 @@ def swing_cause(
     """
     period_s, now_s = response.period_s, response.t_end_s
     assert period_s is not None
-    seen = stretch(samples, now_s - swing.most_cycles * period_s)
+    seen = stretch(samples, now_s - swing.most_cycles * period_s, swing.same_gains)
     cycles = (now_s - seen[0].t_s) / period_s
     if cycles < swing.cycles:
         reason = f"it swings on without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles seen that tell a cause"
@@ -139,7 +141,7 @@ def hidden_cause(
 ) -> tuple[Diagnosis | None, Standing | None]:
     """What hides under a response that the linear fit does not explain: stiction or a tone, or None."""
     length_s = response.t_end_s - response.t_start_s
-    window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s))
+    window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s, swing.same_gains))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
     seen = screen(window, gains)
     verdict = against_rivals(found[0], seen, settings).verdict

@@ -65,6 +65,7 @@ def test_a_stretch_ends_where_other_gains_ran_and_where_it_was_asked_to() -> Non
     kept = samples([0.0] * 10) + [s._replace(t_s=s.t_s + 10, revision=1) for s in samples([0.0] * 10)]
     assert [s.t_s for s in stretch(kept, 0.0)] == [float(t) for t in range(10, 20)]
     assert [s.t_s for s in stretch(kept, 15.0)] == [float(t) for t in range(15, 20)]
+    assert [s.t_s for s in stretch(kept, 5.0, same_gains=False)] == [float(t) for t in range(5, 20)]
 
 
 def test_too_few_cycles_are_waited_for_and_not_explained() -> None:
