@@ -181,6 +181,6 @@ def draw(folder: Path, files: list[Path]) -> list[Path]:
     names = [folder / f"online-{name}.png" for name in ("batch", "run", "walk", "undo")]
     shares([r for r in rows if r["opened"]], [r for r in rows if not r["opened"]], names[0])
     example(names[1])
-    walk(names[2], walks.Task(1, 0, 40))
+    walk(names[2], walks.Task(1, 0, 30))
     put_back(names[3], injected.Task("both", 1, 0))
     return names
