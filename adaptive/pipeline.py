@@ -189,7 +189,7 @@ def _is_sure(
     """Whether a change needs no confirmation by the whole diagnosis (see diagnosis/confirmation.py)."""
     loads, swing = len(learned.estimate.load_times_s), settings.swing
     seen = (case.samples, case.response)
-    if is_clear(*seen, left, loads, swing) or runs_away(*seen, left, loads, swing):
+    if is_clear(*seen, left, loads, swing) or runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
     if is_safer_and_known(verdict.ruling, agrees, excitation, calm):

@@ -72,16 +72,15 @@ def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, cal
     return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0 and calm
 
 
-def runs_away(
-    samples: Sequence[LoopSample], response: Response, left: float, loads: int, settings: SwingSettings
-) -> bool:
+def runs_away(samples: Sequence[LoopSample], response: Response, explained: float, settings: SwingSettings) -> bool:
     """Whether a setpoint step was answered by a swing that grows, and the loop by itself explains it: no rest needed.
 
-    An unstable loop is never at rest, and there is no time to wait for it. Arguments as is_clear.
+    An unstable loop is never at rest, there is no time to wait for it, and its own swing looks like loads to a fit.
+    explained : share of pv's variance that the model explains.
     """
     damping = response.damping
     grows = bool(response.sp_changed) and damping is not None and damping > settings.grows
-    return grows and not loads and left <= settings.unexplained and calm_before(samples, response, settings)
+    return grows and explained >= settings.growth_explained and calm_before(samples, response, settings)
 
 
 def calm_before(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
@@ -128,7 +127,7 @@ def unconfirmed(
         reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
         return _unknown(reason, excitation), excitation
     peak = max((abs(p.e) for p in response.peaks), default=0.0)
-    if not response.sp_changed and peak < swing.load_bands * response.band:
+    if not excitation.setpoints and peak < swing.load_bands * response.band:
         reason = (
             f"a load response of {peak / response.band:.1f} noise bands is too small to change gains by; "
             f"{swing.load_bands:g} are needed, or a setpoint step"

@@ -44,6 +44,7 @@ class SwingSettings:
         0.02 to 0.5, default 0.1.
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
     grows : damping of a setpoint response from which the loop runs away; 1 to 1.5, default 1.05.
+    growth_explained : share of pv's variance that the model must explain of it; 0.9 to 0.999, default 0.99.
     calm : greatest error before a response over the last peak of its swing, up to which the swing began with it;
         0.1 to 0.8, default 0.4.
     again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
@@ -63,6 +64,7 @@ class SwingSettings:
     restless: float = 0.1
     loads_beside: int = 1
     grows: float = 1.05
+    growth_explained: float = 0.99
     calm: float = 0.4
     again: float = 2.0
     most_lookback: float = 10.0

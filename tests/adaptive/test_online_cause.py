@@ -105,12 +105,11 @@ def test_a_case_is_clear_after_a_setpoint_step_from_rest_that_the_loop_explains(
 def test_a_growing_swing_after_a_setpoint_step_needs_no_rest() -> None:
     growing = response(1.0, -1.2, 1.5, sp_changed=True)
     small, large = samples([0.3, -0.3] * 51), samples([1.0, -1.0] * 51)
-    assert runs_away(small, growing, 1.0, 0, SWING)
-    assert not runs_away(large, growing, 1.0, 0, SWING)
-    assert not runs_away(small, growing, 1.0, 1, SWING)
-    assert not runs_away(small, growing, SWING.unexplained + 0.01, 0, SWING)
-    assert not runs_away(small, response(1.0, -0.9, 0.8, sp_changed=True), 1.0, 0, SWING)
-    assert not runs_away(small, response(1.0, -1.2, 1.5), 1.0, 0, SWING)
+    assert runs_away(small, growing, SWING.growth_explained, SWING)
+    assert not runs_away(large, growing, 1.0, SWING)
+    assert not runs_away(small, growing, SWING.growth_explained - 0.01, SWING)
+    assert not runs_away(small, response(1.0, -0.9, 0.8, sp_changed=True), 1.0, SWING)
+    assert not runs_away(small, response(1.0, -1.2, 1.5), 1.0, SWING)
 
 
 @pytest.mark.parametrize("ruling", list(Ruling))

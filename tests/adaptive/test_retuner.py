@@ -105,8 +105,11 @@ def test_good_gains_are_left_alone() -> None:
 
 def test_advise_changes_nothing_but_says_what_it_would() -> None:
     decisions = made(scaled(0.25, 0.25), Mode.ADVISE).exercise()
-    assert {d.action for d in decisions} == {Action.ADVISE}
-    assert all(d.gains_after is not None and d.gains_before == scaled(0.25, 0.25) for d in decisions)
+    assert {d.action for d in decisions} <= {Action.ADVISE, Action.NONE}
+    advised = [d for d in decisions if d.action == Action.ADVISE]
+    assert len(advised) >= 3
+    assert all(d.gains_after is not None and d.gains_after.ki > 1.5 * d.gains_before.ki for d in advised)
+    assert {d.gains_before for d in decisions} == {scaled(0.25, 0.25)}
 
 
 def test_off_decides_nothing() -> None:

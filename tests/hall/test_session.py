@@ -113,7 +113,18 @@ class DecidingRetuner(Retuner):
             return found
         wish, self.wish = self.wish, None
         name = self.table.regions.names[self.region]
-        return Decision(1, sample.t_s, "loop", name, Mode.AUTO, Action.COMMIT, "accepted", "because", self.table.gains_of(self.region), wish)
+        return Decision(
+            1,
+            sample.t_s,
+            "loop",
+            name,
+            Mode.AUTO,
+            Action.COMMIT,
+            "accepted",
+            "because",
+            self.table.gains_of(self.region),
+            wish,
+        )
 
 
 class Stage:
