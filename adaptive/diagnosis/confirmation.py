@@ -78,8 +78,8 @@ def runs_away(samples: Sequence[LoopSample], response: Response, explained: floa
     An unstable loop is never at rest, there is no time to wait for it, and its own swing looks like loads to a fit.
     explained : share of pv's variance that the model explains.
     """
-    damping = response.damping
-    grows = bool(response.sp_changed) and damping is not None and damping > settings.grows
+    growth = response.overshoot if response.damping is None else response.damping  # of two peaks, or of three
+    grows = bool(response.sp_changed) and growth is not None and growth > settings.grows
     return grows and explained >= settings.growth_explained and calm_before(samples, response, settings)
 
 

@@ -43,7 +43,8 @@ class SwingSettings:
     restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
         0.02 to 0.5, default 0.1.
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
-    grows : damping of a setpoint response from which the loop runs away; 1 to 1.5, default 1.05.
+    grows : damping of a setpoint response, or overshoot of one of two peaks, from which the loop runs away; 1 to 1.5,
+        default 1.05.
     growth_explained : share of pv's variance that the model must explain of it; 0.9 to 0.999, default 0.99.
     calm : greatest error before a response over the last peak of its swing, up to which the swing began with it;
         0.1 to 0.8, default 0.4.
