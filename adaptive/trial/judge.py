@@ -113,18 +113,25 @@ def _doubt(seen: Seen, settings: TrialSettings) -> str:
     least = settings.seen_bands * response.band
     if not response.peaks or abs(response.peaks[0].e) < least:
         return f"not judged: its first peak is below {least:.3g}, {settings.seen_bands:g} noise bands"
-    return _unlike_a_step(seen) if response.sp_changed else ""
+    return _unlike_a_step(seen, settings) if response.sp_changed else ""
 
 
-def _unlike_a_step(seen: Seen) -> str:
-    """Why a setpoint's response is not one of a step from rest, if so."""
+def _unlike_a_step(seen: Seen, settings: TrialSettings) -> str:
+    """Why a setpoint's response is not one of a step from rest, if so.
+
+    What is left of an older upset shifts the peaks and the IAE by its share of the step, so that share counts as well
+    as the noise: without it no loop with little noise and slow integral action is ever at rest.
+    """
     window, response = seen.window, seen.response
     before = window.t_s < response.t_start_s
     later = window.sp[_during(seen)]
     if later.size and float(np.ptp(later)) > response.band:
         return "not judged: the setpoint went on moving during the response"
     error = (window.sp - window.pv)[before]
-    if error.size and abs(float(np.mean(error[-max(len(error) // 4, 1) :]))) > response.band:
+    if not error.size:
+        return ""
+    step = abs(float(np.median(later)) - float(window.sp[before][-1])) if later.size else 0.0
+    if abs(float(np.mean(error[-max(len(error) // 4, 1) :]))) > max(response.band, settings.rest_share * step):
         return "not judged: the loop was not at rest when the setpoint changed"
     return ""
 

@@ -148,6 +148,15 @@ def test_a_setpoint_that_moves_on_or_a_start_from_motion_is_inconclusive() -> No
         assert why in found.reason
 
 
+def test_a_small_rest_of_an_older_upset_is_no_motion() -> None:
+    seen = example()
+    w = seen.window
+    for left, finding in ((0.15, Finding.WORSE), (0.35, Finding.INCONCLUSIVE)):  # of a step of 5, band 0.1
+        moved = w.pv - left * (w.t_s < seen.response.t_start_s)
+        found = judge(replace(seen, window=Window(w.t_s, w.sp, moved, w.co)), PROMISE, GOOD, S)
+        assert found.finding is finding, found.reason
+
+
 def test_an_output_at_its_limit_says_nothing_of_the_iae() -> None:
     seen = responses(Rig(BAD["kc /4"]), 1500, sp=5.0)[0]
     assert judge(seen, PROMISE, BAD["kc /4"], S).finding is Finding.WORSE
