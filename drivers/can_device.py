@@ -169,11 +169,9 @@ class CanDevice:
 
     def _on_page(self, page: ReadBack | None, now_s: float) -> None:
         """A whole read-back, or none yet."""
-        if page is None:
-            return
-        if page.page == frames.Page.STAGED:
+        if page is not None and page.page == frames.Page.STAGED:
             self._requests.write.on_staged(page)
-        elif page.page == frames.Page.RUNNING:
+        elif page is not None and page.page == frames.Page.RUNNING:
             self._on_running(page, now_s)
 
     def _on_running(self, page: ReadBack, now_s: float) -> None:
@@ -280,9 +278,13 @@ class CanDevice:
         running = self._belief.running
         if running is None:
             raise WriteRefusedError(f"{self._where}: what runs is unknown, so it cannot be stored")
-        if running.seq == self._requests.probation.seq:
-            raise WriteRefusedError(f"{self._where}: set {running.seq} is on probation; store it once it is confirmed")
-        self._command(lambda: self._requests.commands.store(running.seq), now_s)
+        self._command(lambda: self._requests.store(running.seq), now_s)
+
+    def confirm(self, now_s: float) -> bool:
+        """Confirm the running set without any more probation; whether it is: see device.Device."""
+        confirmed = self._requests.confirm()
+        self._send_due(now_s)
+        return confirmed
 
     def release(self, now_s: float) -> None:
         """Give the lease back, so that another host need not wait until it runs out; for the end of a session."""
@@ -293,6 +295,6 @@ class CanDevice:
         """Check a command, then send it until it is answered."""
         try:
             put()
-        except FrameError as error:
+        except (FrameError, WriteRefusedError) as error:
             raise WriteRefusedError(f"{self._where}: {error}") from error
         self._send_due(now_s)

@@ -73,6 +73,10 @@ class CommandSender:
         """Set seq has proved itself."""
         self._put(Kind.CONFIRM, lambda _: Confirm(seq, self._owner), seq)
 
+    def waits(self, kind: Kind) -> bool:
+        """Whether a command of this kind is not acknowledged yet."""
+        return kind in self._waiting
+
     def _put(self, kind: Kind, make: Callable[[int], Frame], number: int | None = None) -> None:
         """Send a command from the next `due` on; number takes the counter's place in its acknowledge."""
         self._check(make(0))

@@ -247,6 +247,12 @@ class Device(Protocol):
         """
         ...
 
+    def confirm(self, now_s: float) -> bool:
+        """Confirm the running set at once, because it has proved itself before: until that is acknowledged, a
+        controller with a trial time would go back to the set before. Whether no confirmation is open; ask again.
+        """
+        ...
+
     def release(self, now_s: float) -> None:
         """Let another host command at once: for the end of a session."""
         ...

@@ -78,6 +78,25 @@ class HostRequests:
             self.probation.end()
         return outcome
 
+    def confirm(self) -> bool:
+        """Confirm the running set without any more probation; whether no confirmation of it is open."""
+        seq = self.probation.seq
+        if seq is not None and not self.commands.waits(Kind.CONFIRM):
+            self.commands.confirm(seq)
+        return seq is None
+
+    def store(self, seq: int) -> None:
+        """Keep the running set over a restart.
+
+        Raises
+        ------
+        WriteRefusedError
+            It is on probation.
+        """
+        if seq == self.probation.seq:
+            raise WriteRefusedError(f"set {seq} is on probation; store it once it is confirmed")
+        self.commands.store(seq)
+
     def on_sample(self, revision: int) -> None:
         """A sample under set revision has arrived: a set that has been seen long enough is confirmed."""
         proven = self.probation.sample(revision)
@@ -100,10 +119,13 @@ class HostRequests:
         if ack.kind == Kind.LEASE:
             return self.lease.on_ack(ack)
         event = self.commands.on_ack(ack)
-        if ack.kind == Kind.CONFIRM and event is not None:
-            self.probation.end()
-            return event if isinstance(event, CommandFailed) else None
-        return event
+        if ack.kind != Kind.CONFIRM or event is None:
+            return event
+        if isinstance(event, CommandFailed):  # the controller would still go back to the set before
+            self.probation.again()
+            return event
+        self.probation.end()
+        return None
 
     def due(self, now_s: float, lease_epoch: int | None) -> tuple[list[Frame], list[Event]]:
         """Frames to send now, the lease's first, and what came to nothing; without lease_epoch none is asked for."""

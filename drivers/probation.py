@@ -23,7 +23,7 @@ class Probation:
         self.seq = None
 
     def again(self) -> None:
-        """The confirmation was not answered: watch on, then confirm once more."""
+        """The confirmation was not answered, or refused: watch on, then confirm once more."""
         self._left = self._samples
 
     def sample(self, revision: int) -> int | None:

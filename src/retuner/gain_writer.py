@@ -173,13 +173,18 @@ class GainWriter:
         self._under_way = wanted
 
     def _to_restore(self, running: RunningSet, now_s: float) -> Wanted | None:
-        """The verified set, unless it runs: then this is the proof of it."""
+        """The verified set, unless it runs: then this is the proof of it.
+
+        It has run before, so it needs no probation; but the controller must hold it for confirmed, for else it may go
+        back to the tried set, which was confirmed when the trial began.
+        """
         self._drop("the gains before are being restored")
         region, gains = self.retuner.region, self._in_table()
         if region is None or gains is None:
             return None
         if change_factor(running.gains, gains) <= self._tolerance:
-            self._restored(running)
+            if self.device.confirm(now_s):
+                self._restored(running)
             return None
         return Wanted(Why.RESTORE, region, gains) if now_s >= self._restore_at_s else None
 

@@ -91,6 +91,10 @@ class ScriptedDevice:
     def store(self, now_s: float) -> None:
         del now_s
 
+    def confirm(self, now_s: float) -> bool:
+        del now_s
+        return True
+
     def finish(self, gains: PidGains) -> None:
         self.writing = False
         self.running = RunningSet(2, gains, 7)

@@ -1,0 +1,85 @@
+"""Ends of a trial that look like the end and are not: what the controller runs a while after the host is content."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from wire import GOOD, OTHER, Wire, is_telemetry
+
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.drivers.checksum import to_wire
+from retuner.drivers.frames import Ack, Kind, Reason
+from retuner.schedule.gains import PidGains
+
+P = TrialPhase
+NEW = PidGains(4 * GOOD.kp, 4 * GOOD.ki)
+
+
+@pytest.fixture
+def make_wire() -> Iterator[Callable[..., Wire]]:
+    made: list[Wire] = []
+
+    def make(**arguments: object) -> Wire:
+        made.append(Wire(**arguments))
+        return made[-1]
+
+    yield make
+    for wire in made:
+        wire.close()
+
+
+def on_trial(wire: Wire, seen: int = 10) -> Wire:
+    """A change is on trial, and has run for so many samples: the controller holds it for confirmed after 6."""
+    wire.ask(NEW)
+    wire.until(P.TRIAL)
+    wire.run(seen)
+    assert wire.runs == to_wire(NEW)
+    return wire
+
+
+def alone(wire: Wire, samples: int = 100) -> None:
+    """The host is gone."""
+    for _ in range(samples):
+        wire.device.step()
+
+
+@pytest.mark.parametrize("seen", [0, 3, 6, 10])
+def test_the_controller_does_not_go_back_to_the_tried_set_when_the_session_is_over(
+    make_wire: Callable[..., Wire], seen: int
+) -> None:
+    wire = on_trial(make_wire(trial_samples=20), seen)
+    wire.end()
+    assert wire.kinds[-1] == "restored"
+    alone(wire)
+    assert wire.runs == to_wire(GOOD)
+
+
+def test_nor_when_the_schedule_had_just_written_the_other_region(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire(trial_samples=20))
+    wire.session.device.send_setpoint(70.0, wire.clock.now_s())
+    wire.until(P.AWAY)
+    while wire.runs != to_wire(OTHER):
+        wire.run(1)
+    wire.end()
+    alone(wire)
+    assert wire.runs == to_wire(OTHER)
+
+
+def test_nor_when_no_sample_comes_that_shows_the_restored_set(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire(trial_samples=20))
+    wire.heard = lambda message: not is_telemetry(message)
+    wire.end()
+    assert wire.kinds[-1] == "restored"
+    alone(wire)
+    assert wire.runs == to_wire(GOOD)
+
+
+def test_a_restored_set_that_is_never_confirmed_is_told(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire(trial_samples=20))
+    wire.device.pages.confirm = lambda frame: Ack(Kind.CONFIRM, frame.seq, Reason.NOT_OWNER, 0)
+    wire.end()
+    assert wire.kinds[-1] == "unrestored"
