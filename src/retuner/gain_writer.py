@@ -144,14 +144,17 @@ class GainWriter:
             self._record("trial", self.t_s, row)
 
     def failed(self, event: WriteFailed, now_s: float) -> TrialEvent | None:
-        """A write did not come about; the cause when that ends a trial, because something unexpected runs."""
+        """A write did not come about; the cause when that ends a trial, because something unexpected runs.
+
+        That may be the tried set, in a region that the loop has come to and the schedule could not write for.
+        """
         write, self._under_way = self._under_way, None
         if write is None:
             return None
         wanted = self._in_table()
         known = wanted is not None and change_factor(event.running.gains, wanted) <= self._tolerance
         self._give_up(write, event.reason, now_s, event.running.gains, written=not known)
-        return TrialEvent.WRITE_UNKNOWN if write.why == Why.RETUNE and not known else None
+        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE and not known else None
 
     def _start(self, running: RunningSet, wanted: Wanted, now_s: float) -> None:
         """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.
