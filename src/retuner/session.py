@@ -5,6 +5,7 @@ run is gain_writer.py's business; here it is decided what ends a trial, and how 
 taken back first, for as long as patience lasts and the link holds.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable
 
@@ -24,6 +25,8 @@ __all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "SAME_GAINS", "Recorder", "Session"]
 
 DECISIONS_KEPT = 5000
 """Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""
+UNSEEN_SAMPLES = 30
+"""Sample times without a sample after which nobody watches a trial any more, though the link may live."""
 END_PATIENCE_SAMPLES = 200
 """Sample times that the end of a session waits for an open write and for the verified set to run again."""
 
@@ -63,6 +66,7 @@ class Session:
         self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._stopping = ""
+        self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
         self._ends_at_s: float | None = None  # when patience is over, once the end has begun
         self._over = False
         self.left_open = ""  # what the session could not bring to its end, in a sentence
@@ -107,9 +111,12 @@ class Session:
         for event in self.device.poll(now_s):
             if isinstance(event, LoopSample):
                 samples += 1
+                self._sampled_s = now_s
                 self._sample(event, now_s)
             else:
                 self._event(event, now_s)
+        if now_s - self._sampled_s > UNSEEN_SAMPLES * self.retuner.settings.sample_time_s:
+            self._abort(TrialEvent.LOST_TELEMETRY)
         self._end(now_s)
         self.writer.keep(now_s)
         return samples
@@ -191,18 +198,19 @@ class Session:
                 return
             self.writer.frozen = True
             self._ends_at_s = now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s
-            self._abort(TrialEvent.STOPPED)
+        self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
         if now_s >= self._ends_at_s and not self._over and not self.finished:
             self._over = True
             self.tell_what_is_open()
 
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
-        if not self.left_open and (self.writer.open or self.writer.restoring):
+        desk = self.retuner.desk
+        if not self.left_open and (self.writer.open or desk.busy):
             self.left_open = "the controller has not reported that it runs the verified gains"
             running = self.device.running
             names = self.table.regions.names
-            body = {"regions": [names[region] for region in self.retuner.desk.restoring],
+            body = {"regions": [names[region] for region in (*desk.undecided, *desk.restoring)],
                     "write_open": self.writer.open, "running": gains_dict(running.gains) if running else None,
                     "reason": self.left_open}  # fmt: skip
             self._record("unrestored", self.writer.t_s, body)

@@ -13,6 +13,8 @@ from wire import GOOD, OTHER, Wire, is_telemetry
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.checksum import to_wire
 from retuner.drivers.frames import Ack, Kind, Reason
+from retuner.drivers.gain_box import GainBox
+from retuner.running import to_the_end
 from retuner.schedule.gains import PidGains
 
 P = TrialPhase
@@ -83,3 +85,53 @@ def test_a_restored_set_that_is_never_confirmed_is_told(make_wire: Callable[...,
     wire.device.pages.confirm = lambda frame: Ack(Kind.CONFIRM, frame.seq, Reason.NOT_OWNER, 0)
     wire.end()
     assert wire.kinds[-1] == "unrestored"
+
+
+def test_samples_that_stay_away_end_the_trial_although_the_link_lives(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire(trial_samples=20))
+    wire.heard = lambda message: not is_telemetry(message)
+    wire.run(60)
+    assert dict(wire.rows)["abort"]["cause"] == "lost_telemetry"
+    assert wire.kinds[-1] == "restored"
+    assert wire.runs == to_wire(GOOD)
+    wire.run(100)
+    assert wire.runs == to_wire(GOOD)
+
+
+def test_a_tried_set_that_cannot_be_replaced_elsewhere_is_given_up_and_told(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire())
+    box, wire.device.pages._box = wire.device.pages._box, GainBox(ratio_max=1.001)
+    wire.session.device.send_setpoint(70.0, wire.clock.now_s())
+    wire.until(P.RESTORING)
+    assert wire.session.writer.restoring
+    wire.device.pages._box = box
+    wire.until(P.COOLING, most=200)
+    assert wire.runs == to_wire(OTHER)
+    assert wire.session.table.gains == (GOOD, OTHER)
+
+
+def test_two_interrupts_at_once_leave_no_trial_untold(make_wire: Callable[..., Wire]) -> None:
+    wire, left = on_trial(make_wire()), [2]
+
+    def once() -> None:
+        if left[0]:
+            left[0] -= 1
+            raise KeyboardInterrupt
+        wire.run(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        to_the_end(wire.session, once)
+    assert wire.runs == to_wire(NEW)
+    assert wire.kinds[-1] == "unrestored"
+    assert wire.rows[-1][1]["regions"] == ["low"]
+    assert wire.session.left_open
+
+
+def test_what_is_decided_when_the_end_has_begun_is_taken_back_as_well(make_wire: Callable[..., Wire]) -> None:
+    wire = make_wire()
+    wire.session.freeze("the disk is full")
+    wire.run(1)
+    wire.ask(NEW)
+    wire.run(5)
+    assert wire.desk.phase(0) is P.COOLING
+    assert wire.runs == to_wire(GOOD)
