@@ -95,10 +95,18 @@ class GainWriter:
         return bool(self.retuner.desk.restoring)
 
     def ask(self, decision: Decision) -> None:
-        """A decision wants its gains written; it waits for the wire."""
-        if decision.gains_after is not None:
-            region = self.retuner.table.regions.names.index(decision.region)
-            self._pending = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after)
+        """A decision wants its gains written; it waits for the wire, unless another one is ahead of it.
+
+        What a person ordered is not on trial: the set before it would count as verified for the change behind it.
+        """
+        if decision.gains_after is None:
+            return
+        region = self.retuner.table.regions.names.index(decision.region)
+        wanted = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after)
+        if self._pending is not None or (self._under_way is not None and self._under_way.why == Why.RETUNE):
+            self._dropped(wanted, "another change is on its way")
+        else:
+            self._pending = wanted
 
     def hold(self, reason: str) -> None:
         """Write no decision for a while."""
@@ -241,10 +249,15 @@ class GainWriter:
     def _drop(self, reason: str) -> None:
         """A decision that waited for the wire is not written."""
         pending, self._pending = self._pending, None
-        if pending is not None and pending.decision is not None:
-            self._record("dropped", self.t_s, {"why": pending.why, "region": self._name(pending.region),
-                                               "decision": pending.decision.digest(), "reason": reason})  # fmt: skip
-            self.retuner.not_written(pending.region)
+        if pending is not None:
+            self._dropped(pending, reason)
+
+    def _dropped(self, wanted: Wanted, reason: str) -> None:
+        """A decision is not written: recorded, and told."""
+        if wanted.decision is not None:
+            self._record("dropped", self.t_s, {"why": wanted.why, "region": self._name(wanted.region),
+                                               "decision": wanted.decision.digest(), "reason": reason})  # fmt: skip
+            self.retuner.not_written(wanted.region)
 
     def _give_up(
         self, wanted: Wanted, reason: str, now_s: float, running: PidGains | None = None, *, written: bool = False

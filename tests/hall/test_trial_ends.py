@@ -8,8 +8,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from wire import GOOD, OTHER, Wire, is_telemetry
+from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry
 
+from retuner.adaptive.by_order import revert
+from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.checksum import to_wire
 from retuner.drivers.frames import Ack, Kind, Reason
@@ -135,3 +137,17 @@ def test_what_is_decided_when_the_end_has_begun_is_taken_back_as_well(make_wire:
     wire.run(5)
     assert wire.desk.phase(0) is P.COOLING
     assert wire.runs == to_wire(GOOD)
+
+
+def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make_wire: Callable[..., Wire]) -> None:
+    wire = make_wire()
+    ordered, ours = PidGains(1.5 * GOOD.kp, 1.5 * GOOD.ki), wire.session.retuner
+    wire.asked.append(revert(ours, 0, ordered, wire.clock.now_s()))
+    wire.run(1)
+    assert wire.session.writer.open
+    wire.session._decided(ours.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE))
+    wire.run(20)
+    assert wire.desk.phase(0) is P.IDLE
+    assert dict(wire.rows)["dropped"]["reason"] == "another change is on its way"
+    wire.end()
+    assert wire.runs == to_wire(ordered)
