@@ -247,12 +247,12 @@ class CanDevice:
         """Put a frame on the bus; what is lost is sent again by whoever waits for its answer."""
         self.link.send(self._codec.encode(frame))
 
-    def begin_write(self, gains: PidGains, now_s: float) -> int:
+    def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
         """Start the two-phase write: see device.Device."""
         running, epoch = self._belief.running, self._belief.epoch
         if running is None or epoch is None or not self.connected:
             raise WriteRefusedError(f"{self._where}: not connected, what runs is unknown; wait for LinkChanged(UP)")
-        if self._joiner.arrivals.state is Stream.INVALID:
+        if self._joiner.arrivals.state is Stream.INVALID and not back:
             raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
         try:
             seq = self._joiner.ordered = self._requests.begin_write(gains, running, epoch)

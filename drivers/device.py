@@ -209,8 +209,10 @@ class Device(Protocol):
         """
         ...
 
-    def begin_write(self, gains: PidGains, now_s: float) -> int:
+    def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
         """Start the two-phase write of a gain set; WriteDone or WriteFailed with the returned sequence number follows.
+
+        back : it is the way back to a verified set, which bad telemetry does not close: the write has its own checks.
 
         Raises
         ------

@@ -177,7 +177,7 @@ class GainWriter:
         if self.frozen and wanted.why != Why.RESTORE:
             return
         try:
-            self.device.begin_write(wanted.gains, now_s)
+            self.device.begin_write(wanted.gains, now_s, back=wanted.why == Why.RESTORE)
         except WriteRefusedError as error:
             self._give_up(wanted, str(error), now_s)
             return

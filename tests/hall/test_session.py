@@ -68,8 +68,8 @@ class ScriptedDevice:
         events, self.events = self.events, []
         return events
 
-    def begin_write(self, gains: PidGains, now_s: float) -> int:
-        del now_s
+    def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
+        del now_s, back
         if self.refuse:
             raise WriteRefusedError("no")
         self.log.lines.append(("begin_write", gains))
