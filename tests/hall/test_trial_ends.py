@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import can
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -18,6 +19,7 @@ from retuner.drivers.frames import Ack, Kind, Reason
 from retuner.drivers.gain_box import GainBox
 from retuner.running import to_the_end
 from retuner.schedule.gains import PidGains
+from retuner.schedule.table import Lookup
 
 P = TrialPhase
 NEW = PidGains(4 * GOOD.kp, 4 * GOOD.ki)
@@ -151,3 +153,35 @@ def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make
     assert dict(wire.rows)["dropped"]["reason"] == "another change is on its way"
     wire.end()
     assert wire.runs == to_wire(ordered)
+
+
+@pytest.mark.parametrize("share", [1.015, 1.05])
+def test_in_an_interpolated_table_a_small_change_is_taken_back_as_well(
+    make_wire: Callable[..., Wire], share: float
+) -> None:
+    wire = make_wire(lookup=Lookup.INTERPOLATED)
+    before = wire.runs
+    wire.ask(PidGains(share * GOOD.kp, share * GOOD.ki))
+    wire.until(P.TRIAL)
+    assert wire.runs != before
+    wire.end()
+    assert wire.runs == before
+
+
+def test_the_way_back_is_open_while_the_telemetry_is_garbage(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire())
+    step = wire.device.step
+
+    def garbled() -> list[can.Message]:
+        return [
+            can.Message(arbitration_id=m.arbitration_id, data=b"\x55" + m.data[1:], is_extended_id=False)
+            if is_telemetry(m)
+            else m
+            for m in step()
+        ]
+
+    wire.device.step = garbled
+    wire.run(60)
+    assert dict(wire.rows)["restore"]["cause"] == "lost_telemetry"
+    assert wire.kinds[-1] == "restored"
+    assert wire.runs == to_wire(GOOD)
