@@ -68,20 +68,30 @@ def _before(log: Path | None) -> Path | None:
 
 def to_the_end(session: Session, once: Callable[[], None]) -> None:
     """Turn until the session is over. Ctrl-C lets it end: an undecided change is taken back first; a second one does
-    not wait for that (the controller's own trial time, or the next session, then does it).
+    not wait for that (the controller's own trial time, or the next session, then does it). A defect of ours lets it end
+    in the same way, before it is told.
     """
     try:
         while not session.finished:
             once()
     except KeyboardInterrupt:
-        if session.samples:
-            session.stop("stopped by the user")
-            try:
-                while not session.finished:
-                    once()
-            finally:
-                session.tell_what_is_open()
+        session.stop("stopped by the user")
+        _end(session, once)
         raise
+    except BaseException as defect:
+        session.fail(f"{type(defect).__name__}: {defect}")
+        _end(session, once)
+        raise
+
+
+def _end(session: Session, once: Callable[[], None]) -> None:
+    """The turns that a session which was told to end still needs."""
+    if session.samples:
+        try:
+            while not session.finished:
+                once()
+        finally:
+            session.tell_what_is_open()
 
 
 class Run:

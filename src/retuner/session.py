@@ -66,6 +66,8 @@ class Session:
         self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._stopping = ""
+        self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
+        self._broken = False
         self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
         self._ends_at_s: float | None = None  # when patience is over, once the end has begun
         self._over = False
@@ -99,6 +101,11 @@ class Session:
         """Come to an end: an undecided change is taken back, and `finished` says when that is done."""
         self._stopping = self._stopping or reason
 
+    def fail(self, reason: str) -> None:
+        """Come to an end after a defect: no sample is looked at any more, and the verified set comes back."""
+        self._broken = True
+        self.stop(reason)
+
     def poll(self, now_s: float) -> int:
         """Take what the device has to tell; returns the number of samples among it.
 
@@ -108,7 +115,9 @@ class Session:
             Before the first connection: nobody answers, or the wrong controller does.
         """
         samples = 0
-        for event in self.device.poll(now_s):
+        self._events += self.device.poll(now_s)
+        while self._events:
+            event = self._events.popleft()
             if isinstance(event, LoopSample):
                 samples += 1
                 self._sampled_s = now_s
@@ -132,6 +141,8 @@ class Session:
         """One sample of the loop: play the scenario, watch, decide."""
         self.writer.t_s = sample.t_s
         self.samples += 1
+        if self._broken:
+            return
         for step in self.scenario.due(sample.t_s):
             if step.sp is not None:
                 self.device.send_setpoint(step.sp, now_s)

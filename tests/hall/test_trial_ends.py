@@ -185,3 +185,32 @@ def test_the_way_back_is_open_while_the_telemetry_is_garbage(make_wire: Callable
     assert dict(wire.rows)["restore"]["cause"] == "lost_telemetry"
     assert wire.kinds[-1] == "restored"
     assert wire.runs == to_wire(GOOD)
+
+
+@pytest.mark.parametrize("where", ["_seen", "_observe", "progress", "judge"])
+def test_a_defect_of_ours_takes_the_change_back_before_it_is_told(make_wire: Callable[..., Wire], where: str) -> None:
+    wire = on_trial(make_wire())
+    session = wire.session
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError(where)
+
+    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.desk, "look")}
+    setattr(*owners.get(where, (session.retuner, where)), broken)
+    if where == "_seen":
+        session.device.send_setpoint(55.0, wire.clock.now_s())
+    with pytest.raises(ZeroDivisionError, match=where):
+        to_the_end(session, lambda: wire.run(1))
+    assert wire.runs == to_wire(GOOD)
+    assert wire.kinds[-1] == "restored"
+
+
+def test_a_defect_that_stays_is_told_as_what_is_open(make_wire: Callable[..., Wire]) -> None:
+    wire = on_trial(make_wire())
+
+    def once() -> None:
+        raise OSError("the bus is on fire")
+
+    with pytest.raises(OSError, match="on fire"):
+        to_the_end(wire.session, once)
+    assert wire.kinds[-1] == "unrestored"
