@@ -19,6 +19,7 @@ from retuner.cli_records import diagnose, identify
 from retuner.cli_session import approve, ledger, replay, report
 from retuner.cli_tune import tune
 from retuner.errors import UserError, one_line
+from retuner.streams import open_streams
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h: a defect of ours, told apart from 1 and 2
@@ -156,6 +157,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status. Arguments are those of the process unless given."""
     for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(library, "1")  # fits are thousands of small matrices, which threads only slow down
+    open_streams()
     if not os.environ.get("RETUNER_TRACEBACK"):
         sys.excepthook = _tell_internal_error
     try:

@@ -1,5 +1,8 @@
 """What a run shows on the screen: progress, each decision in a line, and at the end a table per region."""
 
+import sys
+from typing import TextIO, cast
+
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -10,11 +13,17 @@ from retuner.adaptive.sample import LoopSample
 from retuner.explain import cause_text, change_text, model_text, short_settings
 from retuner.report import ms_text
 from retuner.scores import RegionScore
+from retuner.streams import LastingStream
 
 UNDONE = "UNDONE"
 COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
 REFRESH_SAMPLES = 50
 """The progress line is renewed every so many samples; more would cost more than the control loop."""
+
+
+def screen_console(*, stderr: bool) -> Console:
+    """A console on stdout, or stderr, that may go away under a run without ending it."""
+    return Console(file=cast("TextIO", LastingStream(sys.stderr if stderr else sys.stdout)), highlight=False)
 
 
 class RunScreen:
@@ -31,7 +40,8 @@ class RunScreen:
         self._quiet = quiet
         self._progress = Progress(
             TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
-            TextColumn("{task.fields[state]}"), TimeElapsedColumn(), console=console, disable=quiet, transient=True,
+            TextColumn("{task.fields[state]}"), TimeElapsedColumn(), console=console,
+            disable=quiet or not console.is_terminal, transient=True,
         )  # fmt: skip
         self._task: TaskID | None = None
         self._samples = 0

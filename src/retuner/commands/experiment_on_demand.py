@@ -4,13 +4,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.assembly import make_plant
 from retuner.commands.run import RunOptions, overridden
 from retuner.config import Config, load_config
-from retuner.console import RunScreen
+from retuner.console import RunScreen, screen_console
 from retuner.drivers.device import DeviceError
 from retuner.errors import UserError, user_input
 from retuner.experiment.bench import Bench, live, simulated
@@ -61,8 +59,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemand, question: Question) -> 
     speed = real_time_speed(options.speed, simulated=in_process)
     plan = plan_for(config, kind, options)
     folder = options.out or Path(f"{config.output.directory}-experiment")
-    console = Console(stderr=options.as_json, highlight=False)
-    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json)
+    screen = RunScreen(screen_console(stderr=options.as_json), config.loop.pv_unit, quiet=options.as_json)
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:

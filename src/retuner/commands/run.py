@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from rich.console import Console
-
 from retuner.adaptive.decision import Mode, gains_dict
 from retuner.adaptive.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.sample import LoopSample
@@ -17,7 +15,7 @@ from retuner.assembly import make_plant
 from retuner.commands.check import summary
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
-from retuner.console import RunScreen, scores_table
+from retuner.console import RunScreen, scores_table, screen_console
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
@@ -81,8 +79,7 @@ def run(path: Path, options: RunOptions) -> int:
         make_plant(config)
     speed = real_time_speed(options.speed, simulated=simulated)
     folder = options.out or Path(config.output.directory)
-    console = Console(stderr=options.as_json)
-    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json)
+    screen = RunScreen(screen_console(stderr=options.as_json), config.loop.pv_unit, quiet=options.as_json)
     require_writer(config.output.trend)
     fresh = fresh_folder(folder)
     try:
