@@ -6,11 +6,11 @@ and, at the start, the proposals and decisions of the session before it in the s
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Reversible
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from retuner.adaptive.decision import Decision, Mode, gains_dict
+from retuner.adaptive.decision import Action, Decision, Mode, gains_dict
 from retuner.adaptive.proposal import Proposal, Standing
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
@@ -69,8 +69,8 @@ class OrderDesk:
     """
 
     def __init__(
-        self, box: OrderBox, retuner: Retuner, record: Recorder, decisions: Iterable[Decision], expires_after_s: float,
-        before: Before | None = None,
+        self, box: OrderBox, retuner: Retuner, record: Recorder, decisions: Reversible[Decision],
+        expires_after_s: float, before: Before | None = None,
     ) -> None:  # fmt: skip
         self._box = box
         self._retuner = retuner
@@ -163,9 +163,15 @@ class OrderDesk:
             return {"proposal": None}, f"no proposal {digest[:8]} in this session"
         proposal = Proposal.of(decision)
         if proposal is None:
-            reason = self._not_at(decision.region, TrialPhase.WAITING)
+            reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
             return {"region": decision.region, "proposal": None}, reason
         return {"region": proposal.region, "proposal": proposal.to_dict()}, ""
+
+    def _not_tried(self, decision: Decision) -> str:
+        """Why an approval finds nothing to release, empty when the decision is the region's newest change."""
+        changes = (d for d in reversed(self._decisions) if d.region == decision.region and d.action is Action.COMMIT)
+        named = next(changes, None) is decision
+        return "" if named else f"{decision.region} waits for a word on another change than this one"
 
     def _not_at(self, region: str, phase: TrialPhase) -> str:
         """Why an order finds nothing to do, empty when the region is in the phase that it is for."""
