@@ -76,7 +76,8 @@ def _doubt(
         reason = f"an unexplained disturbance: {loads:.0f} load steps and still {left:.1f} times the noise is left"
         return Cause.UNKNOWN, reason
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
-    if evidence.get("external_left", math.inf) < as_good * left:
+    as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
+    if as_likely and evidence["external_left"] < as_good * left:
         return Cause.EXTERNAL, "load steps explain the record, but an oscillation from outside does it better"
     if oscillates and not steps:
         return Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning"

@@ -83,6 +83,15 @@ def test_tuning_is_told_from_load_steps_alone() -> None:
     assert found.diagnosis.cause == Cause.AGGRESSIVE, found.diagnosis.reason
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_short_record_of_one_load_step_is_not_a_tone_by_chance(seed: int) -> None:
+    """The parameters of a tone leave a few percent less of so short a record: no reason to believe in it."""
+    gains = times(0.5, 0.35)
+    found = diagnose_window(loop(gains, load=lambda i: 1.0 if i >= 60 else 0.0, seed=seed, n=260), gains)
+    assert found.diagnosis.evidence["external_left"] < 0.98 * found.diagnosis.evidence["linear_left"]
+    assert found.diagnosis.cause == Cause.SLUGGISH, found.diagnosis.reason
+
+
 @pytest.mark.parametrize("sp", [zero, to_and_fro])
 def test_a_tone_from_outside_is_not_the_tuning(sp: Signal) -> None:
     window = loop(sp=sp, out=lambda i: 0.3 * np.sin(2 * np.pi * i * DT / 31.0))
