@@ -2,7 +2,7 @@
 
 The proposal is the robust one (robust_settings.py) on the models that the records still allow, on line as off line. A
 region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
-model that is still allowed is made safer without waiting for a better record.
+model that is still allowed is given less of everything without waiting for a better record.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from retuner.adaptive.belief import Belief
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
 from retuner.adaptive.estimate import LogModel
+from retuner.adaptive.guard.parameters import less_of_everything
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel
@@ -47,6 +48,7 @@ def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: Retuner
     diagnosis = tuning_cause(later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2), cause)
     ready = belief.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
+        and less_of_everything(in_force, tuning.gains)
         and over_limit(belief.plausible, in_force, dt_s, robust.believed, cause.ms_high)
     )
     return RobustProposal(tuning, diagnosis, ready)

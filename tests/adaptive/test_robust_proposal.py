@@ -62,3 +62,12 @@ def test_too_little_known_gives_nothing_unless_the_loop_is_in_danger_on_every_al
     for factor, cause, ready in times:
         assert of(vague, PidGains(best.kp * factor, best.ki * factor))[1:] == (cause, ready)
     assert of(replace(vague, identifiable=True), PidGains(best.kp * 0.3, best.ki * 0.3))[2]
+
+
+def test_too_little_known_never_gives_more_gain_whatever_the_danger() -> None:
+    level = ProcessModel(ProcessType.INTEGRATING, 0.6, 0.0, 0.0, 0.4)
+    swinging = PidGains(0.3, 0.1)  # k' Kc tau_I = 0.5: the cure is more gain
+    gains, cause, ready = of(known(level, 0.05), swinging)
+    assert (cause, ready) == (Cause.SLOW_INTEGRATING, True)
+    assert gains.kp > swinging.kp
+    assert not of(known(level, 0.05, identifiable=False), swinging)[2]
