@@ -17,7 +17,8 @@ discarded for good; what is known is that of the structure which leads.
 A record that contradicts what is known is not believed at once: it is kept as a rival. When the next record agrees
 with the rival better than with the belief, the process has changed (or the first record was wrong), and the rival
 takes over; when it agrees with the belief, the odd record is forgotten. Only a loop that is in danger by what the odd
-record says does not wait: then the record is believed, and what was known is the rival.
+record says does not wait: then the record is believed, and what was known is the rival. And where no settings could
+follow from what was known, it gives way at once to a record that contradicts it and settles the process by itself.
 """
 
 import math
@@ -152,7 +153,7 @@ def learn(
     if joined.innovation <= gate(len(belief.log.x), settings.gate):
         return Learned(joined.belief(belief.records + 1, lesson, points), joined.estimate, Surprise.AGREES,
                        joined.innovation)  # fmt: skip
-    if not belief.records:
+    if not belief.records or (lesson.alone.identifiable and not belief.identifiable):
         return _first(lesson)
     return _contradicted(belief, lesson, joined.innovation, points, in_force)
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +168,16 @@ def test_a_wrong_first_record_does_not_lock_the_region(loop: Callable) -> None:
     assert said == [Surprise.ODD, Surprise.CHANGED]
     assert belief is not None
     assert belief.log.model().k == pytest.approx(1.0, rel=0.1)
+
+
+def test_what_settled_nothing_gives_way_at_once_to_a_record_that_does(loop: Callable) -> None:
+    wrong = learn(None, records(loop, 1, k=3.0)[0], UP, STILL, FIT).belief
+    assert wrong is not None
+    learned = learn(replace(wrong, identifiable=False), records(loop, 1, first=2)[0], UP, STILL, FIT)
+    assert learned.surprise == Surprise.FIRST
+    assert learned.belief is not None
+    assert learned.belief.records == 1
+    assert learned.belief.log.model().k == pytest.approx(1.0, rel=0.1)
 
 
 def test_slow_fouling_is_followed(loop: Callable) -> None:
