@@ -22,7 +22,7 @@ from retuner.adaptive.watcher import WatcherState
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
 
-VERSION = 4
+VERSION = 5
 """Of this layout; newer ones are refused."""
 
 
@@ -44,7 +44,9 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "standing": {
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
-        "excitation": {str(region): [e.setpoints, e.loads, e.asked] for region, e in retuner.excitation.items()},
+        "excitation": {
+            str(region): [e.setpoints, e.loads, e.asked, e.clear] for region, e in retuner.excitation.items()
+        },
     }
 
 
@@ -68,8 +70,8 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             for region, (cause, period_s, t_s, reason) in memory["standing"].items()
         }
         retuner.excitation = {
-            int(region): Excitation(int(setpoints), int(loads), int(asked))
-            for region, (setpoints, loads, asked) in memory["excitation"].items()
+            int(region): Excitation(*(int(count) for count in counts))
+            for region, counts in memory["excitation"].items()
         }
         watcher = WatcherState(
             region=_region_in(memory["region"]),

@@ -93,6 +93,8 @@ class Outcome:
     numbers: dict[str, float] = field(default_factory=dict)
 
 
+ANEW = frozenset({Surprise.FIRST, Surprise.OPENED, Surprise.CHANGED})
+"""After these the model rests on nothing that came before."""
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
 
@@ -161,8 +163,9 @@ def _lent(case: Case, settings: RetunerSettings) -> Belief | None:
 
 def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings: RetunerSettings) -> Outcome:
     """What is known decides; before gains change, a case that is not clear is put to the whole diagnosis."""
-    known = Excitation() if learned.surprise == Surprise.CHANGED else case.excitation
-    excitation = known.with_response(case.response)
+    known = Excitation() if learned.surprise in ANEW else case.excitation
+    clear = is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing)
+    excitation = known.with_response(case.response, clear=clear)
     log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
     wanted = propose(belief, log, case.in_force, settings)
     if not wanted.ready:
@@ -171,8 +174,11 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)
-    if _is_sure(case, outcome.verdict, learned, belief, left, excitation, settings):
+    if clear or _is_sure(case, outcome.verdict, learned, belief, excitation, settings):
         return replace(outcome, belief=belief, excitation=excitation)
+    earlier = _was_known(case, learned, known, settings)
+    if earlier is not None:
+        return replace(earlier, belief=belief, excitation=excitation)
     doubt, excitation = unconfirmed(
         case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
     )
@@ -183,13 +189,12 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
 
 
 def _is_sure(
-    case: Case, verdict: Verdict, learned: Learned, belief: Belief, left: float, excitation: Excitation,
-    settings: RetunerSettings,
-) -> bool:  # fmt: skip
-    """Whether a change needs no confirmation by the whole diagnosis (see diagnosis/confirmation.py)."""
-    loads, swing = len(learned.estimate.load_times_s), settings.swing
+    case: Case, verdict: Verdict, learned: Learned, belief: Belief, excitation: Excitation, settings: RetunerSettings
+) -> bool:
+    """Whether a change by a response that is not clear needs no confirmation (see diagnosis/confirmation.py)."""
+    swing = settings.swing
     seen = (case.samples, case.response)
-    if is_clear(*seen, left, loads, swing) or runs_away(*seen, learned.estimate.explained, swing):
+    if runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
     if is_safer_and_known(verdict.ruling, agrees, excitation, calm):
@@ -200,6 +205,21 @@ def _is_sure(
         and touches_limits(case.samples, case.response, settings.limit_swing)
         and at_own_crossover(case.response, model, case.in_force, settings.limit_swing)
     )
+
+
+def _was_known(case: Case, learned: Learned, known: Excitation, settings: RetunerSettings) -> Outcome | None:
+    """The change that was known to be due before this response, by a clear case with which it agrees; None when none.
+
+    known : what the earlier model rests on.
+    """
+    before = case.beliefs.get(case.region)
+    if before is None or not known.clear or learned.surprise != Surprise.AGREES:
+        return None
+    wanted = propose(before, predicted(before, float(case.window.t_s[-1]), settings.tracker), case.in_force, settings)
+    if not before.identifiable:
+        return None
+    outcome = _tuned(case, learned, before, wanted, settings)
+    return outcome if outcome.verdict is not None and outcome.verdict.accepted else None
 
 
 def _tuned(case: Case, learned: Learned, belief: Belief, wanted: RobustProposal, settings: RetunerSettings) -> Outcome:

@@ -62,7 +62,9 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
     if learned.belief is None:
         return Outcome(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.beliefs[region] = learned.belief
-    retuner.excitation[region] = Excitation(setpoints=1)  # a step from rest: what it shows is the loop's own doing
+    retuner.excitation[region] = Excitation(
+        setpoints=1, clear=1
+    )  # a step from rest: what it shows is the loop's own doing
     wanted = propose(learned.belief, predicted(learned.belief, t_s, settings.tracker), in_force, settings)
     if not wanted.ready:
         return Outcome(NOT_KNOWN, f"{WORDS}: {learned.belief.reason}", learned, diagnosis=wanted.diagnosis)

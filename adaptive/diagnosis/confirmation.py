@@ -4,6 +4,8 @@
                  most one load step; or the change makes a loop safer that is over its limit, and a setpoint step is
                  among what the model rests on and this response agrees with it, or the loop runs away at such a step,
                  or it swings at its own crossover between the output's limits (limit_swing.py)
+    known        a clear case before this response already called for a change that its model proves (the rest of a
+                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest. When it does not, nothing is learned from loads until there were twice
@@ -34,21 +36,25 @@ class Excitation:
     """How many responses of each kind the model of a region rests on.
 
     asked : of the load responses, how many there were when the diagnosis last did not name the tuning; 0 for never.
+    clear : of the setpoint responses, how many were clear (see is_clear).
     """
 
     setpoints: int = 0
     loads: int = 0
     asked: int = 0
+    clear: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("setpoints", "loads", "asked"):
+        for name in ("setpoints", "loads", "asked", "clear"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
 
-    def with_response(self, response: Response) -> "Excitation":
+    def with_response(self, response: Response, *, clear: bool = False) -> "Excitation":
         """One more."""
         setpoint = bool(response.sp_changed)
-        return replace(self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint))
+        return replace(
+            self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint), clear=self.clear + clear
+        )
 
 
 def is_clear(
@@ -135,8 +141,25 @@ def unconfirmed(
         return _unknown(reason, excitation), excitation
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
-    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
+    found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
     return (None, excitation) if found.retune else (found, replace(excitation, asked=excitation.loads))
+
+
+def from_rest(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:
+    """Without the motion with which a stretch begins: its cause lies before it, so nothing in it explains the motion.
+
+    samples : a stretch that holds the response. Whole when the loop never was at rest before the response.
+    """
+    needed_s = settings.rest * (response.t_end_s - response.t_start_s)
+    since = 0
+    for i, sample in enumerate(samples):
+        if sample.t_s >= response.t_start_s:
+            break
+        if abs(sample.sp - sample.pv) > response.band:
+            since = i + 1
+        elif sample.t_s - samples[since].t_s >= needed_s:
+            return samples[since:]
+    return samples
 
 
 def _unknown(reason: str, excitation: Excitation) -> Diagnosis:

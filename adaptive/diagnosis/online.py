@@ -42,6 +42,8 @@ class SwingSettings:
     same_gains : a stretch ends where other gains ran; False for interpolated tables, whose gains move with the loop.
     restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
         0.02 to 0.5, default 0.1.
+    rest : share of a response's length for which the loop must have kept to its noise band to have been at rest; 0.05
+        to 1, default 0.25.
     loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
     grows : damping of a setpoint response, or overshoot of one of two peaks, from which the loop runs away; 1 to 1.5,
         default 1.05.
@@ -63,6 +65,7 @@ class SwingSettings:
     fewest_loads: int = 2
     same_gains: bool = True
     restless: float = 0.1
+    rest: float = 0.25
     loads_beside: int = 1
     grows: float = 1.05
     growth_explained: float = 0.99

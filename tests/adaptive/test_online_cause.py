@@ -10,6 +10,7 @@ from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.confirmation import (
     Excitation,
+    from_rest,
     is_clear,
     is_safer_and_known,
     runs_away,
@@ -138,6 +139,17 @@ def test_a_load_response_near_the_noise_changes_nothing() -> None:
     doubt, _ = unconfirmed(samples([0.0] * 101), small, GOOD, Excitation(loads=5), SWING, DIAGNOSIS)
     assert doubt is not None
     assert "noise bands" in doubt.reason
+
+
+def test_a_stretch_begins_where_the_loop_came_to_rest() -> None:
+    load = response(1.0, end_s=100.0)  # from 90 s on
+    moving, still = [1.0] * 40, [0.05] * 61
+    assert from_rest(samples(moving + still), load, SWING)[0].t_s == 40.0
+    assert from_rest(samples([0.0] * 101), load, SWING)[0].t_s == 0.0
+    never = samples([1.0] * 101)
+    assert from_rest(never, load, SWING) == never
+    too_late = samples([1.0] * 89 + [0.05] * 12)
+    assert from_rest(too_late, load, SWING) == too_late
 
 
 def test_after_a_doubt_loads_are_thinned_until_there_were_twice_as_many() -> None:

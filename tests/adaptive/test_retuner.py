@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import pytest
 
+from retuner.adaptive import pipeline
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.margins import sensitivity_peak
@@ -17,6 +18,7 @@ from retuner.adaptive.response import Ending
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.tracker import Surprise
 from retuner.schedule.forms import SeriesGains
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -93,6 +95,17 @@ def test_wrong_gains_are_cured_for_their_cause(kp: float, ki: float, cause: Caus
     assert final.ki / (sign * GOOD.ki) == pytest.approx(1.0, rel=0.25)
     assert bench.retuner.table.revision == len(committed)
     assert bench.retuner.table.gains_of(1) == start
+
+
+def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains of a quarter: the setpoint step shows it, and each change may double them; the load adds no proof."""
+    monkeypatch.setattr(pipeline, "unconfirmed", None)  # nobody asks
+    bench = made(scaled(0.25, 0.25))
+    found = bench.run(400) + bench.run(600, 1.0) + bench.run(600, 1.0, 2.0)
+    steps = [d for d in found if d.action == Action.COMMIT]
+    assert [bool(d.response and d.response.sp_changed) for d in steps] == [True, False]
+    assert steps[1].surprise == Surprise.AGREES
+    assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
 
 
 def test_good_gains_are_left_alone() -> None:

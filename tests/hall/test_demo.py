@@ -12,8 +12,8 @@ from retuner.running import Run, nothing
 from retuner.scores import region_scores, twin_steps
 
 MS_ANYWHERE = 1.85
-"""A region is tuned to Ms 1.6 for its mean; one set serves two setpoints, and at the worse of them Ms is 1.79 to 1.81 in
-the middle region on every seed tried (1, 101 to 106)."""
+"""A region is tuned to Ms 1.6 for its mean; one set serves two setpoints, and at the worse of them Ms is 1.79 to 1.81
+in the middle region on every seed tried (1, 101 to 106)."""
 OVEN = Path(__file__).parents[2] / "examples" / "oven.toml"
 
 
