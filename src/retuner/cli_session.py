@@ -87,7 +87,7 @@ def show(
     kind: Annotated[str | None, typer.Option(help="Only rows of this kind: decision, order, committed, ...")] = None,
     json: Json = False,
 ) -> int:
-    """Who, when, why, from what to what, on what evidence, with what verdict: a line a row."""
+    """Who, when, why, from what to what, on what evidence, with what verdict: row by row."""
     from retuner.commands.ledger_show import Selection
     from retuner.commands.ledger_show import show as work
 

@@ -1,10 +1,12 @@
 """What a run shows on the screen: progress, each decision in a line, and at the end a table per region."""
 
 import sys
+from collections.abc import Iterable, Mapping
 from typing import TextIO, cast
 
 from rich.console import Console
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -17,6 +19,8 @@ from retuner.streams import LastingStream
 
 UNDONE = "UNDONE"
 COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
+MOST_CHARACTERS = 1000
+"""Longer lines of a table are folded all the same."""
 REFRESH_SAMPLES = 50
 """The progress line is renewed every so many samples; more would cost more than the control loop."""
 
@@ -81,6 +85,25 @@ class RunScreen:
         """A line of plain text."""
         if not self._quiet:
             self._progress.console.print(escape(text), highlight=False, soft_wrap=True)
+
+    def table(self, table: Table) -> None:
+        """A table with all its numbers: where the screen is narrower its lines run over, and nothing is cut."""
+        if not self._quiet:
+            wide = self.console.options.update(max_width=MOST_CHARACTERS)
+            table.width = Measurement.get(self.console, wide, table).maximum
+            self._progress.console.print(table, crop=False)
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things, as people write it."""
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def told_values(body: Mapping[str, object], names: Iterable[str]) -> str:
+    """The named values of a row that say something, in the order of the names."""
+    values = {name: body[name] for name in names if body.get(name) not in (None, "")}
+    words = {name: ("yes" if v else "no") if isinstance(v, bool) else v for name, v in values.items()}
+    return ", ".join(f"{name} {value}" for name, value in words.items())
 
 
 def live_line(decision: Decision) -> str:

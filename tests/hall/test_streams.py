@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from retuner.console import RunScreen, screen_console
+from retuner.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.schedule.gains import PidGains
+from retuner.scores import RegionScore
 from retuner.streams import LastingStream, open_streams
 
 
@@ -83,3 +85,22 @@ def test_a_run_goes_on_when_its_screen_goes_away(monkeypatch: pytest.MonkeyPatch
             screen.say(text)
 
     assert broken.getvalue() == "shown\n"
+
+
+def test_a_narrow_screen_cuts_no_number(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    gains = PidGains(kp=0.425, ki=0.0017, kd=0.0)
+    score = RegionScore("a region with a long name", gains, gains, 12, 1.12, 1.25, 4230.0, 1140274.0)
+
+    RunScreen(screen_console(stderr=False), "bar").table(scores_table([score], "bar"))
+
+    shown = capsys.readouterr().out
+    assert "a region with a long name 0.425, 250" in shown
+    assert "1.12   1.25 1,140,274   4,230" in shown
+
+
+def test_rows_are_told_without_empty_values() -> None:
+    body = {"accepted": True, "order": "approve", "by": "root", "reason": "", "at": "2026"}
+    assert told_values(body, ("order", "by", "accepted", "reason")) == "order approve, by root, accepted yes"
+    assert told_values({"regions": ["low"]}, ("regions",)) == "regions ['low']"
+    assert [counted(number, "change") for number in (1, 2)] == ["1 change", "2 changes"]

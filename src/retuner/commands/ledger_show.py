@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -46,6 +47,8 @@ class Selection:
                 raise UserError(f"--kind {self.kind}: no row is of this kind; there are {', '.join(kinds)}")
             rows = [row for row in rows if row.kind == self.kind]
         if self.since_s is not None:
+            if math.isnan(self.since_s):
+                raise UserError("--since nan: give seconds of the run")
             rows = [row for row in rows if row.clock_s >= self.since_s]
         return rows if self.decision is None else list(self._about(rows, self.decision))
 
@@ -86,7 +89,10 @@ def show(session: Path, selection: Selection, *, as_json: bool) -> int:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
     else:
         console = Console()
-        console.print(_table([told(row) for row in chosen]) if console.width >= WIDE else _list(chosen))
+        if console.width >= WIDE:
+            console.print(_table([told(row) for row in chosen]))
+        elif chosen:
+            console.print(_list(chosen), highlight=False, soft_wrap=True)
         ending = f"broken: {broken}" if broken else "the chain holds"
         console.print(
             f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
@@ -129,7 +135,7 @@ def export(session: Path, *, as_csv: Path | None, as_jsonl: Path | None) -> int:
     """
     path = ledger_path(session)
     if (as_csv is None) == (as_jsonl is None):
-        raise UserError("give --csv FILE or --jsonl FILE")
+        raise UserError("give --csv FILE or --jsonl FILE, one of them")
     target = as_csv or as_jsonl
     assert target is not None
     if target.exists():

@@ -15,7 +15,7 @@ from retuner.assembly import make_plant
 from retuner.commands.check import summary
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
-from retuner.console import RunScreen, scores_table, screen_console
+from retuner.console import RunScreen, counted, scores_table, screen_console, told_values
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
@@ -187,7 +187,7 @@ def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session |
         if kind == "decision" and session is not None:
             screen.decision(session.decisions[-1])
         elif kind in TOLD:
-            screen.say(f"{t_s:8,.0f} s {kind}: " + ", ".join(f"{k} {v}" for k, v in body.items() if k in TOLD[kind]))
+            screen.say(f"{t_s:8,.0f} s {kind}: {told_values(body, TOLD[kind])}")
 
     return record
 
@@ -247,10 +247,10 @@ def _leave(
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
-    screen.console.print(scores_table(scores, config.loop.pv_unit))
-    screen.console.print(f"{len(session.decisions)} decisions, {len(session.commits)} changes of gains; "
-                         f"report: {folder / REPORT}", highlight=False)  # fmt: skip
-    screen.console.print(f"ledger head {ledger.head()}", highlight=False)
+    screen.table(scores_table(scores, config.loop.pv_unit))
+    done = f"{counted(len(session.decisions), 'decision')}, {counted(len(session.commits), 'change')} of gains"
+    screen.say(f"{done}; report: {folder / REPORT}")
+    screen.say(f"ledger head {ledger.head()}")
 
 
 def advice_of(session: Session) -> tuple[RegionAdvice, ...]:
