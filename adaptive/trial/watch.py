@@ -8,9 +8,11 @@ Half waves of the error beyond twice the noise band are followed; r is the ratio
     limit to limit, limit_swings times RUNAWAY   the output goes back and forth between its limits
     at one limit for limited_s         SATURATED the trial shows nothing of the gains
 
-All counts begin anew with a setpoint change, and after a rest: when the error kept to its band for longer than the half
-wave before took, what comes is another upset. `grows` and `stays` are never below what was promised, nor below what
-the gains before did on the best model: then undoing would be no cure. Six comparisons a sample.
+All counts begin anew with a setpoint change that could make such a swing, not with one that is small against it (a
+setpoint that another loop moves at every sample would blind the watch), and after a rest: when the error kept to its
+band for longer than the half wave before took, what comes is another upset. `grows` and `stays` are never below what
+was promised, nor below what the gains before did on the best model: then undoing would be no cure. Six comparisons a
+sample.
 """
 
 import math
@@ -23,6 +25,8 @@ from retuner.adaptive.trial.trial_settings import TrialSettings
 
 SEEN_BANDS = 2.0
 """A half wave counts from this many noise bands."""
+MOVED = 0.25
+"""A setpoint change below this share of the swing under way does not make a half wave of it."""
 MOST_GROWTH = 2.0
 """Growth per half wave from which a loop runs away whatever was before."""
 TWICE = 2
@@ -77,7 +81,7 @@ def watch_begin(sp: float) -> WatchState:
 
 def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> tuple[WatchState, TrialEvent | None]:
     """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
-    if abs(sample.sp - state.sp) > band:
+    if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
         state = watch_begin(sample.sp)
     state = _at_limits(state, sample)
     if state.swings >= law.limit_swings:

@@ -1,5 +1,6 @@
 """The watch over a trial: what runs away is stopped in mid-response, and nothing else is."""
 
+import numpy as np
 import pytest
 from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
@@ -114,3 +115,30 @@ def test_an_output_between_its_limits_is_stopped_and_one_that_stays_at_a_limit_t
 def test_a_loop_that_was_unstable_before_may_grow_as_it_did() -> None:
     worse = promise([Plausible(MODEL, 0.0)], BAD["kc x4"], GOOD, 0.5)
     assert law_of(worse, S, 60.0).grows > LAW.grows == S.grows
+
+
+@pytest.mark.parametrize("moves", [0.15, 0.5])
+def test_a_setpoint_that_moves_at_every_sample_does_not_blind_the_watch(moves: float) -> None:
+    rig = Rig(BAD["kc x4"], noise=0.02, load=10.0, limit=50.0)
+    state, found = watch_begin(rig.sp), None
+    for number in range(300):
+        rig.sp = moves * (number % 2)
+        (sample,) = rig.run(1)
+        state, found = watch(LAW, state, sample, 0.1)
+        if found:
+            break
+    assert found is TrialEvent.RUNAWAY
+    assert sample.t_s < 100
+
+
+@pytest.mark.parametrize("steps", [0.3, 1.0, 5.0])
+def test_a_setpoint_that_moves_is_no_runaway_of_calm_gains(steps: float) -> None:
+    rig = Rig(GOOD, noise=0.02)
+    state = watch_begin(rig.sp)
+    moves = np.random.default_rng(7).choice([-steps, 0.0, 0.0, steps], size=400)
+    for number in range(4000):
+        if number % 10 == 0:
+            rig.sp += float(moves[number // 10])
+        (sample,) = rig.run(1)
+        state, found = watch(LAW, state, sample, 0.1)
+        assert found is None
