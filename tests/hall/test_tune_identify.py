@@ -79,6 +79,11 @@ def test_tune_refuses_in_one_line(capsys: Capture, arguments: list[str], message
     assert message in refused(capsys, "tune", *arguments)
 
 
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+def test_a_form_that_there_is_not_is_refused_also_where_no_gains_are_given(capsys: Capture, command: str) -> None:
+    assert "--form cubic: give one of series" in refused(capsys, command, str(HEATER), "--open-loop", "--form", "cubic")
+
+
 def test_identify_the_real_heater(capsys: Capture) -> None:
     found = answer(capsys, "identify", str(HEATER), "--open-loop")
     assert found["identifiable"] is True

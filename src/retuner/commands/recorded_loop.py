@@ -6,7 +6,7 @@ from pathlib import Path
 
 from retuner.drivers.recording import ROLES, Recording, read_recording, require_setpoint
 from retuner.errors import UserError, user_input
-from retuner.schedule.forms import from_form
+from retuner.schedule.forms import Form, from_form
 from retuner.schedule.gains import PidGains
 
 MOST_BEYOND = 0.9
@@ -104,8 +104,10 @@ def controller(options: RecordOptions) -> PidGains | None:
     Raises
     ------
     UserError
-        Times without a gain, a controller in an open loop, or a value outside its range.
+        Times without a gain, a controller in an open loop, an unknown form, or a value outside its range.
     """
+    if options.form not in set(Form):
+        raise UserError(f"--form {options.form}: give one of {', '.join(Form)}")
     if options.kc is None:
         if options.tau_i_s is not None or options.tau_d_s:
             raise UserError("--tau-i and --tau-d need --kc: give the gain of the controller in force, too")
