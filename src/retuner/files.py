@@ -1,5 +1,6 @@
 """Whole files or none: what is written under a name is complete and on disk, whenever the power goes."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -17,6 +18,10 @@ def write_whole(path: Path, content: str | bytes) -> None:
         The system refused; the old file, if any, is as it was.
     """
     target = path.resolve()
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a folder; give the name of a file", str(path))
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, f"the folder {path.parent} does not exist; make it first", str(path))
     raw = content.encode("utf-8") if isinstance(content, str) else content
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:

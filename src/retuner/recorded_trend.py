@@ -9,7 +9,7 @@ from retuner.drivers.frame_log import read_frames
 from retuner.drivers.overhearing import Overhearing
 from retuner.drivers.recording import RecordingError
 from retuner.errors import UserError
-from retuner.outputs import TREND
+from retuner.outputs import BUS_LOG, TREND
 from retuner.recorded_session import RecordedSession
 from retuner.scores import Columns
 from retuner.trend import COLUMNS, COLUMNS_2, NO_PYARROW
@@ -44,10 +44,17 @@ def _csv(path: Path) -> Columns:
         names = next((known for known in (COLUMNS, COLUMNS_2) if head == ",".join(known)), None)
         if names is None:
             raise UserError(f"{path}: line 1: is not the head of a trend that a run has left")
-        try:
-            table = np.loadtxt(file, delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise UserError(f"{path}: is damaged: {error}") from None
+        lines = file.readlines()
+    for number, line in enumerate(lines, start=2):
+        if line.count(",") != len(names) - 1:
+            there = f"{line.count(',') + 1} of {len(names)} columns"
+            raise UserError(
+                f"{path}:{number}: is damaged, {there}; without this file the report is made from {BUS_LOG}"
+            )
+    try:
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise UserError(f"{path}: is damaged: {error}") from None
     return _checked(path, {name: table[:, i] for i, name in enumerate(names)} if table.size else {})
 
 

@@ -18,6 +18,7 @@ from retuner.drivers.frame_log import read_frames
 from retuner.drivers.link_faults import LinkFault
 from retuner.drivers.overhearing import Overhearing
 from retuner.drivers.recording import RecordingError
+from retuner.errors import UserError
 from retuner.ledger import Row
 from retuner.recorded_session import RecordedSession, canonical, without_place
 from retuner.retuner_events import feed
@@ -83,9 +84,17 @@ class Replay:
         self._result = Replayed()
 
     def run(self) -> Replayed:
-        """Take the whole log, or what there is of it."""
+        """Take the whole log, or what there is of it.
+
+        Raises
+        ------
+        UserError
+            There is no log.
+        """
         result, end = self._result, self._session.end
         log = self._session.bus_log
+        if not log.is_file():
+            raise UserError(f"{log}: no such file; a session is decided again from its bus log")
         if end is not None and end.get("bus_log_sha256") not in {None, file_sha256(log)}:
             result.stopped = f"{log}: is not the log of this session, or was changed after it"
             return result

@@ -134,6 +134,16 @@ def test_a_changed_bus_log_is_found(session: Path, tmp_path: Path, capsys: pytes
     assert found["first_difference"] is None
 
 
+def test_a_bus_log_that_is_not_there_is_bad_input(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "no log"
+    shutil.copytree(session, copy)
+    (copy / "bus.blf").unlink()
+    assert main(["replay", str(copy)]) == 2
+    assert "bus.blf: no such file" in capsys.readouterr().err
+
+
 def test_missing_frames_are_found_where_they_are_missing(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -68,6 +68,12 @@ def test_without_a_trend_the_samples_come_from_the_bus_log(session: Path, tmp_pa
     assert main(["report", str(copy), "--out", str(tmp_path / "r.html")]) == 0
 
 
+def cut(trend: Path) -> None:
+    """End a trend in the middle of its ninth line."""
+    lines = trend.read_text().splitlines()
+    trend.write_text("\n".join([*lines[:8], ",".join(lines[8].split(",")[:2])]))
+
+
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
@@ -75,6 +81,7 @@ def test_without_a_trend_the_samples_come_from_the_bus_log(session: Path, tmp_pa
             lambda folder: (folder / "trend.csv").write_text("a,b\n1,2\n"),
             "trend.csv: line 1: is not the head of a trend",
         ),
+        (lambda folder: cut(folder / "trend.csv"), "trend.csv:9: is damaged, 2 of "),
         (lambda folder: (folder / "summary.json").write_text("{"), "summary.json: is no JSON"),
         (lambda folder: (folder / "gains.toml").write_text("schema = 9\n"), "gains.toml: "),
         (lambda folder: (folder / "config.toml").write_text(SHORT + "# more\n"), "was changed after the run"),
@@ -94,6 +101,21 @@ def test_a_damaged_session_is_told_in_one_line(session: Path, tmp_path: Path, da
     assert said in told.err
     assert told.err.count("\n") == 1
     assert told.out == ""
+
+
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [("none/r.html", "none does not exist; make it first"), (".", "is a folder; give the name of a file")],
+)
+def test_where_a_report_cannot_be_written_is_told_by_its_own_name(
+    session: Path, tmp_path: Path, out: str, said: str, capsys
+) -> None:
+    capsys.readouterr()
+    assert main(["report", str(session), "--out", str(tmp_path / out)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"{tmp_path / out}: ")
+    assert said in told
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_decision_that_is_not_there_is_named(session: Path, capsys) -> None:
