@@ -9,11 +9,11 @@ set that would make the known process unstable is refused. While a change is on 
 
 import math
 
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.change_request import change_request
 from retuner.adaptive.decision import Decision
 from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.process import LinearProcess
 from retuner.adaptive.proposal import SAME_GAINS, Proposal, Standing
 from retuner.adaptive.retuner import Retuner

@@ -5,9 +5,9 @@ from dataclasses import replace
 from itertools import islice
 
 from retuner.adaptive.admission import Ground
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.decision import Action, Decision
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample, Window

@@ -5,92 +5,43 @@
 Pure functions over one `Case`: everything that the outcome depends on is in it. The Retuner keeps what was learned.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from retuner.adaptive.admission import Admission, admit, inside_region
 from retuner.adaptive.belief import Belief
 from retuner.adaptive.borrowing import borrowed
+from retuner.adaptive.case import Case, Outcome
 from retuner.adaptive.change_request import change_request, unproved_request
 from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.confirmation import (
+    SWINGING,
     TOWARDS_SAFETY,
     Excitation,
     calm_before,
     is_clear,
     is_safer_and_known,
+    on_top,
     runs_away,
     thinned,
     unconfirmed,
 )
 from retuner.adaptive.diagnosis.limit_swing import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
+from retuner.adaptive.diagnosis.seen_swing import not_seen
 from retuner.adaptive.fit.candidate import MODEL_ERROR
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.proposing import without_model
-from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.robust_proposal import RobustProposal, propose
 from retuner.adaptive.robust_settings import later
-from retuner.adaptive.rules.tuning import Tuning
-from retuner.adaptive.sample import LoopSample, Window
 from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
-from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import Lookup
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """One response and what it is judged on.
-
-    region : index. window : the response with some time before it. samples : all that are kept, the newest last.
-    table : gains in force in every region; commissioned : as they were at first. beliefs : what is known, by region.
-    standing : an oscillation of this region that was explained before. excitation : what its model rests on.
-    at : the scheduling values at its end.
-    """
-
-    region: int
-    response: Response
-    window: Window
-    samples: Sequence[LoopSample]
-    table: GainTable
-    commissioned: GainTable
-    beliefs: Mapping[int, Belief]
-    standing: Standing | None = None
-    excitation: Excitation = field(default_factory=Excitation)
-    at: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def in_force(self) -> PidGains:
-        """The gains that ran: the region's own, or in an interpolated table the mean at these scheduling values."""
-        return self.table.at(self.region, *self.at)
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What the stages found; those that were not reached are None.
-
-    code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
-    standing : an oscillation that is explained, to be remembered. excitation : what the belief rests on.
-    """
-
-    code: str
-    reason: str
-    learned: Learned | None = None
-    belief: Belief | None = None
-    diagnosis: Diagnosis | None = None
-    proposal: Tuning | None = None
-    basis: Basis | None = None
-    verdict: Verdict | None = None
-    standing: Standing | None = None
-    excitation: Excitation | None = None
-    numbers: dict[str, float] = field(default_factory=dict)
 
 
 ANEW = frozenset({Surprise.FIRST, Surprise.OPENED, Surprise.CHANGED})
@@ -121,7 +72,9 @@ def decide(case: Case, settings: RetunerSettings) -> Outcome:
 
 def _swing(case: Case, settings: RetunerSettings) -> tuple[Diagnosis | None, Standing | None]:
     """Why the loop swings on without a setpoint step, where that is none of tuning."""
-    again = goes_on(case.response, case.standing, settings.swing)
+    again = goes_on(case.response, case.standing, settings.swing) or on_top(
+        case.samples, case.response, case.standing, settings.swing
+    )
     if again is not None:
         return again, case.standing
     if not swings(case.response, settings.swing):
@@ -174,13 +127,17 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)
+    doubt = _not_seen(case, outcome, settings)
+    if doubt is not None:
+        return Outcome("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, excitation=excitation)
     if clear or _is_sure(case, outcome.verdict, learned, belief, excitation, settings):
         return replace(outcome, belief=belief, excitation=excitation)
     earlier = _was_known(case, learned, known, settings)
     if earlier is not None:
         return replace(earlier, belief=belief, excitation=excitation)
+    wanted_for = outcome.diagnosis.cause if outcome.diagnosis else None
     doubt, excitation = unconfirmed(
-        case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
+        case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis, wanted_for
     )
     if doubt is None:
         return replace(outcome, belief=belief, excitation=excitation)
@@ -205,6 +162,18 @@ def _is_sure(
         and touches_limits(case.samples, case.response, settings.limit_swing)
         and at_own_crossover(case.response, model, case.in_force, settings.limit_swing)
     )
+
+
+def _not_seen(case: Case, outcome: Outcome, settings: RetunerSettings) -> Diagnosis | None:
+    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
+    found, allowed = outcome.diagnosis, outcome.verdict.allowed if outcome.verdict else ()
+    if found is None or found.cause not in SWINGING or not allowed:
+        return None
+    if any(sample.limited for sample in case.samples if sample.t_s >= case.response.t_start_s):
+        return None
+    model = later(allowed[0].model, settings.sample_time_s / 2)
+    reason = not_seen(case.response, model, case.in_force, settings.setpoint_weight, settings.filter_s, settings.swing)
+    return Diagnosis(Cause.UNKNOWN, 0.5, found.evidence, reason) if reason else None
 
 
 def _was_known(case: Case, learned: Learned, known: Excitation, settings: RetunerSettings) -> Outcome | None:

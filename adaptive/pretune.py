@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.change_request import change_request
 from retuner.adaptive.decision import Action, Basis, Decision, Mode
 from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.guard import prove
 from retuner.adaptive.on_trial import promise_of
-from retuner.adaptive.pipeline import NOT_KNOWN, Outcome
+from retuner.adaptive.pipeline import NOT_KNOWN
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.robust_proposal import propose
 from retuner.adaptive.sample import Window
@@ -62,9 +63,7 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
     if learned.belief is None:
         return Outcome(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.beliefs[region] = learned.belief
-    retuner.excitation[region] = Excitation(
-        setpoints=1, clear=1
-    )  # a step from rest: what it shows is the loop's own doing
+    retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
     wanted = propose(learned.belief, predicted(learned.belief, t_s, settings.tracker), in_force, settings)
     if not wanted.ready:
         return Outcome(NOT_KNOWN, f"{WORDS}: {learned.belief.reason}", learned, diagnosis=wanted.diagnosis)

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 from retuner.adaptive.admission import Ground
 from retuner.adaptive.belief import Belief
+from retuner.adaptive.case import Case, Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.diagnosis.online import Standing
 from retuner.adaptive.on_trial import held, promise_of, restoring, seen_of
-from retuner.adaptive.pipeline import Case, Outcome, decide
+from retuner.adaptive.pipeline import decide
 from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.online import SwingSettings, stretch
+from retuner.adaptive.diagnosis.online import Standing, SwingSettings, is_recent, stretch
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.response import Response
 from retuner.adaptive.sample import LoopSample, Window
@@ -29,6 +29,8 @@ from retuner.schedule.gains import PidGains
 
 TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})
 """Rulings of the guard that make a loop over its limit safer."""
+SWINGING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
+"""Causes of tuning by which a loop swings; by the other it is slow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +93,28 @@ def runs_away(samples: Sequence[LoopSample], response: Response, explained: floa
 
 def calm_before(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
     """Whether the error moved little before a response, against the swing in it (its last peak)."""
-    since = response.t_start_s - (response.t_end_s - response.t_start_s)
-    before = [abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s]
     swing = abs(response.peaks[-1].e) if response.peaks else 0.0
-    return max(before, default=0.0) <= max(settings.calm * swing, response.band)
+    before = _moved_before(samples, response, response.t_end_s - response.t_start_s)
+    return before <= max(settings.calm * swing, response.band)
+
+
+def _moved_before(samples: Sequence[LoopSample], response: Response, length_s: float) -> float:
+    """Largest error in so long a time before a response."""
+    since = response.t_start_s - length_s
+    return max((abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s), default=0.0)
+
+
+def on_top(
+    samples: Sequence[LoopSample], response: Response, standing: Standing | None, settings: SwingSettings
+) -> Diagnosis | None:
+    """A setpoint step on top of an oscillation that was explained, unless it is small against the step; else None."""
+    if standing is None or not response.sp_changed or not is_recent(response, standing, settings):
+        return None
+    step = max((abs(peak.e) for peak in response.peaks), default=0.0)
+    if _moved_before(samples, response, standing.period_s) <= max(settings.beneath * step, response.band):
+        return None
+    reason = f"the setpoint step came on top of an oscillation of {standing.period_s:.3g} s: {standing.reason}"
+    return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, reason)
 
 
 def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
@@ -124,10 +144,12 @@ def unconfirmed(
     excitation: Excitation,
     swing: SwingSettings,
     settings: DiagnosisSettings,
+    wanted: Cause | None = None,
 ) -> tuple[Diagnosis | None, Excitation]:
     """Why a case that is not clear may not change gains, None when the whole diagnosis names the tuning; what is known.
 
-    samples : kept, the newest last. gains : in force. excitation : this response included.
+    samples : kept, the newest last. gains : in force. excitation : this response included. wanted : cause for which
+    they would be changed, None where no model named one.
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
@@ -142,7 +164,15 @@ def unconfirmed(
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
+    if found.retune and _other_way(found.cause, wanted):
+        reason = f"the model of this region says {wanted}, and the stretch by itself {found.cause}: {found.reason}"
+        found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
     return (None, excitation) if found.retune else (found, replace(excitation, asked=excitation.loads))
+
+
+def _other_way(found: Cause, wanted: Cause | None) -> bool:
+    """Whether two causes of tuning ask for opposite changes."""
+    return wanted is not None and (found in SWINGING) != (wanted in SWINGING)
 
 
 def from_rest(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:

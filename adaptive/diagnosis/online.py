@@ -50,7 +50,11 @@ class SwingSettings:
     growth_explained : share of pv's variance that the model must explain of it; 0.9 to 0.999, default 0.99.
     calm : greatest error before a response over the last peak of its swing, up to which the swing began with it;
         0.1 to 0.8, default 0.4.
+    beneath : the same over the first peak of a setpoint step, up to which an oscillation that was explained does not
+        matter to it; 0.05 to 0.4, default 0.15.
     again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
+    unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
+    shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
     """
 
@@ -70,7 +74,10 @@ class SwingSettings:
     grows: float = 1.05
     growth_explained: float = 0.99
     calm: float = 0.4
+    beneath: float = 0.15
     again: float = 2.0
+    unseen_bands: float = 2.0
+    shown: float = 0.5
     most_lookback: float = 10.0
 
 
@@ -127,15 +134,18 @@ def swing_cause(
 
 def goes_on(response: Response, standing: Standing | None, settings: SwingSettings) -> Diagnosis | None:
     """The cause that was found a short while ago, for a load response while that oscillation goes on; else None."""
-    if standing is None or response.sp_changed:
-        return None
-    if response.t_end_s - standing.t_s > settings.remembered_cycles * standing.period_s:
+    if standing is None or response.sp_changed or not is_recent(response, standing, settings):
         return None
     ratio = (response.period_s or standing.period_s) / standing.period_s
     if not 1 / settings.alike < ratio < settings.alike:
         return None
     again = f"the oscillation of {standing.period_s:.3g} s goes on: {standing.reason}"
     return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, again)
+
+
+def is_recent(response: Response, standing: Standing, settings: SwingSettings) -> bool:
+    """Whether an oscillation was explained so short a while before a response that it need not be explained again."""
+    return response.t_end_s - standing.t_s <= settings.remembered_cycles * standing.period_s
 
 
 def hidden_cause(

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.decision import Action, Decision, Mode
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis import confirmation
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.confirmation import (
     Excitation,
     from_rest,
     is_clear,
     is_safer_and_known,
+    on_top,
     runs_away,
     thinned,
     unconfirmed,
@@ -21,6 +23,7 @@ from retuner.adaptive.diagnosis.confirmation import (
 from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.limit_swing import LimitSwingSettings, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.online import Standing, SwingSettings, goes_on, stretch, swing_cause, swings
+from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.adaptive.response import Ending, Peak, Response
@@ -150,6 +153,28 @@ def test_a_stretch_begins_where_the_loop_came_to_rest() -> None:
     assert from_rest(never, load, SWING) == never
     too_late = samples([1.0] * 89 + [0.05] * 12)
     assert from_rest(too_late, load, SWING) == too_late
+
+
+@pytest.mark.parametrize(("before", "found"), [(0.14, False), (0.3, True)])
+def test_a_setpoint_step_on_top_of_an_explained_swing_is_not_the_tuning(before: float, found: bool) -> None:
+    standing = Standing(Cause.EXTERNAL, 20.0, 60.0, "a tone")
+    step = response(1.0, sp_changed=True)  # from 90 s on
+    errors = samples([before] * 90 + [1.0] * 11)
+    cause = on_top(errors, step, standing, SWING)
+    assert (cause is not None) is found
+    assert on_top(errors, step, None, SWING) is None
+    assert on_top(errors, response(1.0), standing, SWING) is None
+    old = Standing(Cause.EXTERNAL, 20.0, 99.0 - SWING.remembered_cycles * 20.0, "a tone")
+    assert on_top(errors, step, old, SWING) is None
+
+
+def test_the_whole_diagnosis_must_not_ask_for_the_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
+    says = Diagnosis(Cause.SLOW_INTEGRATING, 1.0, {}, "it swings")
+    monkeypatch.setattr(confirmation, "diagnose_window", lambda *_, **__: Found(says))
+    stretch_of = samples([0.0] * 101)
+    for wanted, agrees in ((Cause.SLUGGISH, False), (Cause.AGGRESSIVE, True), (None, True)):
+        doubt, _ = unconfirmed(stretch_of, response(1.0), GOOD, Excitation(1, 2), SWING, DIAGNOSIS, wanted)
+        assert (doubt is None) is agrees
 
 
 def test_after_a_doubt_loads_are_thinned_until_there_were_twice_as_many() -> None:

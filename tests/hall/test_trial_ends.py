@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry
 
 from retuner.adaptive.by_order import revert
-from retuner.adaptive.pipeline import Outcome
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.checksum import to_wire
 from retuner.drivers.frames import Ack, Kind, Reason

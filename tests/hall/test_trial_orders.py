@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from wire import GOOD, PROMISE, Wire
 
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
-from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.checksum import to_wire
 from retuner.order_desk import OrderDesk

@@ -6,8 +6,8 @@ from typing import Any
 
 import can
 
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.decision import Decision, Mode
-from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.retuner import Retuner

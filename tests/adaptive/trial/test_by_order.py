@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig
 
 from retuner.adaptive.by_order import accept, approve, revert, unlock
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
-from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.proposal import Proposal, Standing
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import pytest
 from rig import BAD, GOOD, PROMISE, Rig
 
+from retuner.adaptive.case import Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.memory import remember, restore
-from retuner.adaptive.pipeline import Outcome
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode

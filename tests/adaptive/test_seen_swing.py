@@ -1,0 +1,38 @@
+"""What a response shows of the swing that a model says the loop has."""
+
+import pytest
+
+from retuner.adaptive.diagnosis.online import SwingSettings
+from retuner.adaptive.diagnosis.seen_swing import not_seen
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.response import Ending, Peak, Response
+from retuner.adaptive.rules.simc import simc
+from retuner.schedule.gains import PidGains
+
+MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
+GOOD = simc(MODEL).gains
+SWINGS = PidGains(2.6 * GOOD.kp, 2.6 * GOOD.ki)  # the third peak is more than half of the first
+BAND = 0.1
+
+
+def said(gains: PidGains, *errors: float, ending: Ending = Ending.QUIET, setpoint: bool = True) -> str:
+    peaks = tuple(Peak(10.0 * i, e) for i, e in enumerate(errors))
+    return not_seen(Response(0.0, 100.0, peaks, ending, setpoint, BAND), MODEL, gains, 1.0, 0.0, SwingSettings())
+
+
+@pytest.mark.parametrize("setpoint", [True, False])
+def test_a_loop_that_came_to_rest_refutes_a_swing(setpoint: bool) -> None:
+    assert "came to rest after 1" in said(SWINGS, 1.0, setpoint=setpoint)
+    assert "came to rest after 2" in said(SWINGS, 1.0, -0.2, setpoint=setpoint)
+    assert said(GOOD, 1.0, setpoint=setpoint) == ""
+
+
+def test_a_swing_that_may_still_come_or_is_too_small_to_be_seen_is_not_refuted() -> None:
+    assert said(SWINGS, 1.0, ending=Ending.SETPOINT) == ""
+    assert said(SWINGS, 2 * BAND) == ""
+    assert said(SWINGS) == ""
+
+
+@pytest.mark.parametrize(("third", "refuted"), [(1.2, False), (0.6, False), (0.1, True)])
+def test_three_peaks_show_how_it_swings(third: float, refuted: bool) -> None:
+    assert bool(said(SWINGS, 2.0, -1.0, third, ending=Ending.COMPLETE)) is refuted
