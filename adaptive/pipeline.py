@@ -105,7 +105,22 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
             return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden, standing=standing)
     if learned.belief is None:
         return _without_model(case, learned, left, learned.estimate.reason, settings)
-    return _weighed(case, learned, learned.belief, left, settings)
+    return _weighed(case, learned, _known_of_limit_swing(case, settings) or learned.belief, left, settings)
+
+
+def _known_of_limit_swing(case: Case, settings: RetunerSettings) -> Belief | None:
+    """What was known, of a loop that swings between the output's limits as was known that it would; else None.
+
+    Such a swing shows one frequency, through a nonlinearity. Taken in record by record, it led away from a process
+    that its setpoint steps had shown well.
+    """
+    before = case.beliefs.get(case.region)
+    if before is None or not before.identifiable:
+        return None
+    if not touches_limits(case.samples, case.response, settings.limit_swing):
+        return None
+    log = predicted(before, float(case.window.t_s[-1]), settings.tracker)
+    return before if propose(before, log, case.in_force, settings).diagnosis.cause in SWINGING else None
 
 
 def _lent(case: Case, settings: RetunerSettings) -> Belief | None:

@@ -277,3 +277,12 @@ def test_an_unstable_loop_between_its_limits_is_made_stable() -> None:
     assert committed[0].gains_after is not None
     assert committed[0].gains_after.kp < 0.7 * committed[0].gains_before.kp
     assert rig.retuner.table.gains_of(0).kp < 1.3 * GOOD.kp
+
+
+def test_a_lasting_swing_between_the_limits_teaches_nothing_more() -> None:
+    rig = Rig(PidGains(4 * GOOD.kp, 4 * GOOD.ki), co_max=1.5, mode=Mode.ADVISE)
+    rig.run(60)
+    proposed = [d for d in rig.run(1500, sp=0.3) if d.action == Action.ADVISE]
+    assert len(proposed) >= 3
+    assert {d.gains_after for d in proposed} == {proposed[0].gains_after}
+    assert rig.retuner.beliefs[0].records == 1
