@@ -78,10 +78,14 @@ def scaled(kp: float, ki: float) -> PidGains:
 
 
 @pytest.mark.parametrize(
-    ("kp", "ki", "cause"),
-    [(0.25, 0.25, Cause.SLUGGISH), (2.4, 2.4, Cause.AGGRESSIVE), (0.3, 1.5, Cause.SLOW_INTEGRATING)],
+    ("kp", "ki", "cause", "sign"),
+    [
+        (0.25, 0.25, Cause.SLUGGISH, -1),
+        (2.4, 2.4, Cause.AGGRESSIVE, 1),
+        (2.4, 2.4, Cause.AGGRESSIVE, -1),
+        (0.3, 1.5, Cause.SLOW_INTEGRATING, 1),
+    ],
 )
-@pytest.mark.parametrize("sign", [1, -1])
 def test_wrong_gains_are_cured_for_their_cause(kp: float, ki: float, cause: Cause, sign: int) -> None:
     start = PidGains(sign * GOOD.kp * kp, sign * GOOD.ki * ki)
     bench = made(start, sign=sign)

@@ -1,4 +1,4 @@
-"""The demo's promise, on seeds other than its own: every region robust on the true oven and better than fixed gains."""
+"""The demo's promise, on a seed other than its own: every region robust on the true oven and better than fixed gains."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ OVEN = Path(__file__).parents[2] / "examples" / "oven.toml"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 101])
+@pytest.mark.parametrize("seed", [101])
 def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None:
     config = load_config(OVEN)
     assert config.device is not None
