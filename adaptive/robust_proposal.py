@@ -24,6 +24,9 @@ from retuner.schedule.gains import PidGains
 
 LAG_DOMINANT = 8.0
 """tau1 over theta from which SIMC's integral time no longer is tau1 (Skogestad 2003, at tau_c = theta)."""
+OVER_NOMINAL = 1.03
+"""Ms over the proposal's nominal limit from which the gains in force are too aggressive: what a drifting process does
+to Ms is known a few percent late, so waiting for the design limit itself is waiting until it has been passed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +45,9 @@ def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: Retuner
     ----------
     belief : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
     """
-    dt_s, cause, best = settings.sample_time_s, settings.cause, log.model()
+    dt_s, best = settings.sample_time_s, log.model()
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
+    cause = replace(settings.cause, ms_high=min(settings.cause.ms_high, OVER_NOMINAL * robust.ms_nominal))
     tuning = robust_simc_on(best, belief.plausible, dt_s, robust).tuning
     diagnosis = tuning_cause(later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2), cause)
     ready = belief.identifiable or (
