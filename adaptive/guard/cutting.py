@@ -149,6 +149,14 @@ def _locked(wanted: PidGains, request: ChangeRequest) -> PidGains:
     return PidGains(kc, kc * per_tau_i, kc * tau_d)
 
 
+def without_short_derivative(gains: PidGains, request: ChangeRequest, settings: GuardSettings) -> PidGains:
+    """Gains on the way to a goal, without a derivative that is too short for the sampling time there."""
+    if request.locks.tau_d or not gains.kp or not gains.kd:
+        return gains
+    least = settings.tau_d_samples * request.sample_time_s * (1 - TOLERANCE)
+    return gains if gains.kd / gains.kp >= least else PidGains(gains.kp, gains.ki)
+
+
 def _cut(value: float, low: Bound, high: Bound) -> tuple[float, Bound | None]:
     """The value within its bounds, and the bound that cut it."""
     if value > high.value:
@@ -185,6 +193,8 @@ def _limiting(
     return first
 
 
+TOLERANCE = 1e-9
+"""Rounding of a derivative that is as short as it may be."""
 SLACK = math.log(1.001)
 """A limit that the parameter in force exceeds by no more than rounding on the controller's side is not exceeded."""
 

@@ -25,7 +25,7 @@ class Parameter(StrEnum):
 MORE_WHEN_LARGER = {Parameter.KC: True, Parameter.TAU_I: False, Parameter.TAU_D: True, Parameter.INTEGRAL: True}
 """Whether a larger value is more action."""
 ROUNDING = 1e-12
-"""By how much tau_I may shorten and count as unchanged."""
+"""By how much a parameter may differ and count as unchanged."""
 GAIN_NAMES = ("kp", "ki", "kd")
 
 
@@ -63,8 +63,8 @@ def within_limits(
     """The point on the way from old to new that the limits per change allow, and its share of the way.
 
     The way is straight in the logarithms, so every parameter goes the same share of its own way and none passes its
-    goal; a gain that comes or goes has no logarithm and goes its share of the way itself. None when the absolute limits
-    on kc do not hold there.
+    goal; a gain that comes or goes has no logarithm and goes its share of the way itself. None when kc lies outside its
+    absolute limits there, and no nearer to them than before.
 
     Parameters
     ----------
@@ -79,7 +79,9 @@ def within_limits(
 
     share *= _share(old, new, room)
     moved = _along(old, new, share)
-    return (moved, share) if settings.kc_min <= abs(moved.kp) <= settings.kc_max else None
+    kc, now = abs(moved.kp), abs(old.kp)
+    least, most = min(settings.kc_min, now) * (1 - ROUNDING), max(settings.kc_max, now) * (1 + ROUNDING)
+    return (moved, share) if least <= kc <= most else None
 
 
 def within_factor(old: PidGains, new: PidGains, factor: float) -> PidGains:

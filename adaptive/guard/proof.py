@@ -9,20 +9,27 @@ are taken in the logarithms, so that a half step lies between old and new in eve
 limit may always be made safer, by a step as small as it must be: no dead band, no lower limit from the commissioned
 set. One that is over it on every allowed model oscillates, or nearly; it may take the whole step in the safe direction
 at once. The same holds for a measured oscillation, and where the models do not confirm it, only less of everything
-counts as safe. Everything is deterministic, so that replay decides alike.
+counts as safe. Gains that fail any check but Ms are no candidates: an accepted change shows no failed check.
+Everything is deterministic, so that replay decides alike.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 from retuner.adaptive.guard.allowed import sampled
 from retuner.adaptive.guard.border import at_border
-from retuner.adaptive.guard.cutting import Goal, goals, nothing_left
+from retuner.adaptive.guard.cutting import Goal, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.loops import Loops
 from retuner.adaptive.guard.parameters import change_factor, extent, less_of_everything, within_factor, within_limits
-from retuner.adaptive.guard.questions import evidence_checks, evidence_doubt, limit_checks
+from retuner.adaptive.guard.questions import (
+    evidence_checks,
+    evidence_doubt,
+    failed_checks,
+    limit_checks,
+    robustness_checks,
+)
 from retuner.adaptive.guard.request import Border, ChangeRequest, Support
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
 from retuner.adaptive.guard.settings import GuardSettings
@@ -55,6 +62,7 @@ class _Case:
     settings: GuardSettings
     loops: Loops
     at_border: Check | None = None
+    outside: Check | None = None
     asked: dict[tuple[str, PidGains], tuple[float, bool]] = field(default_factory=dict)
     over: bool = field(init=False)
     oscillates: bool = field(init=False)
@@ -145,12 +153,22 @@ def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[Candidate]:
         for goal in wanted:
             moved = within_limits(old, goal.gains, 1.0, s, less_unlimited=True)
             if moved is not None and _safe_direction(case, moved[0], goal):
-                yield Candidate(moved[0], moved[1], goal, whole=True, beyond=True)
+                yield from _inside(case, Candidate(moved[0], moved[1], goal, whole=True, beyond=True))
     for share in SHARES:
         for goal in wanted if share == 1.0 else wanted[-1:]:
             moved = within_limits(old, goal.gains, share, s)
             if moved is not None:
-                yield Candidate(moved[0], moved[1], goal, share == 1.0)
+                yield from _inside(case, Candidate(moved[0], moved[1], goal, share == 1.0))
+
+
+def _inside(case: _Case, candidate: Candidate) -> Iterator[Candidate]:
+    """The candidate, if it keeps every limit; remembers the first limit that one did not keep."""
+    gains = without_short_derivative(candidate.gains, case.request, case.settings)
+    checks = limit_checks(case.request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
+    failed = next((check for check in checks if not check.passed), None)
+    case.outside = case.outside or failed
+    if failed is None:
+        yield replace(candidate, gains=gains)
 
 
 def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
@@ -209,7 +227,7 @@ def _why_not(case: _Case, tried: list[Candidate]) -> tuple[Ruling, dict[str, flo
     """The refusal of the gentlest candidate, with its numbers."""
     s = case.settings
     if not tried:
-        return Ruling.OUTSIDE_LIMITS, {"wanted": abs(case.request.proposal.gains.kp), "limit": s.kc_max}
+        return _outside(case)
     gains = tried[-1].gains
     if case.at_border is not None and case.loops.within(gains, s.ms_nominal, s.ms_worst):
         return Ruling.NOT_ROBUST_AT_BORDER, {"ms_tried": case.at_border.value, "ms_limit": case.at_border.limit}
@@ -219,6 +237,13 @@ def _why_not(case: _Case, tried: list[Candidate]) -> tuple[Ruling, dict[str, flo
         "ms_limit": s.ms_nominal,
         "ms_worst_limit": s.ms_worst,
     }
+
+
+def _outside(case: _Case) -> tuple[Ruling, dict[str, float]]:
+    """The refusal of a change that no limit lets through."""
+    if case.outside is not None:
+        return Ruling.OUTSIDE_LIMITS, {"wanted": case.outside.value, "limit": case.outside.limit}
+    return Ruling.OUTSIDE_LIMITS, {"wanted": abs(case.request.proposal.gains.kp), "limit": case.settings.kc_max}
 
 
 def _share(old: PidGains, new: PidGains, goal: Goal) -> float:
@@ -232,9 +257,12 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     request, s = case.request, case.settings
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
     limit = math.inf if way_out else s.pattern_step_max
-    gains = within_factor(request.in_force, goal.gains, limit)
+    gains = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
     numbers = {"factor": change_factor(request.in_force, gains)} | ({} if way_out else {"limit": limit})
     checks = tuple(limit_checks(request, gains, s, factor=limit))
+    case.outside = next((check for check in checks if not check.passed), None)
+    if case.outside is not None:
+        return _refused(case, *_outside(case), goal.notes)
     step, ruling = _share(request.in_force, gains, goal), UNPROVED[way_out]
     return Verdict(ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
                    goal.notes, (), way_out)  # fmt: skip
@@ -249,10 +277,9 @@ def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
         numbers["ms_before_worst"] = loops.worst(request.in_force)
     borders = (_border_check(case, border, gains) for border in request.borders)
     checks = (
-        *evidence_checks(request, s),
+        *evidence_checks(request, s, less=less_of_everything(request.in_force, gains)),
         *limit_checks(request, gains, s, over_limit=case.over, urgent=candidate.beyond),
-        Check("ms_nominal", "Ms on the process", nominal, s.ms_nominal, nominal <= s.ms_nominal),
-        Check("ms_worst", "Ms on the worst model that the records allow", worst, s.ms_worst, worst <= s.ms_worst),
+        *robustness_checks((nominal, worst), (before, loops.worst(request.in_force)), s),
         *(check for check in borders if check is not None),
     )
     urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
@@ -265,20 +292,6 @@ def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float], notes: tupl
     """Nothing may be written: Ms as it stays."""
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
-    checks = (*evidence_checks(request, s), *_failed(ruling, numbers))
+    checks = (*evidence_checks(request, s), *failed_checks(ruling, numbers))
     return Verdict(ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, notes,
                    tuple(request.models), False)  # fmt: skip
-
-
-def _failed(ruling: Ruling, numbers: dict[str, float]) -> Iterator[Check]:
-    """What was asked of the gentlest candidate and failed."""
-    if ruling == Ruling.NOT_ROBUST:
-        for name, words, value, limit in (
-            ("ms_nominal", "Ms on the process, at the gentlest step", "ms_tried", "ms_limit"),
-            ("ms_worst", "Ms on the worst model, at the gentlest step", "ms_tried_worst", "ms_worst_limit"),
-        ):
-            yield Check(name, words, numbers[value], numbers[limit], numbers[value] <= numbers[limit])
-    elif ruling == Ruling.NOT_ROBUST_AT_BORDER:
-        yield Check("ms_border", "Ms towards a neighbouring region", numbers["ms_tried"], numbers["ms_limit"], False)
-    elif {"wanted", "limit"} <= numbers.keys():
-        yield Check("limit", "what was wanted against its limit", numbers["wanted"], numbers["limit"], False)

@@ -1,0 +1,119 @@
+"""What the guard lets through shows no failed check, whatever is asked; and what it says of each."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from guard_cases import GAINS, SETTINGS, known, request, times
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from retuner.adaptive.guard import ChangeRequest, Evidence, GuardSettings, Locks, Ruling, Support, Verdict, prove
+from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.rules.tuning import Tuning
+from retuner.schedule.gains import PidGains
+
+PATTERN = Evidence(records=0, support=Support.PATTERN)
+
+
+def words_of(verdict: Verdict, name: str) -> str:
+    (check,) = (one for one in verdict.checks if one.name == name)
+    assert check.passed
+    return check.words
+
+
+def of_pattern(in_force: PidGains, wanted: PidGains, commissioned: PidGains) -> ChangeRequest:
+    asked = request(in_force, Tuning("pattern", "parallel", wanted), (), commissioned)
+    return replace(asked, evidence=PATTERN)
+
+
+def test_a_step_back_towards_the_commissioned_set_passes_and_says_that_it_leads_no_farther() -> None:
+    verdict = prove(of_pattern(times(0.15, 0.15), times(0.19, 0.19), GAINS), SETTINGS)
+    assert verdict.ruling == Ruling.UNPROVED_STEP
+    assert verdict.gains is not None
+    assert verdict.gains.kp == pytest.approx(0.19 * GAINS.kp)
+    assert (
+        words_of(verdict, "total_kc") == "factor of kc against the commissioned set (no farther than in force, 6.667)"
+    )
+    inside = prove(of_pattern(times(0.5, 0.5), times(0.6, 0.6), GAINS), SETTINGS)
+    assert words_of(inside, "total_kc") == "factor of kc against the commissioned set"
+
+
+def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
+    verdict = prove(of_pattern(times(0.15, 0.15), times(0.12, 0.12), GAINS), SETTINGS)
+    assert verdict.ruling == Ruling.OUTSIDE_TOTAL
+
+
+def test_what_is_only_safer_says_so() -> None:
+    verdict = prove(request(times(2.5, 2.5), models=known(0.6)), SETTINGS)
+    assert verdict.ruling == Ruling.SAFER
+    worst = "Ms on the worst model that the records allow (no worse than in force, unstable)"
+    assert words_of(verdict, "ms_worst") == worst
+
+
+def test_doubtful_evidence_says_what_it_still_allows() -> None:
+    doubted = Evidence(innovation=40.0, gate=20.0)
+    verdict = prove(replace(request(times(3.0, 3.0)), evidence=doubted), SETTINGS)
+    assert words_of(verdict, "innovation") == "innovation of the last record (or only less of everything)"
+
+
+def test_a_derivative_on_its_way_is_left_out_while_it_is_too_short() -> None:
+    wanted = PidGains(8 * GAINS.kp, 8 * GAINS.ki, 8 * GAINS.kp * 1.2)
+    verdict = prove(of_pattern(GAINS, wanted, GAINS), SETTINGS)
+    assert verdict.gains is not None
+    assert verdict.gains.kd == 0.0
+
+
+@pytest.mark.parametrize("model", [True, False])
+def test_from_outside_an_absolute_limit_the_way_leads_towards_it(model: bool) -> None:
+    limits = GuardSettings(kc_max=0.05 * GAINS.kp)
+    asked = of_pattern(GAINS, times(0.04, 0.04), GAINS)
+    verdict = prove(replace(asked, models=known(), evidence=Evidence()) if model else asked, limits)
+    assert verdict.gains is not None
+    assert 0.05 * GAINS.kp < verdict.gains.kp < GAINS.kp
+    assert words_of(verdict, "kc_max").startswith("kc, not more than kc_max (no farther than in force")
+
+
+FACTOR = st.floats(-4, 4).map(math.exp)
+MAYBE = st.one_of(st.just(0.0), FACTOR)
+KC, TIMES = st.tuples(FACTOR, FACTOR, MAYBE), st.sampled_from([0.0, 3.0, 30.0])
+MODELS = {
+    "none": (),
+    "fopdt": known(0.3),
+    "integrating": known(0.2, ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)),
+}
+
+
+@st.composite
+def limits_of(draw: st.DrawFn) -> GuardSettings:
+    """Limits that leave room, some of them tight."""
+    kc_min, tau_i_min = draw(st.sampled_from([0.0, 0.5, 2.0])), draw(TIMES)
+    return GuardSettings(
+        kc_min=kc_min, kc_max=draw(st.sampled_from([2.0, 10.0, math.inf])), tau_i_min_s=tau_i_min,
+        tau_i_max_s=draw(st.sampled_from([30.0, 200.0, math.inf])),
+        tau_d_max_s=draw(st.sampled_from([2.0, 20.0, math.inf])),
+        total_ratio_max=draw(st.sampled_from([1.0, 1.5, 4.0, 1000.0])),
+        tau_i_samples=draw(st.sampled_from([0.0, 20.0])),
+        pattern_step_max=draw(st.sampled_from([1.0, 1.5, 4.0])), records_min=draw(st.sampled_from([1, 3])),
+    )  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(sets=st.tuples(KC, KC, KC), limits=limits_of(), kind=st.sampled_from(sorted(MODELS)), urgent=st.booleans(),
+       locks=st.builds(Locks, st.booleans(), st.booleans(), st.booleans()), odd=st.booleans(),
+       kp=st.sampled_from([(1, 1, 1), (0, 1, 1), (1, 0, 1), (1, 1, 0)]))  # fmt: skip
+def test_no_accepted_change_shows_a_failed_check(
+    sets: tuple[tuple[float, float, float], ...], limits: GuardSettings, kind: str, urgent: bool, locks: Locks,
+    odd: bool, kp: tuple[int, int, int],
+) -> None:  # fmt: skip
+    in_force, wanted, start = (times(p * share, i, 0.0) if not share or not d else
+                               PidGains(GAINS.kp * p, GAINS.ki * i, GAINS.kp * p * d)
+                               for (p, i, d), share in zip(sets, kp, strict=True))  # fmt: skip
+    assume(all(kp) or not locks.tau_d)
+    evidence = Evidence(innovation=40.0 * odd, gate=20.0) if MODELS[kind] else PATTERN
+    asked = ChangeRequest(in_force, start, Tuning("pattern", "parallel", wanted), MODELS[kind], 1.0, evidence,
+                          urgent=urgent, locks=locks)  # fmt: skip
+    verdict = prove(asked, limits)
+    assert all(0 < len(check.words) < 90 for check in verdict.checks)
+    if verdict.accepted:
+        assert [check for check in verdict.checks if not check.passed] == []
