@@ -50,13 +50,14 @@ def approve(
     by: By = None,
     note: Note = "",
     unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Let a locked-out region change again.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False,
     json: Json = False,
 ) -> int:
-    """Order that a proposal be written, named by its hash, or list those that are open."""
+    """Order that a proposal be written, named by its hash, or list the open ones: the newest of each region."""
     from retuner.commands.approve import Person
     from retuner.commands.approve import approve as work
 
-    return work(session, digest, Person(by, note), unlock=unlock, as_json=json)
+    return work(session, digest, Person(by, note), unlock=unlock, every=every, as_json=json)
 
 
 ledger = typer.Typer(

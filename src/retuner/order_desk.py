@@ -19,7 +19,7 @@ from retuner.orders import LONGEST, Found, Order, OrderBox, OrderKind
 from retuner.outputs import LEDGER, ORDERS
 from retuner.recorded_session import believed_rows
 from retuner.retuner_events import feed
-from retuner.shown_proposals import Change, Shown, shown
+from retuner.shown_proposals import Change, Shown, shown, superseded
 
 
 class Recorder(Protocol):
@@ -121,8 +121,9 @@ class OrderDesk:
             standing = Proposal.from_dict(proposal).standing(
                 self._retuner.table.gains_of(order.region), order.past_s + t_s, self._expires_after_s
             )
-            if standing is not Standing.OPEN:
-                body |= {"accepted": False, "reason": str(standing)}
+            reason = str(standing) if standing is not Standing.OPEN else self._superseded(Proposal.from_dict(proposal))
+            if reason:
+                body |= {"accepted": False, "reason": reason}
         self._record("order", t_s, body)
         return feed(self._retuner, "order", body, t_s)
 
@@ -157,7 +158,8 @@ class OrderDesk:
             past = before.shown.proposals.get(digest)
             if past is None:
                 return {"proposal": None}, f"no proposal {digest[:8]} in that session"
-            return {"region": past.region, "proposal": past.to_dict()}, ""
+            reason = superseded(before.shown.successor(past)) or self._superseded(past)
+            return {"region": past.region, "proposal": past.to_dict()}, reason
         decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
         if decision is None:
             return {"proposal": None}, f"no proposal {digest[:8]} in this session"
@@ -165,7 +167,13 @@ class OrderDesk:
         if proposal is None:
             reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
             return {"region": decision.region, "proposal": None}, reason
-        return {"region": proposal.region, "proposal": proposal.to_dict()}, ""
+        return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
+
+    def _superseded(self, proposal: Proposal) -> str:
+        """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""
+        made = (d for d in reversed(self._decisions) if d.region == proposal.region and d.action is Action.ADVISE)
+        newest = next((one for one in map(Proposal.of, made) if one is not None), proposal)
+        return superseded("" if newest.digest == proposal.digest else newest.digest)
 
     def _not_tried(self, decision: Decision) -> str:
         """Why an approval finds nothing to release, empty when the decision is the region's newest change."""

@@ -1,6 +1,7 @@
 """What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
 
 Whether a proposal is still open is said here as far as the ledger goes; the session that takes the order looks again.
+Of a region's proposals only the newest may be taken up: it knows more than those before it.
 """
 
 import hashlib
@@ -16,6 +17,9 @@ from retuner.recorded_session import canonical, without_place
 from retuner.retuner_events import gains_of
 from retuner.schedule.gains import PidGains
 
+SHORT = 8
+"""Hexadecimal digits of a hash by which people are told of a proposal."""
+
 
 class Change(NamedTuple):
     """What a decision stood for: its region, and the gains before it."""
@@ -26,13 +30,14 @@ class Change(NamedTuple):
 
 @dataclass(slots=True)
 class Shown:
-    """proposals : by hash. changes : by number of the decision. tried : region by hash of the decision that changed it.
-    waiting : hash of the change that has passed its trial and waits for a person, by region. in_force : gains by
-    region, as far as decisions and writes tell. last_s : time of the last row, s. approved : hashes that were taken
-    already. files : names of order files that it has dealt with.
+    """proposals : by hash. newest : hash of the newest proposal, by region. changes : by number of the decision.
+    tried : region by hash of the decision that changed it. waiting : hash of the change that has passed and waits for
+    a person, by region. in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row,
+    s. approved : hashes that were taken already. files : names of order files that it has dealt with.
     """
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
+    newest: dict[str, str] = field(default_factory=dict)
     changes: dict[int, Change] = field(default_factory=dict)
     tried: dict[str, str] = field(default_factory=dict)
     waiting: dict[str, str] = field(default_factory=dict)
@@ -45,10 +50,20 @@ class Shown:
         """Whether a proposal is open, as far as the ledger tells."""
         return proposal.standing(self.in_force.get(proposal.region, proposal.before), self.last_s, expires_after_s)
 
+    def successor(self, proposal: Proposal) -> str:
+        """Hash of the newest proposal of its region, empty when it is the newest itself."""
+        newest = self.newest.get(proposal.region, "")
+        return "" if newest == proposal.digest else newest
+
     def open(self, expires_after_s: float) -> list[Proposal]:
-        """The open ones that nobody has approved yet, oldest first."""
+        """The ones that could be taken up, were they not superseded, and nobody has approved yet, oldest first."""
         return [p for p in self.proposals.values()
                 if p.digest not in self.approved and self.standing(p, expires_after_s) is Standing.OPEN]  # fmt: skip
+
+
+def superseded(successor: str) -> str:
+    """Why a proposal is not taken up that has a successor (its hash); empty without one."""
+    return f"a newer proposal of its region supersedes it: {successor[:SHORT]}" if successor else ""
 
 
 def shown(rows: Iterable[Row]) -> Shown:
@@ -92,6 +107,7 @@ def _decision(found: Shown, body: Mapping[str, Any]) -> None:
     found.changes[number] = Change(region, before)
     found.in_force[region] = before
     if body["action"] == Action.ADVISE and body["gains_after"] is not None:
+        found.newest[region] = digest
         found.proposals[digest] = Proposal(digest, number, region, float(body["t_s"]), before,
                                            gains_of(body["gains_after"]), body.get("promise"))  # fmt: skip
     elif body["action"] == Action.COMMIT:

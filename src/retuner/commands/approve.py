@@ -5,7 +5,7 @@ import getpass
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +19,9 @@ from retuner.ledger.lock import WriterLock
 from retuner.orders import Order, OrderKind, put_order
 from retuner.outputs import CONFIG
 from retuner.recorded_session import believed_rows, ledger_path
-from retuner.shown_proposals import Shown, shown
+from retuner.shown_proposals import SHORT, Shown, shown, superseded
 
-SHORTEST = 8
+SHORTEST = SHORT
 """Hexadecimal digits of a hash that a person has to give at least."""
 
 
@@ -93,10 +93,12 @@ class Desk:
         return f"no session is running here; the next run with --out {self.folder} takes it at its start"
 
 
-def approve(session: Path, digest: str | None, person: Person, *, unlock: str | None, as_json: bool) -> int:
+def approve(
+    session: Path, digest: str | None, person: Person, *, unlock: str | None, every: bool, as_json: bool
+) -> int:
     """Order the writing of a proposal, or list the open ones; the exit status.
 
-    0: ordered, or listed. 1: the proposal may not be taken up any more.
+    0: ordered, or listed. 1: the proposal may not be taken up any more. every : list superseded ones, too.
 
     Raises
     ------
@@ -104,17 +106,14 @@ def approve(session: Path, digest: str | None, person: Person, *, unlock: str | 
         No such session or proposal, or a hash that is too short or not of one proposal alone.
     """
     desk = Desk(session)
+    if every and (unlock or digest) is not None:
+        raise UserError("--all: lists proposals; leave it out to approve or unlock one")
     if unlock is not None:
         return _unlock(desk, unlock, digest, person, as_json=as_json)
     if digest is None:
-        return _list(desk, as_json=as_json)
+        return _list(desk, every=every, as_json=as_json)
     full = _full_hash(desk, digest)
-    proposal = desk.shown.proposals.get(full)
-    standing = desk.shown.standing(proposal, desk.expires_after_s) if proposal else Standing.OPEN
-    reason = "it was approved before" if full in desk.shown.approved else ""
-    reason = reason or (str(standing) if standing is not Standing.OPEN else "")
-    if proposal is None and full not in desk.shown.waiting.values():
-        reason = reason or "this change does not wait for a person"
+    reason = _closed(desk, full)
     document: dict[str, object] = {"session": str(desk.folder), "approved": None if reason else full,
                                    "reason": reason or None, "file": None}  # fmt: skip
     if not reason:
@@ -122,6 +121,17 @@ def approve(session: Path, digest: str | None, person: Person, *, unlock: str | 
     text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {desk.who_takes_it()}"
     _tell(document, text, as_json=as_json)
     return 1 if reason else 0
+
+
+def _closed(desk: Desk, full: str) -> str:
+    """Why what a hash names is not approved; empty when it is."""
+    if full in desk.shown.approved:
+        return "it was approved before"
+    proposal = desk.shown.proposals.get(full)
+    if proposal is None:
+        return "" if full in desk.shown.waiting.values() else "this change does not wait for a person"
+    standing = desk.shown.standing(proposal, desk.expires_after_s)
+    return str(standing) if standing is not Standing.OPEN else superseded(desk.shown.successor(proposal))
 
 
 def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> int:
@@ -171,30 +181,40 @@ def _full_hash(desk: Desk, digest: str) -> str:
     return meant[0]
 
 
-def _list(desk: Desk, *, as_json: bool) -> int:
-    """The open proposals."""
-    proposals = desk.shown.open(desk.expires_after_s)
+def _list(desk: Desk, *, every: bool, as_json: bool) -> int:
+    """The open proposals, the newest of each region; every : and those that it supersedes."""
+    able = desk.shown.open(desk.expires_after_s)
+    proposals = [one for one in able if not desk.shown.successor(one)]
+    older = len(able) - len(proposals)
     waiting = [{"hash": digest, "region": region} for region, digest in desk.shown.waiting.items()]
-    document = {"session": str(desk.folder), "time_s": desk.shown.last_s, "waiting": waiting,
-                "proposals": [_listed(one, desk.expires_after_s) for one in proposals]}  # fmt: skip
-    lines = [
-        f"{one.digest[:SHORTEST]}  decision {one.number}, {one.region}: {settings_text(one.before)} -> "
-        f"{settings_text(one.after)}; expires at {one.t_s + desk.expires_after_s:,.0f} s"
-        for one in proposals
-    ]
+    document = {"session": str(desk.folder), "time_s": desk.shown.last_s, "waiting": waiting, "superseded": older,
+                "proposals": [_listed(desk, one) for one in (able if every else proposals)]}  # fmt: skip
+    lines = [_line(desk, one, able) for one in (able if every else proposals)]
     lines += [f"{one['hash'][:SHORTEST]}  {one['region']}: tried and as promised; approve it to let the region go on"
               for one in waiting]  # fmt: skip
+    hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
     lines.append(f"{desk.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
-                 f"{desk.shown.last_s:,.0f} s")  # fmt: skip
+                 f"{desk.shown.last_s:,.0f} s{hidden}")  # fmt: skip
     _tell(document, "\n".join(lines), as_json=as_json)
     return 0
 
 
-def _listed(proposal: Proposal, expires_after_s: float) -> dict[str, object]:
+def _line(desk: Desk, proposal: Proposal, able: Sequence[Proposal]) -> str:
+    """A proposal in one line; able : all of which some may be older ones of its region."""
+    successor = desk.shown.successor(proposal)
+    older = sum(one.region == proposal.region for one in able) - 1
+    told = f"superseded by {successor[:SHORTEST]}" if successor else f"supersedes {older} older" if older else ""
+    return (f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
+            f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
+            f"{proposal.t_s + desk.expires_after_s:,.0f} s{f'; {told}' * bool(told)}")  # fmt: skip
+
+
+def _listed(desk: Desk, proposal: Proposal) -> dict[str, object]:
     """A proposal as plain values."""
     return {"hash": proposal.digest, "decision": proposal.number, "region": proposal.region, "t_s": proposal.t_s,
-            "expires_s": proposal.t_s + expires_after_s, "gains_before": gains_dict(proposal.before),
-            "gains_after": gains_dict(proposal.after)}  # fmt: skip
+            "expires_s": proposal.t_s + desk.expires_after_s, "gains_before": gains_dict(proposal.before),
+            "gains_after": gains_dict(proposal.after),
+            "superseded_by": desk.shown.successor(proposal) or None}  # fmt: skip
 
 
 def _tell(document: Mapping[str, object], text: str, *, as_json: bool) -> None:
