@@ -16,7 +16,7 @@ from retuner.explained.outcome import judgement_section, later_section, promise_
 from retuner.explained.reading import finite, gains_of, number, numbers, part, parts, words
 from retuner.explained.response_drawing import response_svg
 from retuner.explained.robustness_drawing import new_name, old_name, robustness_svg
-from retuner.explained.telling import DONE, headline, margin_rows, parameters, structure
+from retuner.explained.telling import DONE, footing, headline, margin_rows, parameters, structure
 from retuner.explained.view import DecisionView
 from retuner.html_parts import document, escaped, pairs, paragraph, section, table, text_table
 from retuner.schedule.forms import in_form
@@ -61,7 +61,7 @@ def article(view: DecisionView) -> str:
         section("Settings" if view.undoes else "Proposal", _proposal(view)),
         "" if view.undoes else section("Proof", _proof(view)),
         "</div>",
-        section("Robustness and predicted responses", drawing, _margins(view)),
+        section("Robustness and predicted responses", paragraph(footing(view)), drawing, _margins(view)),
         promise_section(view),
         later_section(view),
         section("Where it stands", _whereabouts(view)),
@@ -109,11 +109,9 @@ def _learned(view: DecisionView) -> str:
     model = view.model
     if model is None:
         return paragraph(words(view.estimate, "reason"))
-    known = part(view.document, "known") or (view.estimate if model == view.of_record else {})
-    std = {name: value for name, raw in part(known, "std").items() if (value := finite(raw)) is not None}
     records = number(view.document, "records")
     surprise = words(view.document, "surprise").upper()
-    rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, std, view.unit)]
+    rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, view.spread, view.unit)]
     none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
     rows += [("records behind it", f"{records:.0f}" if records else none),
              ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),

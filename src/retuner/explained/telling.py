@@ -4,7 +4,8 @@ import math
 
 from retuner.adaptive.margins import Margins, margins
 from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.explain import settings_text
+from retuner.adaptive.tracker import Surprise
+from retuner.explain import process_text, settings_text
 from retuner.explained.reading import number, part, words
 from retuner.explained.view import DecisionView
 from retuner.schedule.forms import in_form
@@ -25,6 +26,8 @@ DONE = {
     "none": "Nothing was changed",
 }
 """What became of a decision."""
+WITHOUT_MODEL = {"pattern", "slow_oscillation"}
+"""What a proposal rests on that needs no model."""
 SAME = 1e-3
 """Numbers closer than this share are one to a reader."""
 WHOLE_STEP = 0.999
@@ -90,10 +93,11 @@ def robustness(view: DecisionView) -> str:
     ms = part(view.verdict, "ms")
     if "nominal" not in ms or view.verdict.get("allowed") == []:  # no model: nothing is known of Ms
         return ""
+    known = "the process as known" + ", which this record contradicts" * view.contradicted
     before, after, worst = (_ms(number(ms, name)) for name in ("before", "nominal", "worst"))
     if view.after is None:
-        return f"With the settings in force: {before} on the process as known, at worst {worst} on the models allowed."
-    return f"On the process as known: {before} before, {after} after; at worst, on the models still allowed, {worst}."
+        return f"With the settings in force: {before} on {known}, at worst {worst} on the models allowed."
+    return f"On {known}: {before} before, {after} after; at worst, on the models still allowed, {worst}."
 
 
 def _ms(ms: float | None) -> str:
@@ -106,6 +110,26 @@ def headline(view: DecisionView) -> str:
     reason = words(view.document, "reason")
     why = f"{reason[:1].upper()}{reason[1:]}." if reason else ""
     return " ".join(one for one in (seen(view), why, done(view), how_far(view), robustness(view)) if one)
+
+
+def footing(view: DecisionView) -> str:
+    """On which model curves and margins rest, where this record does not bear it out; empty where it does."""
+    model, shown = view.model, view.of_record
+    settled = view.estimate.get("identifiable") is not False
+    if model is None or view.before is None or (settled and not view.contradicted):
+        return ""
+    known = ", ".join(f"{label.split()[0]} {value}" for label, value in parameters(model, view.spread, view.unit))
+    reason = words(view.estimate, "reason")
+    if view.contradicted:
+        own = f": by itself it shows {process_text(shown)}" if shown else ""
+        told = f"what was known before this record ({known}). This record contradicts that{own}"
+        told += "" if settled else f" (not settled either: {reason})"
+    elif words(view.document, "surprise").upper() == Surprise.SILENT.name:
+        told = f"what was known before this record ({known}), which shows nothing of the process"
+    else:
+        told = f"a process that the records do not settle yet ({known}): {reason}"
+    apart = words(view.document, "basis") in WITHOUT_MODEL
+    return f"Curves, margins and predictions rest on {told}." + " The proposal does not rest on it." * apart
 
 
 def structure(model: ProcessModel) -> str:

@@ -14,7 +14,19 @@ import numpy as np
 from retuner.adaptive.process import LinearProcess, ProcessModel
 from retuner.adaptive.response import Peak
 from retuner.adaptive.sample import FloatArray
-from retuner.explained.reading import Document, decided_on, gains_of, model_of, number, numbers, part, parts, words
+from retuner.adaptive.tracker import Surprise
+from retuner.explained.reading import (
+    Document,
+    decided_on,
+    finite,
+    gains_of,
+    model_of,
+    number,
+    numbers,
+    part,
+    parts,
+    words,
+)
 from retuner.schedule.gains import PidGains
 
 LAST_SAMPLES = 300
@@ -106,6 +118,17 @@ class DecisionView:
     def model(self) -> ProcessModel | None:
         """The process that was decided on: what is known of the region after this record."""
         return decided_on(self.document)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the record speaks against the process that was decided on."""
+        return words(self.document, "surprise").upper() == Surprise.ODD.name
+
+    @property
+    def spread(self) -> dict[str, float]:
+        """Standard deviations of its parameters, by name."""
+        known = part(self.document, "known") or (self.estimate if self.model == self.of_record else {})
+        return {name: value for name, raw in part(known, "std").items() if (value := finite(raw)) is not None}
 
     @cached_property
     def before(self) -> PidGains | None:
