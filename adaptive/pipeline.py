@@ -169,7 +169,7 @@ def _is_sure(
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
-    if is_safer_and_known(verdict.ruling, agrees, excitation, calm):
+    if is_safer_and_known(verdict.ruling, agrees, excitation, calm, len(case.response.peaks)):
         return True
     model = later(belief.log.model(), settings.sample_time_s / 2)
     return (

@@ -122,10 +122,11 @@ def test_a_growing_swing_after_a_setpoint_step_needs_no_rest() -> None:
 @pytest.mark.parametrize("ruling", list(Ruling))
 def test_only_changes_towards_safety_are_believed_on_agreement(ruling: Ruling) -> None:
     safe = ruling in {Ruling.SAFER, Ruling.URGENT}
-    assert is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=True) is safe
-    assert not is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=False)
-    assert not is_safer_and_known(ruling, False, Excitation(setpoints=1), calm=True)
-    assert not is_safer_and_known(ruling, True, Excitation(loads=9), calm=True)
+    assert is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=True, peaks=2) is safe
+    assert not is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=False, peaks=2)
+    assert not is_safer_and_known(ruling, False, Excitation(setpoints=1), calm=True, peaks=2)
+    assert not is_safer_and_known(ruling, True, Excitation(loads=9), calm=True, peaks=2)
+    assert not is_safer_and_known(ruling, True, Excitation(setpoints=1), calm=True, peaks=1)
 
 
 def test_one_load_response_alone_is_not_enough() -> None:

@@ -1,4 +1,4 @@
-"""The demo's promise, on a seed other than its own: every region robust on the true oven and better than fixed gains."""
+"""The demo's promise, on another seed: every region robust on the true oven and better than fixed gains."""
 
 from pathlib import Path
 
