@@ -36,10 +36,15 @@ def open_bus(interface: str, channel: str, hop_limit: int, options: Mapping[str,
         ) from error
 
 
+def known_interfaces() -> list[str]:
+    """Names of python-can's interfaces, in alphabetical order."""
+    return sorted(can.VALID_INTERFACES)
+
+
 def _advice(interface: str, channel: str, error: BaseException) -> str:
     """What to do about it."""
     if interface not in can.VALID_INTERFACES:
-        return f"interfaces of python-can: {', '.join(sorted(can.VALID_INTERFACES))}"
+        return f"interfaces of python-can: {', '.join(known_interfaces())}"
     if "msgpack" in str(error):
         return 'install it with: pip install "retuner[udp]"'
     if interface == UDP_MULTICAST:

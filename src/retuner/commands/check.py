@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from retuner.config.loading import Finding, UnusableError, parse_config, read_text, with_signals
+from retuner.config.loading import Finding, UnusableError, parse_config, read_text, usable_here
 from retuner.config.model import Config
 from retuner.errors import ConfigError
 from retuner.schedule.axis import Axis
@@ -22,7 +22,7 @@ def check(path: Path, *, as_json: bool) -> int:
     """
     try:
         text = read_text(path)
-        config = with_signals(parse_config(text), text)
+        config = usable_here(parse_config(text), text)
     except UnusableError as unusable:
         if not as_json:
             raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None

@@ -2,11 +2,13 @@
 
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
 from pydantic import ValidationError
 
+from retuner.config.bus_problems import bus_problems
 from retuner.config.messages import key_name, problems_of
 from retuner.config.model import SCHEMA, Config
 from retuner.config.setting import Problem
@@ -117,11 +119,28 @@ def with_signals(config: Config, text: str) -> Config:
     UnusableError
         With every signal that is not there.
     """
-    lines = toml_lines(text)
-    findings = [_placed(problem, lines) for problem in signal_problems(config)]
-    if findings:
-        raise UnusableError(findings)
+    _refuse(signal_problems(config), text)
     return config
+
+
+def usable_here(config: Config, text: str) -> Config:
+    """The configuration, once what it names is on this machine: signals, the bus's interface, the key file.
+
+    Raises
+    ------
+    UnusableError
+        With everything that is not.
+    """
+    _refuse((*signal_problems(config), *bus_problems(config)), text)
+    return config
+
+
+def _refuse(problems: Iterable[Problem], text: str) -> None:
+    """Refuse a text with these problems, if there are any."""
+    lines = toml_lines(text)
+    findings = [_placed(problem, lines) for problem in problems]
+    if findings:
+        raise UnusableError(sorted(findings, key=lambda finding: finding.line))
 
 
 def _parsed(text: str) -> dict[str, object]:
