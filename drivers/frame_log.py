@@ -54,7 +54,7 @@ def read_frames(path: Path) -> Iterator[can.Message]:
                 count += 1
                 yield message
     except (ImportError, NotImplementedError):
-        raise RecordingError(f"{path}: reading this format needs asammdf; pip install asammdf") from None
+        raise RecordingError(f"{path}: reading this format needs asammdf; pip install 'retuner[mf4]'") from None
     except errors as error:
         told = f": {error}" if str(error) else ""
         raise RecordingError(f"{path}: damaged after {count} frames{told}; give a whole log") from error

@@ -60,11 +60,14 @@ def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
     assert trend["samples"] <= bus["samples"] <= trend["samples"] + 2
     left = {path.name for path in run.iterdir() if not path.name.startswith("ledger")}
     assert left == {name for name in before if not name.startswith("ledger")}
-    other = tmp_path / "bus.log"
-    with can.Logger(other) as writer:
-        for message in read_frames(run / "bus.blf"):
-            writer.on_message_received(message)
-    assert asked(other, config, capsys)["decisions"] == bus["decisions"]
+    for suffix in (".log", ".asc", ".mf4"):
+        other = tmp_path / f"bus{suffix}"
+        with can.Logger(other) as writer:
+            for message in read_frames(run / "bus.blf"):
+                writer.on_message_received(message)
+        again = asked(other, config, capsys)["decisions"]
+        assert [d["gains_after"] for d in again] == [d["gains_after"] for d in bus["decisions"]], suffix
+        assert [d["reason"] for d in again] == [d["reason"] for d in bus["decisions"]], suffix
 
 
 def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
