@@ -54,8 +54,9 @@ def goals(
     limits = _Limits(request, settings, over_limit)
     kc, tau_i = abs(unlocked.kp), unlocked.kp / unlocked.ki if unlocked.ki else math.inf
     tau_d = unlocked.kd / unlocked.kp
-    kc_cut, kc_by = _cut(kc, *limits.kc())
-    tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki else (tau_i, None)
+    locks = request.locks
+    kc_cut, kc_by = _cut(kc, *limits.kc()) if not locks.kc else (kc, None)
+    tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki and not locks.tau_i else (tau_i, None)
     tau_d_cut, tau_d_by = limits.cut_tau_d(tau_d)
     cuts = [("kc", kc, kc_cut, kc_by), ("tau_I", tau_i, tau_i_cut, tau_i_by), ("tau_D", tau_d, tau_d_cut, tau_d_by)]
     notes = tuple(_note(name, was, now, by) for name, was, now, by in cuts if by is not None)
@@ -65,12 +66,12 @@ def goals(
     found = [first]
     if turned:
         return found
-    if tau_i_by is not None and not request.locks.kc:
+    if tau_i_by is not None and not locks.kc:
         kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
         made = _made(wanted.direction, kept, tau_i_cut, tau_d_cut)
         second = replace(first, gains=made, notes=(*notes, "kc moved with tau_I"))
         found = [second, first] if tau_i_by.ruling is None else [first, second]
-    elif kc_cut < kc and unlocked.ki and not request.locks.tau_i:
+    elif kc_cut < kc and unlocked.ki and not locks.tau_i:
         shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
         made = _made(wanted.direction, kc_cut, shorter, tau_d_cut)
         found.append(replace(first, gains=made, notes=(*notes, "tau_I moved with kc")))

@@ -74,6 +74,16 @@ def test_from_outside_an_absolute_limit_the_way_leads_towards_it(model: bool) ->
     assert words_of(verdict, "kc_max").startswith("kc, not more than kc_max (no farther than in force")
 
 
+def test_a_locked_gain_stays_where_it_is_though_it_lies_outside_its_limits() -> None:
+    limits = GuardSettings(kc_max=0.5 * GAINS.kp)
+    asked = replace(request(times(1.0, 0.5), models=known()), locks=Locks(kc=True))
+    verdict = prove(asked, limits)
+    assert verdict.gains is None or verdict.gains.kp == GAINS.kp
+    wide = prove(asked, GuardSettings())
+    assert wide.gains is not None
+    assert wide.gains.kp == GAINS.kp
+
+
 FACTOR = st.floats(-4, 4).map(math.exp)
 MAYBE = st.one_of(st.just(0.0), FACTOR)
 KC, TIMES = st.tuples(FACTOR, FACTOR, MAYBE), st.sampled_from([0.0, 3.0, 30.0])
