@@ -166,6 +166,13 @@ def line(row: Row) -> str:
     return "\n".join([head, *(f"    {text}" for text in row["story"])])
 
 
+def in_one_change(row: Row) -> bool:
+    """Whether the right settings lie within one change of the start: the limits are of Kc, tau_I and Kc/tau_I."""
+    more, less = (8.0, 8.0) if row["opened"] else (2.0, 4.0)
+    ways = (1 / row["kc"], row["tau_i"], row["tau_i"] / row["kc"])  # above 1: towards more action
+    return all(1 / less - 1e-9 <= way <= more + 1e-9 for way in ways)
+
+
 def table(rows: list[Row]) -> list[str]:
     """Shares in spec after each number of disturbances, by family, and what is left at the end."""
     lines = [f"{len(rows)} runs; {sum(row['changes'] for row in rows) / len(rows):.1f} changes a run"]
@@ -174,6 +181,11 @@ def table(rows: list[Row]) -> list[str]:
         f"   (at that moment {sum(r['spec'][n - 1] for r in rows)})"
         for n in range(1, DISTURBANCES + 1)
     ]
+    near = [row for row in rows if in_one_change(row)]
+    lines += [
+        f"where one change reaches: after {n}, and staying  {counted(sum(staying(r, n) for r in near), len(near))}"
+        for n in (1, 3, 6) if near
+    ]  # fmt: skip
     for who in sorted({name for row in rows for name in row["rivals"]}):
         of = [row["rivals"][who] for row in rows if who in row["rivals"]]
         lines += [
