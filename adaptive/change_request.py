@@ -47,6 +47,7 @@ def change_request(
             innovation=learned.innovation if learned is not None and odd else 0.0,
             gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
             borrowed=beliefs[region].records == 0,
+            settled=beliefs[region].identifiable,
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
         filter_s=settings.filter_s,

@@ -12,7 +12,6 @@ from retuner.adaptive.belief import Belief
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.tuning_cause import tuning_cause
 from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.guard.parameters import less_of_everything
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel
@@ -52,10 +51,23 @@ def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: Retuner
     diagnosis = tuning_cause(later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2), cause)
     ready = belief.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
-        and less_of_everything(in_force, tuning.gains)
         and over_limit(belief.plausible, in_force, dt_s, robust.believed, cause.ms_high)
     )
+    if not belief.identifiable:
+        tuning = replace(tuning, gains=no_more_action(tuning.gains, in_force, diagnosis.cause))
     return RobustProposal(tuning, diagnosis, ready)
+
+
+def no_more_action(wanted: PidGains, in_force: PidGains, cause: Cause) -> PidGains:
+    """The wanted gains with no gain larger, and no integral time shorter, than in force.
+
+    Where the integral is too strong for the gain, it follows a gain that was cut: the wanted integral time stays.
+    """
+    kp, ki, kd = (min(getattr(wanted, name), getattr(in_force, name), key=abs) for name in ("kp", "ki", "kd"))
+    longest = [kp * gains.ki / gains.kp for gains in (in_force, wanted) if gains.kp]
+    if cause != Cause.SLOW_INTEGRATING:
+        longest = longest[:1]
+    return PidGains(kp, min(ki, *longest, key=abs), kd) if longest else PidGains(kp, ki, kd)
 
 
 def _nominal(best: ProcessModel, settings: RetunerSettings) -> float:

@@ -102,7 +102,7 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
 
 UNPROVED = {False: Ruling.UNPROVED_STEP, True: Ruling.UNPROVED_WAY_OUT}
 """Ruling of a change without a model: not urgent, urgent."""
-EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTED})
+EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTED, Ruling.NOT_SETTLED})
 """Doubts that leave the way to less of everything open for a loop over its limit."""
 
 

@@ -19,7 +19,7 @@ ROUNDING = 1e-9
 
 
 def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bool = False) -> list[Check]:
-    """Count, age and innovation; nothing for a proposal by the pattern alone, which rests on its response.
+    """Count, age, innovation, and whether they settle the process; nothing for a proposal by the pattern alone.
 
     less : the change is less of everything for a loop over its limit, which needs no evidence.
     """
@@ -31,6 +31,7 @@ def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bo
         Check("records", source, float(e.records), float(s.records_min), e.records >= s.records_min),
         Check("age", "age of the last record, s", e.age_s, s.age_max_s, e.age_s <= s.age_max_s),
         Check("innovation", "innovation of the last record", e.innovation, e.gate, e.innovation <= e.gate),
+        Check("settled", "the process known well enough for settings, 1 for yes", float(e.settled), 1.0, e.settled),
     )
     return [_on_terms(check, less, "or only less of everything") for check in found]
 
@@ -57,7 +58,8 @@ def no_less(check: Check, in_force: float) -> Check:
 def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, dict[str, float]] | None:
     """The first of them that failed, as a ruling."""
     rulings = {"records": (Ruling.TOO_FEW_RECORDS, "records"), "age": (Ruling.TOO_OLD, "age_s"),
-               "innovation": (Ruling.CONTRADICTED, "innovation")}  # fmt: skip
+               "innovation": (Ruling.CONTRADICTED, "innovation"),
+               "settled": (Ruling.NOT_SETTLED, "settled")}  # fmt: skip
     for check in evidence_checks(request, settings):
         if not check.passed:
             ruling, name = rulings[check.name]

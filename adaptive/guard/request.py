@@ -25,6 +25,7 @@ class Evidence:
 
     records : behind the region's model. age_s : of the last one. innovation, gate : how far the last record lay from
     what was known, and the limit. borrowed : the model comes from a neighbouring region. support : model or pattern.
+    settled : whether settings may follow from what is known of the process.
 
     Raises
     ------
@@ -38,6 +39,7 @@ class Evidence:
     gate: float = math.inf
     borrowed: bool = False
     support: Support = Support.MODEL
+    settled: bool = True
 
     def __post_init__(self) -> None:
         for name in ("records", "age_s", "innovation", "gate"):

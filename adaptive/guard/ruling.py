@@ -44,6 +44,7 @@ class Ruling(StrEnum):
     NO_MODEL = "refused: no model of the process to prove the change on"
     TOO_FEW_RECORDS = "refused: the model rests on {records} records, {limit} are needed"
     TOO_OLD = "refused: the last record of the process is {age_s} s old (limit {limit} s)"
+    NOT_SETTLED = "refused: the process is not known well enough for settings"
     CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
 
 

@@ -4,16 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from retuner.adaptive.belief import Belief, Known
 from retuner.adaptive.borrowing import spread
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.estimate import LogModel
 from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.guard.parameters import less_of_everything
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.robust_proposal import propose
+from retuner.adaptive.robust_proposal import no_more_action, propose
 from retuner.adaptive.robust_settings import later
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
@@ -70,4 +73,14 @@ def test_too_little_known_never_gives_more_gain_whatever_the_danger() -> None:
     gains, cause, ready = of(known(level, 0.05), swinging)
     assert (cause, ready) == (Cause.SLOW_INTEGRATING, True)
     assert gains.kp > swinging.kp
-    assert not of(known(level, 0.05, identifiable=False), swinging)[2]
+    less, cause, ready = of(known(level, 0.05, identifiable=False), swinging)
+    assert (cause, ready) == (Cause.SLOW_INTEGRATING, True)
+    assert less.kp == swinging.kp
+    assert less.ki == pytest.approx(swinging.kp * gains.ki / gains.kp)
+
+
+@pytest.mark.parametrize("cause", [Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING])
+@given(st.lists(st.floats(0.01, 100.0), min_size=6, max_size=6), st.sampled_from([1, -1]))
+def test_no_more_action_is_less_of_everything(cause: Cause, sizes: list[float], sign: int) -> None:
+    wanted, in_force = (PidGains(*(sign * x for x in part)) for part in (sizes[:3], sizes[3:]))
+    assert less_of_everything(in_force, no_more_action(wanted, in_force, cause))

@@ -208,6 +208,7 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
     Ruling.NOT_FINITE: (request(times(0.6, 0.6), Tuning("x", "parallel", BIG)), SETTINGS),
     Ruling.NO_MODEL: (request(times(0.6, 0.6), models=()), SETTINGS),
     Ruling.TOO_FEW_RECORDS: (request(times(0.6, 0.6)), GuardSettings(records_min=2)),
+    Ruling.NOT_SETTLED: (replace(request(times(0.6, 0.6)), evidence=Evidence(settled=False)), SETTINGS),
     Ruling.TOO_OLD: (replace(request(times(0.6, 0.6)), evidence=Evidence(age_s=3e6)), SETTINGS),
     Ruling.CONTRADICTED: (
         replace(request(times(0.6, 0.6)), evidence=Evidence(innovation=40.0, gate=20.0)), SETTINGS),
