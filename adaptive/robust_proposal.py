@@ -24,8 +24,8 @@ from retuner.schedule.gains import PidGains
 LAG_DOMINANT = 8.0
 """tau1 over theta from which SIMC's integral time no longer is tau1 (Skogestad 2003, at tau_c = theta)."""
 OVER_NOMINAL = 1.03
-"""Ms over the proposal's nominal limit from which the gains in force are too aggressive: what a drifting process does
-to Ms is known a few percent late, so waiting for the design limit itself is waiting until it has been passed."""
+"""Ms over the proposal's nominal limit from which a gain in force is too large: what a drifting process does to Ms is
+known a few percent late, so waiting for the design limit itself is waiting until it has been passed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,13 @@ def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: Retuner
     """
     dt_s, best = settings.sample_time_s, log.model()
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
-    cause = replace(settings.cause, ms_high=min(settings.cause.ms_high, OVER_NOMINAL * robust.ms_nominal))
+    cause = settings.cause
     tuning = robust_simc_on(best, belief.plausible, dt_s, robust).tuning
-    diagnosis = tuning_cause(later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2), cause)
+    asked = (later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2))
+    diagnosis = tuning_cause(*asked, cause)
+    if diagnosis.cause == Cause.OK:
+        closer = tuning_cause(*asked, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
+        diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
     ready = belief.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
         and over_limit(belief.plausible, in_force, dt_s, robust.believed, cause.ms_high)

@@ -51,6 +51,14 @@ def test_the_nominal_limit_is_kept_and_used(model: ProcessModel, most: float) ->
         assert ms(model, gains) > most - 0.05
 
 
+@pytest.mark.parametrize(("factor", "cause"), [(1.08, Cause.OK), (1.2, Cause.AGGRESSIVE)])
+def test_a_gain_is_too_large_where_ms_leaves_the_proposals_own_limit(factor: float, cause: Cause) -> None:
+    best = simc(later(FIRST, S.sample_time_s / 2)).gains
+    gains = PidGains(factor * best.kp, factor * best.ki)
+    assert 1.65 < ms(FIRST, gains) < S.cause.ms_high
+    assert of(known(FIRST, 1e-3), gains)[1] == cause
+
+
 def test_what_is_less_known_gets_a_slower_proposal() -> None:
     sure, _, _ = of(known(FIRST, 0.02), PidGains(0.1, 0.001))
     unsure, _, _ = of(known(FIRST, 0.25), PidGains(0.1, 0.001))
