@@ -32,7 +32,7 @@ class DiagnosisSettings:
     explained_steps : the same where several setpoint steps agree; 1.5 to 10, default 3.
     tone_as_good : a change of gains needs that a tone leaves no less than this share of what the loop by itself
         leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
-        tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 40 (odds of e^20 against it:
+        tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 30 (odds of e^15 against it:
         the eleven parameters of a tone leave 2 % less of any record).
     many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
         many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
@@ -55,7 +55,7 @@ class DiagnosisSettings:
     explained_steps: float = 3.0
     tone_as_good: float = 0.95
     tone_as_good_loads: float = 0.98
-    tone_odds: float = 40.0
+    tone_odds: float = 30.0
     many_loads: int = 5
     many_loads_beside: int = 4
     spread_limit: float = 0.5
