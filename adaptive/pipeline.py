@@ -145,7 +145,7 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     doubt = _not_seen(case, outcome, settings)
     if doubt is not None:
         return Outcome("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, excitation=excitation)
-    if clear or _is_sure(case, outcome.verdict, learned, belief, excitation, settings):
+    if clear or _is_sure(case, outcome.verdict, learned, belief, known, settings):
         return replace(outcome, belief=belief, excitation=excitation)
     earlier = _was_known(case, learned, known, settings)
     if earlier is not None:
@@ -161,15 +161,18 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
 
 
 def _is_sure(
-    case: Case, verdict: Verdict, learned: Learned, belief: Belief, excitation: Excitation, settings: RetunerSettings
+    case: Case, verdict: Verdict, learned: Learned, belief: Belief, known: Excitation, settings: RetunerSettings
 ) -> bool:
-    """Whether a change by a response that is not clear needs no confirmation (see diagnosis/confirmation.py)."""
+    """Whether a change by a response that is not clear needs no confirmation (see diagnosis/confirmation.py).
+
+    known : what the model rested on before it: to agree with loads that were never confirmed proves nothing.
+    """
     swing = settings.swing
     seen = (case.samples, case.response)
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
-    if is_safer_and_known(verdict.ruling, agrees, excitation, calm, len(case.response.peaks)):
+    if is_safer_and_known(verdict.ruling, agrees, known, calm, len(case.response.peaks)):
         return True
     model = later(belief.log.model(), settings.sample_time_s / 2)
     return (

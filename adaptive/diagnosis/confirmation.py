@@ -76,8 +76,8 @@ def is_clear(
 def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool, peaks: int) -> bool:
     """Whether a change towards safety may be believed as it is.
 
-    agrees : this response agrees with what was known. calm : see calm_before; a step on top of a swing that was there
-    before it proves nothing. peaks : of this response; a swing has two at least.
+    agrees : this response agrees with what was known. excitation : what that rested on. calm : see calm_before; a step
+    on top of a swing that was there before it proves nothing. peaks : of this response; a swing has two at least.
     """
     return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0 and calm and peaks >= SWING_PEAKS
 
