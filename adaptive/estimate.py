@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from retuner.adaptive.fit.candidate import MODEL_ERROR
 from retuner.adaptive.fit.structure import LAG, SIZE, model_at
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel, ProcessType
@@ -177,6 +178,13 @@ class ModelEstimate:
     def log(self) -> LogModel:
         """Its parameters."""
         return self.best.log
+
+    def unexplained(self, pv_range: float) -> float:
+        """What the fit leaves over the noise, or over how inexact any model is where that is larger.
+
+        pv_range : of the record, pv units.
+        """
+        return self.residual_std / max(self.noise_std, MODEL_ERROR * pv_range)
 
     def of(self, type_: ProcessType) -> Alternative:
         """A structure by name."""

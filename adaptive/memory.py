@@ -22,7 +22,7 @@ from retuner.adaptive.watcher import WatcherState
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
 
-VERSION = 5
+VERSION = 6
 """Of this layout; newer ones are refused."""
 
 

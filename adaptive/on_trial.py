@@ -4,13 +4,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
+import numpy as np
+
 from retuner.adaptive.admission import Ground
-from retuner.adaptive.case import Outcome
+from retuner.adaptive.case import Case, Outcome
 from retuner.adaptive.decision import Action, Decision
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopSample, Window
+from retuner.adaptive.robust_settings import believed
+from retuner.adaptive.tracker import Learned, Surprise
+from retuner.adaptive.trial.hindsight import Hindsight, hindsight
 from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.promise import Promise, decay_seen, promise, promise_without_model
@@ -41,13 +45,33 @@ def promise_of(
     return promise_without_model(response, in_force, new) if response else None
 
 
-def seen_of(response: Response, window: Window, samples: Sequence[LoopSample], outcome: Outcome) -> Seen:
-    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it."""
-    found = outcome.diagnosis
+def seen_of(case: Case, outcome: Outcome, trial: Trial, settings: RetunerSettings) -> Seen:
+    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
+    what its own record says of the tried set and of the one before.
+    """
+    found, window = outcome.diagnosis, case.window
     blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
-    recent = islice(reversed(samples), len(window.t_s))
+    recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
-    return Seen(response, window, limited, outcome.reason if blameless else "")
+    outside = outcome.reason if blameless else ""
+    return Seen(case.response, window, limited, outside, _hindsight(case, outcome.learned, trial, settings))
+
+
+def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: RetunerSettings) -> Hindsight | None:
+    """None where the record does not settle the process, or leaves more than noise unexplained."""
+    if learned is None or trial.old is None or not learned.estimate.identifiable:
+        return None
+    estimate = learned.estimate
+    if (
+        learned.surprise == Surprise.SILENT
+        or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
+    ):
+        return None
+    old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
+    allowed = believed(estimate.plausible, settings.guard.believed)
+    return hindsight(
+        allowed, old, case.in_force, settings.sample_time_s / 2, settings.setpoint_weight, settings.filter_s
+    )
 
 
 def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:

@@ -31,7 +31,6 @@ from retuner.adaptive.diagnosis.confirmation import (
 from retuner.adaptive.diagnosis.limit_swing import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
 from retuner.adaptive.diagnosis.seen_swing import not_seen
-from retuner.adaptive.fit.candidate import MODEL_ERROR
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.proposing import without_model
 from retuner.adaptive.retuner_settings import RetunerSettings
@@ -97,8 +96,7 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
         learned = learn(known, case.window, case.in_force, settings.tracker, settings.fit, case.at)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         return Outcome("fit_failed", f"the fit failed: {error}")
-    fine = max(learned.estimate.noise_std, MODEL_ERROR * float(np.ptp(case.window.pv)))
-    left = learned.estimate.residual_std / fine
+    left = learned.estimate.unexplained(float(np.ptp(case.window.pv)))
     if left > settings.swing.unexplained:
         hidden, standing = hidden_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
         if hidden is not None and not _held_up(case, hidden, settings):

@@ -204,14 +204,15 @@ class Retuner:
             return self._decision(seen.region, LEFT[seen.unknown]) if seen.under_way else None
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return None
-        outcome = decide(self._case(seen), self.settings)
+        case = self._case(seen)
+        outcome = decide(case, self.settings)
         if outcome.belief is not None:
             self.beliefs[seen.region] = outcome.belief
         if outcome.standing is not None:
             self.standing[seen.region] = outcome.standing
         if outcome.excitation is not None:
             self.excitation[seen.region] = outcome.excitation
-        judgement = self._judge(seen, outcome)
+        judgement = self._judge(case, outcome)
         decision = self._decision(seen.region, outcome, seen.response, judgement)
         trial = self.desk.trial(seen.region)
         if trial.phase == TrialPhase.RESTORING and trial.cause is not None and judgement is not None:
@@ -224,18 +225,17 @@ class Retuner:
             decision = replace(decision, trial=str(self.desk.phase(seen.region)))
         return decision
 
-    def _judge(self, seen: Completed, outcome: Outcome) -> Judgement | None:
+    def _judge(self, case: Case, outcome: Outcome) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
-        if self.desk.phase(seen.region) != TrialPhase.TRIAL:
+        trial = self.desk.trial(case.region)
+        if trial.phase != TrialPhase.TRIAL:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
-            self.desk.event(seen.region, TrialEvent.SATURATED, self._now_s)
+            self.desk.event(case.region, TrialEvent.SATURATED, self._now_s)
             return Judgement(Finding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
-        w = self._watcher
-        looked_at = seen_of(seen.response, w.window(seen.response), w.samples, outcome)
-        ask = self.settings.mode_of(seen.region) == Mode.TRIAL
-        ran = w.table.at(seen.region, *w.scheduled)
-        return self.desk.judge(seen.region, looked_at, ran, self._now_s, ask=ask)
+        looked_at = seen_of(case, outcome, trial, self.settings)
+        ask = self.settings.mode_of(case.region) == Mode.TRIAL
+        return self.desk.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> Case:
         """Everything that the decision depends on."""

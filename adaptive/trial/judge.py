@@ -8,8 +8,9 @@ inexactness can do, and is no improvement on the gains before either:
 
 (before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
 them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
-the peaks.) It is judged only if the upset was one that the promise speaks of; otherwise it is INCONCLUSIVE, which costs
-time but undoes nothing:
+the peaks.) It is WORSE as well when the old gains were surely better on the models that its record allows, whatever
+the upset was (hindsight.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
+INCONCLUSIVE, which costs time but undoes nothing:
 
     first peak within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
     worse by then will not get better: IAE only grows)
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 
 from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.sample import FloatArray, Window
+from retuner.adaptive.trial.hindsight import Hindsight, against
 from retuner.adaptive.trial.promise import Expected, Promise
 from retuner.adaptive.trial.shape import swing, three
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -69,33 +71,38 @@ class Seen:
 
     response, window : the response and its samples, with some of the time before it.
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
-    tuning that was found behind the response, empty when none was.
+    tuning that was found behind the response, empty when none was. hindsight : what the record's models say of both
+    sets, None where they are not known.
     """
 
     response: Response
     window: Window
     limited_share: float = 0.0
     outside: str = ""
+    hindsight: Hindsight | None = None
 
 
 def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
     """Judge a response that ran under `gains`."""
+    numbers: dict[str, float] = {}
     doubt = _doubt(seen, settings)
-    if doubt:
-        return Judgement(Finding.INCONCLUSIVE, doubt, {"peaks": float(len(seen.response.peaks))})
+    worse = against(seen.hindsight, promised, settings, numbers) if seen.hindsight and not doubt else ""
     setpoint = seen.response.sp_changed
+    doubt = doubt or (_unlike_a_step(seen, settings) if setpoint else "")
+    if doubt:
+        numbers["peaks"] = float(len(seen.response.peaks))
+        return Judgement(Finding.WORSE if worse else Finding.INCONCLUSIVE, worse or doubt, numbers)
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
-    numbers: dict[str, float] = {}
     before = promised.decay_before(setpoint)
     swings = _swings(seen.response, now, before, settings, numbers)
     ran_away = promised.decay_seen is not None and promised.decay_seen > max(now.decay.high, settings.harmless_decay)
     costs = _costs(
         seen, gains, now, then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0, settings, numbers
     )
-    if swings or costs:
-        return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs))), numbers)
+    if swings or costs or worse:
+        return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs, worse))), numbers)
     told = _told(numbers)
     if seen.response.ending == Ending.SETPOINT:
         return Judgement(Finding.INCONCLUSIVE, f"{seen.response.ending}; until then {told}", numbers)
@@ -106,14 +113,14 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
 
 
 def _doubt(seen: Seen, settings: TrialSettings) -> str:
-    """Why the response says nothing, if so."""
+    """Why the response says nothing at all, if so."""
     response = seen.response
     if seen.outside:
         return f"not judged: {seen.outside}"
     least = settings.seen_bands * response.band
     if not response.peaks or abs(response.peaks[0].e) < least:
         return f"not judged: its first peak is below {least:.3g}, {settings.seen_bands:g} noise bands"
-    return _unlike_a_step(seen, settings) if response.sp_changed else ""
+    return ""
 
 
 def _unlike_a_step(seen: Seen, settings: TrialSettings) -> str:

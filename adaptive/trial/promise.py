@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
 from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.response import Ending, Response
@@ -94,8 +95,9 @@ class Expected:
 class Promise:
     """New and old gains under a setpoint step and under a load.
 
-    models : how many models it is spread over. decay_seen : of the response under the old gains that led to the change,
-    None when it does not tell; what was seen counts more than what a model says of the old gains.
+    models : how many models it is spread over. ms : of the new set; None for a promise without a model.
+    decay_seen : of the response under the old gains that led to the change, None when it does not tell; what was seen
+    counts more than what a model says of the old gains.
     """
 
     setpoint: Expected
@@ -104,6 +106,7 @@ class Promise:
     load_before: Expected
     models: int
     decay_seen: float | None = None
+    ms: Spread | None = None
 
     def decay_before(self, setpoint: bool) -> float:
         """Decay under the old gains: as seen, else on the best model."""
@@ -124,6 +127,7 @@ class Promise:
             "load_before": self.load_before.to_dict(),
             "models": self.models,
             "decay_seen": self.decay_seen,
+            "ms": self.ms.to_list() if self.ms else None,
         }
 
     @classmethod
@@ -132,10 +136,11 @@ class Promise:
         setpoint, load, setpoint_before, load_before = (
             Expected.from_dict(body[name]) for name in ("setpoint", "load", "setpoint_before", "load_before")
         )
-        seen = body["decay_seen"]
+        seen, ms = body["decay_seen"], body["ms"]
         return cls(
-            setpoint, load, setpoint_before, load_before, int(body["models"]), None if seen is None else float(seen)
-        )
+            setpoint, load, setpoint_before, load_before, int(body["models"]), None if seen is None else float(seen),
+            None if ms is None else Spread.from_list(ms),
+        )  # fmt: skip
 
     def sentence(self) -> str:
         """For people."""
@@ -178,7 +183,8 @@ def promise(
     ]
     n = len(models)
     now, then = shapes[:n], shapes[n:]
-    return Promise(_setpoint(now), _load(now), _setpoint(then), _load(then), n)
+    ms = Spread.over([sensitivity_peak(process, new, tau_f_s) for process in sampled])
+    return Promise(_setpoint(now), _load(now), _setpoint(then), _load(then), n, ms=ms)
 
 
 def decay_seen(response: Response | None) -> float | None:

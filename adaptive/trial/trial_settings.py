@@ -14,6 +14,7 @@ class TrialSettings:
     decay_slack : and by this much in the ratio of successive peaks; 0 to 0.5, default 0.15 (a model is never exact).
     iae_slack : and by this factor in IAE; 1 to 4, default 1.5.
     harmless_decay : a ratio of successive peaks up to this is never called worse; 0.1 to 0.5, default 0.25.
+    harmless_ms : an Ms up to this is never called worse, by what the trial's own record says; 1.5 to 3, default 1.9.
     seen_bands : noise bands that the first peak must have to be judged; 2 to 20, default 4.
     rest_share : share of a setpoint step that may be left of the upset before it; 0 to 0.1, default 0.05.
     cool_down_s : no change for this long after an abort, s; None takes cool_down_tau_i times tau_I of the restored set.
@@ -36,6 +37,7 @@ class TrialSettings:
     decay_slack: float = 0.15
     iae_slack: float = 1.5
     harmless_decay: float = 0.25
+    harmless_ms: float = 1.9
     seen_bands: float = 4.0
     rest_share: float = 0.05
     cool_down_s: float | None = None
@@ -52,7 +54,8 @@ class TrialSettings:
     def __post_init__(self) -> None:
         ranges = (
             ("responses", 1, 10), ("level", 2, 6), ("decay_slack", 0, 0.5), ("iae_slack", 1, 4),
-            ("harmless_decay", 0.1, 0.5), ("seen_bands", 2, 20), ("rest_share", 0, 0.1), ("cool_down_tau_i", 1, 1000),
+            ("harmless_decay", 0.1, 0.5), ("harmless_ms", 1.5, 3), ("seen_bands", 2, 20),
+            ("rest_share", 0, 0.1), ("cool_down_tau_i", 1, 1000),
             ("cool_down_most", 0, 20), ("lock_out_after", 1, 20), ("timeout_s", 1, 1e8), ("grows", 1, 2),
             ("stays", 0.8, 1), ("stays_for", 3, 20), ("limited_settles", 1, 20), ("limit_swings", 2, 10),
         )  # fmt: skip

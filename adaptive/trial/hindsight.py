@@ -1,0 +1,84 @@
+"""Hindsight: what the record of a trial says of both sets, whatever was promised.
+
+    least Ms(tried)  >  max(greatest promised, harmless_ms),  and  > Ms(old) on every model      less robust
+    least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model   slower
+
+over all models that the record still allows; J is the mean over a setpoint and a load step of IAE with the tried set
+over IAE with the old one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the
+IAE of a load is 1/ki per unit whatever the process, so a sluggish set keeps what a wrong model promised of it, and a
+set of high Ms may still take up a load with hardly a swing.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.trial.promise import Promise, promise
+from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class Hindsight:
+    """ms_tried : least Ms of the tried set over the models, and ms_old : greatest of the old one; infinite where
+    unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head of this file; 0
+    where it is not known.
+    """
+
+    ms_tried: float
+    ms_old: float
+    robuster: bool
+    slower: float
+
+
+def hindsight(
+    allowed: Sequence[Plausible], old: PidGains, tried: PidGains, half_sample_s: float, b: float = 1.0,
+    tau_f_s: float = 0.0,
+) -> Hindsight:  # fmt: skip
+    """Both sets on the models that a record allows.
+
+    Parameters
+    ----------
+    allowed : at least one model. half_sample_s : dead time that sampling adds, s.
+    b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
+    """
+    later = [replace(found.model, theta_s=found.model.theta_s + half_sample_s).linear() for found in allowed]
+    ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in later] for gains in (tried, old))
+    slower = min(_cost(promise([found], old, tried, half_sample_s, b, tau_f_s)) for found in allowed)
+    robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
+    return Hindsight(min(ms_tried), max(ms_old), robuster, slower)
+
+
+def against(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """What hindsight says against the tried set, if anything; its numbers are put down."""
+    limit = max(settings.harmless_ms, promised.ms.high if promised.ms else 0.0)
+    numbers |= {"ms_least": _finite(found.ms_tried), "ms_limit": _finite(limit), "cost_least": found.slower}
+    if found.robuster and found.ms_tried > limit:
+        words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
+        return f"worse than promised: by all that its record allows {words}, allowed {limit:.2f}"
+    limit = settings.iae_slack * max(_cost(promised), 1.0)
+    numbers["cost_limit"] = limit
+    if found.ms_old <= settings.harmless_ms and found.slower > limit:
+        return (
+            f"worse than promised: by all that its record allows IAE is at least {found.slower:.2f} times that with "
+            f"the gains before, whose Ms is {found.ms_old:.2f} at most; promised {limit / settings.iae_slack:.2f}"
+        )
+    return ""
+
+
+def _cost(promised: Promise) -> float:
+    """J of the new set over the old one on the best model; 0 where one of them never comes to rest."""
+    pairs = ((promised.setpoint, promised.setpoint_before), (promised.load_step, promised.load_before))
+    ratios = [
+        now.iae.best / then.iae.best
+        for now, then in pairs
+        if math.isfinite(now.iae.best) and 0 < then.iae.best < math.inf
+    ]
+    return sum(ratios) / len(pairs) if len(ratios) == len(pairs) else 0.0
+
+
+def _finite(value: float) -> float:
+    """A number that JSON can hold: -1 stands for "unstable"."""
+    return value if math.isfinite(value) else -1.0

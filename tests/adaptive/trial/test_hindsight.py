@@ -1,0 +1,105 @@
+"""Hindsight: what the record of a trial says of both sets undoes what kept a false promise, and only that."""
+
+from dataclasses import replace
+from itertools import product
+
+import pytest
+from rig import BAD, GOOD, MODEL, Rig, responses
+
+from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.trial.hindsight import Hindsight, against, hindsight
+from retuner.adaptive.trial.judge import Finding, judge
+from retuner.adaptive.trial.promise import Promise, promise
+from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.schedule.gains import PidGains
+
+S = TrialSettings()
+HALF_S = 0.5
+TRUE = [Plausible(replace(MODEL, k=MODEL.k * k, theta_s=MODEL.theta_s * theta), 0.5)
+        for k, theta in product((1.0, 0.9, 1.1), (1.0, 0.9, 1.1))]  # fmt: skip
+SLUGGISH = BAD["kc /4"]
+STRONG = PidGains(1.8 * GOOD.kp, 1.8 * GOOD.ki)
+"""Ms about 2.8: no runaway, and hardly a swing after a load."""
+
+
+def lie(tried: PidGains, k: float) -> Promise:
+    """What a model with another gain promises of the tried set."""
+    return promise([Plausible(replace(MODEL, k=MODEL.k * k), 0.0)], GOOD, tried, HALF_S)
+
+
+def test_the_numbers_are_those_of_the_margins_and_of_the_integral_time() -> None:
+    found = hindsight(TRUE, GOOD, STRONG, HALF_S)
+    peaks = [sensitivity_peak(replace(p.model, theta_s=p.model.theta_s + HALF_S).linear(), STRONG) for p in TRUE]
+    assert found.ms_tried == pytest.approx(min(peaks))
+    assert found.robuster
+    assert 1.55 < found.ms_old < S.harmless_ms
+    slow = hindsight(TRUE[:1], GOOD, SLUGGISH, HALF_S)
+    assert slow.slower == pytest.approx(4.0, rel=0.1)  # both IAE go with 1/ki where nothing swings
+
+
+def test_a_sluggish_set_that_a_wrong_model_calls_right_is_found_out() -> None:
+    believed = lie(SLUGGISH, 4.0)
+    seen = responses(Rig(SLUGGISH, noise=0.025), 2500, load=10.0)[0]
+    assert judge(seen, believed, SLUGGISH, S).finding is not Finding.WORSE  # its IAE is 1/ki, as promised
+    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, SLUGGISH, HALF_S)), believed, SLUGGISH, S)
+    assert found.finding is Finding.WORSE
+    assert "times that with the gains before" in found.reason
+    assert found.numbers["cost_least"] > found.numbers["cost_limit"]
+
+
+def test_a_set_that_is_too_strong_is_found_out_after_a_load() -> None:
+    believed = lie(STRONG, 1 / 1.8)
+    seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
+    assert judge(seen, believed, STRONG, S).finding is not Finding.WORSE
+    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, HALF_S)), believed, STRONG, S)
+    assert found.finding is Finding.WORSE
+    assert "Ms is at least" in found.reason
+    assert found.numbers["ms_least"] > found.numbers["ms_limit"]
+
+
+def test_one_model_that_clears_the_tried_set_is_enough() -> None:
+    for tried, k in ((SLUGGISH, 4.0), (STRONG, 1 / 1.8)):
+        clears = Plausible(replace(MODEL, k=MODEL.k * k), 3.0)
+        assert not against(hindsight([*TRUE, clears], GOOD, tried, HALF_S), lie(tried, k), S, {})
+
+
+def test_hindsight_decides_where_the_loop_was_not_at_rest() -> None:
+    rig = Rig(SLUGGISH, noise=0.025)
+    rig.load = 10.0
+    moving = next(seen for seen in responses(rig, 2500, rest=60, sp=5.0) if seen.response.sp_changed)
+    found = judge(moving, lie(SLUGGISH, 4.0), SLUGGISH, S)
+    assert (found.finding, "not at rest" in found.reason) == (Finding.INCONCLUSIVE, True)
+    known = replace(moving, hindsight=hindsight(TRUE, GOOD, SLUGGISH, HALF_S))
+    assert judge(known, lie(SLUGGISH, 4.0), SLUGGISH, S).finding is Finding.WORSE
+
+
+def test_hindsight_is_silent_where_something_else_is_behind_the_response() -> None:
+    seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
+    known = replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, HALF_S), outside="a valve that sticks")
+    assert judge(known, lie(STRONG, 1 / 1.8), STRONG, S).finding is Finding.INCONCLUSIVE
+
+
+@pytest.mark.parametrize("old", [BAD["kc x4"], BAD["tau_i /4"], PidGains(2.2 * GOOD.kp, 2.2 * GOOD.ki)], ids=str)
+def test_a_cure_is_not_undone_for_being_slower_than_a_set_that_is_not_robust(old: PidGains) -> None:
+    cured = promise(TRUE, old, GOOD, HALF_S)
+    assert not against(hindsight(TRUE, old, GOOD, HALF_S), cured, S, {})
+
+
+def test_a_set_that_costs_as_much_as_promised_is_kept() -> None:
+    half = PidGains(GOOD.kp / 2, GOOD.ki / 2)
+    assert against(hindsight(TRUE, GOOD, half, HALF_S), lie(half, 6.0), S, {})
+    assert not against(hindsight(TRUE, GOOD, half, HALF_S), promise(TRUE, GOOD, half, HALF_S), S, {})
+
+
+def test_a_promised_ms_is_no_ground_to_undo() -> None:
+    found = Hindsight(ms_tried=2.05, ms_old=1.5, robuster=True, slower=0.7)
+    assert against(found, lie(STRONG, 1 / 1.8), S, {})
+    promised = promise([Plausible(MODEL, 0.0)], GOOD, STRONG, HALF_S)
+    assert promised.ms is not None
+    assert promised.ms.high > 2.05
+    assert not against(found, promised, S, {})
+
+
+def test_without_integral_action_before_nothing_is_said_of_the_cost() -> None:
+    assert hindsight(TRUE[:1], PidGains(GOOD.kp, 0.0), SLUGGISH, HALF_S).slower == 0.0
