@@ -45,7 +45,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.asked, e.clear] for region, e in retuner.excitation.items()
+            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.rival] for region, e in retuner.excitation.items()
         },
     }
 

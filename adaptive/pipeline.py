@@ -43,7 +43,7 @@ FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATI
 """Causes that leave nothing in a record from which the process could be learned."""
 
 
-ANEW = frozenset({Surprise.FIRST, Surprise.OPENED, Surprise.CHANGED})
+ANEW = frozenset({Surprise.FIRST, Surprise.OPENED})
 """After these the model rests on nothing that came before."""
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
@@ -129,9 +129,11 @@ def _lent(case: Case, settings: RetunerSettings) -> Belief | None:
 
 def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings: RetunerSettings) -> Outcome:
     """What is known decides; before gains change, a case that is not clear is put to the whole diagnosis."""
-    known = Excitation() if learned.surprise in ANEW else case.excitation
+    known = _rested_on(case.excitation, learned.surprise)
     clear = is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing)
     excitation = known.with_response(case.response, clear=clear)
+    if learned.surprise == Surprise.ODD:
+        excitation = replace(excitation, rival=int(clear))
     log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
     wanted = propose(belief, log, case.in_force, settings)
     if not wanted.ready:
@@ -158,6 +160,13 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     return Outcome("unconfirmed", doubt.reason, learned, taken, doubt, outcome.proposal, excitation=excitation)
 
 
+def _rested_on(excitation: Excitation, surprise: Surprise) -> Excitation:
+    """What the model rested on before this response."""
+    if surprise == Surprise.CHANGED:
+        return excitation.of_rival()
+    return Excitation() if surprise in ANEW else excitation
+
+
 def _is_sure(
     case: Case, verdict: Verdict, learned: Learned, belief: Belief, known: Excitation, settings: RetunerSettings
 ) -> bool:
@@ -167,6 +176,8 @@ def _is_sure(
     """
     swing = settings.swing
     seen = (case.samples, case.response)
+    if learned.surprise == Surprise.CHANGED and known.clear:
+        return True
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES

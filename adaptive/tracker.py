@@ -15,8 +15,9 @@ plus the cost of loads and colour: information criteria add up, so the structure
 discarded for good; what is known is that of the structure which leads.
 
 A record that contradicts what is known is not believed at once: it is kept as a rival. When the next record agrees
-with the rival better than with the belief, the process has changed (or the first record was wrong), and the rival
-takes over; when it agrees with the belief, the odd record is forgotten. Only a loop that is in danger by what the odd
+with the rival clearly better than with the belief, the process has changed (or the first record was wrong), and the
+rival takes over; when it clearly agrees with the belief, the odd record is forgotten; and when it shows too little to
+tell (a load tells little of a dead time), it is taken into both. Only a loop that is in danger by what the odd
 record says does not wait: then the record is believed, and what was known is the rival. And where no settings could
 follow from what was known, it gives way at once to a record that contradicts it and settles the process by itself.
 """
@@ -63,6 +64,8 @@ class TrackerSettings:
     gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 6,
         default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and then, and a
         gain or delay that has doubled lies far beyond 4.5.
+    decisive : deviance by which a record that fits both must speak for the rival, or against it; 2 to 20, default 6
+        (odds of 20).
     most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
     danger_ms : an odd record by which Ms is above this with the gains in force is believed at once; default 2.3.
     """
@@ -71,6 +74,7 @@ class TrackerSettings:
     walk_per_record: float = 0.03
     scatter: float = 0.06
     gate: float = 4.5
+    decisive: float = 6.0
     most_lead: float = 60.0
     danger_ms: float = 2.3
 
@@ -113,11 +117,16 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """What is known with a record taken in, and how much worse the two explain each other than they do apart."""
+    """What is known with a record taken in.
+
+    rise : how much worse the two explain each other than each by itself (deviance). innovation : the same, never more
+    than what the linear filter says.
+    """
 
     known: tuple[Known, ...]
     estimate: ModelEstimate
     innovation: float
+    rise: float
 
     def belief(self, records: int, lesson: Lesson, points: tuple[RecordPoint, ...]) -> Belief:
         """As the new belief."""
@@ -151,11 +160,25 @@ def learn(
     joined = _joined(belief.known, lesson.t_s - belief.t_s, lesson)
     points = remembered(belief.points, lesson.point(joined.innovation))
     if joined.innovation <= gate(len(belief.log.x), settings.gate):
-        return Learned(joined.belief(belief.records + 1, lesson, points), joined.estimate, Surprise.AGREES,
-                       joined.innovation)  # fmt: skip
+        return _agreed(belief, joined, lesson, points)
     if not belief.records or (lesson.alone.identifiable and not belief.identifiable):
         return _first(lesson)
     return _contradicted(belief, lesson, joined.innovation, points, in_force)
+
+
+def _agreed(belief: Belief, joined: Joined, lesson: Lesson, points: tuple[RecordPoint, ...]) -> Learned:
+    """What was known explains the record; so may the rival, and better."""
+    settings, kept = lesson.settings, None
+    if belief.rival is not None:
+        other = _joined(belief.rival, 0.0, lesson)
+        lead = joined.rise - other.rise
+        if other.innovation <= gate(len(belief.rival[0].log.x), settings.gate):
+            if lead > settings.decisive:
+                return Learned(other.belief(2, lesson, points[-2:]), other.estimate, Surprise.CHANGED,
+                               joined.innovation)  # fmt: skip
+            kept = other.known if lead > -settings.decisive else None
+    now = replace(joined.belief(belief.records + 1, lesson, points), rival=kept)
+    return Learned(now, joined.estimate, Surprise.AGREES, joined.innovation)
 
 
 def _first(lesson: Lesson) -> Learned:
@@ -211,7 +234,8 @@ def _joined(known: tuple[Known, ...], elapsed_s: float, lesson: Lesson) -> Joine
     apart = min(_criterion(k, lesson) for k in known) + min(a.evidence for a in alone.alternatives)
     together = min(_criterion(k, lesson) for k in after)
     linear, _ = update(priors[known[0].log.type], alone)
-    return Joined(_led(after, lesson), estimate, min(linear, max(together - apart, 0.0)))
+    rise = together - apart
+    return Joined(_led(after, lesson), estimate, min(linear, max(rise, 0.0)), rise)
 
 
 def _criterion(known: Known, lesson: Lesson) -> float:

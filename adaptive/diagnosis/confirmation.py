@@ -5,7 +5,8 @@
                  among what the model rests on, and this response swings and agrees with it, or the loop runs away at
                  such a step, or it swings at its own crossover between the output's limits (limit_swing.py)
     known        a clear case before this response already called for a change that its model proves (the rest of a
-                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away
+                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away;
+                 or it confirms what a clear case showed that contradicted all before: the process has changed
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest. When it does not, nothing is learned from loads until there were twice
@@ -40,16 +41,18 @@ class Excitation:
     """How many responses of each kind the model of a region rests on.
 
     asked : of the load responses, how many there were when the diagnosis last did not name the tuning; 0 for never.
-    clear : of the setpoint responses, how many were clear (see is_clear).
+    clear : of the setpoint responses, how many were clear (see is_clear). rival : the same of what contradicted it
+    last.
     """
 
     setpoints: int = 0
     loads: int = 0
     asked: int = 0
     clear: int = 0
+    rival: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("setpoints", "loads", "asked", "clear"):
+        for name in ("setpoints", "loads", "asked", "clear", "rival"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
 
@@ -59,6 +62,10 @@ class Excitation:
         return replace(
             self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint), clear=self.clear + clear
         )
+
+    def of_rival(self) -> "Excitation":
+        """Of the model that contradicted this one, when it takes over."""
+        return Excitation(setpoints=self.rival, clear=self.rival)
 
 
 def is_clear(

@@ -35,7 +35,7 @@ def table(gains: PidGains) -> GainTable:
 class Bench:
     """A process of first order + dead time in samples, under PI with the gains of the retuner's table."""
 
-    def __init__(self, retuner: Retuner, sign: int = 1, seed: int = 0, noise: float = 0.01) -> None:
+    def __init__(self, retuner: Retuner, sign: float = 1, seed: int = 0, noise: float = 0.01) -> None:
         self.retuner, self.sign, self.noise = retuner, sign, noise
         self.rng = np.random.default_rng(seed)
         self.t, self.x, self.integral, self.pv = 0.0, 0.0, 0.0, 0.0
@@ -110,6 +110,23 @@ def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatc
     assert [bool(d.response and d.response.sp_changed) for d in steps] == [True, False]
     assert steps[1].surprise == Surprise.AGREES
     assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
+
+
+def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process loses more than half of its gain at rest: one step is odd, the load after it is the second record."""
+    bench = made(GOOD)
+    bench.run(400)
+    assert all(d.action == Action.NONE for d in [*bench.run(500, 1.0), *bench.run(500, 0.0), *bench.run(500, 0.0)])
+    monkeypatch.setattr(pipeline, "unconfirmed", None)  # nobody asks
+    bench.sign = 0.4
+    (odd,) = bench.run(600, 1.0)
+    (confirming,) = bench.run(600, 1.0, 1.0)
+    assert (odd.surprise, odd.action) == (Surprise.ODD, Action.NONE)
+    assert (confirming.surprise, confirming.action) == (Surprise.CHANGED, Action.COMMIT)
+    assert confirming.response is not None
+    assert not confirming.response.sp_changed
+    assert confirming.gains_after is not None
+    assert confirming.gains_after.kp == pytest.approx(2 * GOOD.kp)  # the most that one change may do
 
 
 def test_good_gains_are_left_alone() -> None:

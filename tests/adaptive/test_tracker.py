@@ -19,6 +19,7 @@ from retuner.adaptive.tracker import Surprise, TrackerSettings, learn, predicted
 from retuner.schedule.gains import PidGains
 
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.0)
+SCATTERED = TrackerSettings()
 FIT = FitSettings()
 UP, DOWN = PidGains(2.0, 0.05), PidGains(-2.0, -0.05)
 """Gains in force."""
@@ -73,6 +74,48 @@ def test_one_odd_record_is_not_believed_and_a_second_one_is(loop: Callable) -> N
     assert changed.surprise == Surprise.CHANGED
     assert changed.belief is not None
     assert changed.belief.log.model().k == pytest.approx(2.0, rel=0.1)
+
+
+def with_rival(loop: Callable, theta_s: float) -> Belief:
+    """Three records of a dead time of 5 s, then a setpoint step that shows another one."""
+    belief = None
+    for window in records(loop, 3):
+        belief = learn(belief, window, UP, SCATTERED, FIT).belief
+    odd = learn(belief, loop(theta=theta_s, noise=0.02, sp=1.0).run(seed=9, t0=1200.0), UP, SCATTERED, FIT)
+    assert odd.surprise == Surprise.ODD
+    assert odd.belief is not None
+    assert odd.belief.rival is not None
+    return odd.belief
+
+
+def test_a_record_that_fits_both_but_the_rival_better_confirms_it(loop: Callable) -> None:
+    load = loop(theta=2.5, noise=0.05, load=3.0).run(seed=10, t0=1600.0)
+    doubted = with_rival(loop, 2.5)
+    assert learn(replace(doubted, rival=None), load, UP, SCATTERED, FIT).surprise == Surprise.AGREES
+    changed = learn(doubted, load, UP, SCATTERED, FIT)
+    assert changed.surprise == Surprise.CHANGED
+    assert changed.belief is not None
+    assert changed.belief.rival is None
+    assert changed.belief.log.model().theta_s == pytest.approx(2.5, rel=0.2)
+
+
+def test_a_record_that_cannot_tell_leaves_the_rival_until_one_can(loop: Callable) -> None:
+    half_way = loop(theta=3.7, noise=0.08, load=3.0).run(seed=10, t0=1600.0)
+    undecided = learn(with_rival(loop, 2.5), half_way, UP, SCATTERED, FIT)
+    assert undecided.surprise == Surprise.AGREES
+    assert undecided.belief is not None
+    assert undecided.belief.rival is not None
+    step = loop(theta=2.5, noise=0.02, sp=1.0).run(seed=11, t0=2000.0)
+    changed = learn(undecided.belief, step, UP, SCATTERED, FIT)
+    assert changed.surprise == Surprise.CHANGED
+
+
+def test_a_record_that_speaks_clearly_against_the_rival_forgets_it(loop: Callable) -> None:
+    same = loop(noise=0.02, sp=-1.0).run(seed=12, t0=1600.0)
+    back = learn(with_rival(loop, 2.5), same, UP, SCATTERED, FIT)
+    assert back.surprise == Surprise.AGREES
+    assert back.belief is not None
+    assert back.belief.rival is None
 
 
 def test_time_opens_the_uncertainty(loop: Callable) -> None:
