@@ -176,8 +176,6 @@ def _is_sure(
     """
     swing = settings.swing
     seen = (case.samples, case.response)
-    if learned.surprise == Surprise.CHANGED and known.clear:
-        return True
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
