@@ -16,6 +16,7 @@ What an outside sinusoid or a valve does to a loop looks like a load response fo
 this stage 6 of 10 loops with good gains were changed).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -187,18 +188,22 @@ def _other_way(found: Cause, wanted: Cause | None) -> bool:
 def from_rest(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:
     """Without the motion with which a stretch begins: its cause lies before it, so nothing in it explains the motion.
 
-    samples : a stretch that holds the response. Whole when the loop never was at rest before the response.
+    samples : a stretch that holds the response. When the loop never was at rest before the response, all since the
+    last motion that dwarfs it.
     """
     needed_s = settings.rest * (response.t_end_s - response.t_start_s)
-    since = 0
+    most = settings.dwarfs * max((abs(peak.e) for peak in response.peaks), default=math.inf)
+    since = dwarfed = 0
     for i, sample in enumerate(samples):
         if sample.t_s >= response.t_start_s:
             break
+        if abs(sample.sp - sample.pv) > most:
+            dwarfed = i + 1
         if abs(sample.sp - sample.pv) > response.band:
             since = i + 1
         elif sample.t_s - samples[since].t_s >= needed_s:
             return samples[since:]
-    return samples
+    return samples[dwarfed:]
 
 
 def _unknown(reason: str, excitation: Excitation) -> Diagnosis:

@@ -52,6 +52,8 @@ class SwingSettings:
         0.1 to 0.8, default 0.4.
     beneath : the same over the first peak of a setpoint step, up to which an oscillation that was explained does not
         matter to it; 0.05 to 0.4, default 0.15.
+    dwarfs : the same over the response's largest peak, from which earlier motion is left out of what is looked at;
+        2 to 20, default 5 (half a percent of it, which no model explains, would pass for a disturbance).
     again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
     unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
     shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
@@ -75,6 +77,7 @@ class SwingSettings:
     growth_explained: float = 0.99
     calm: float = 0.4
     beneath: float = 0.15
+    dwarfs: float = 5.0
     again: float = 2.0
     unseen_bands: float = 2.0
     shown: float = 0.5

@@ -3,6 +3,8 @@
     least Ms(tried)  >  max(greatest promised, harmless_ms),  and  > Ms(old) on every model      less robust
     least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model   slower
 
+    greatest Ms(tried)  <=  max(greatest promised, harmless_ms)                                  as robust as promised
+
 over all models that the record still allows; J is the mean over a setpoint and a load step of IAE with the tried set
 over IAE with the old one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the
 IAE of a load is 1/ki per unit whatever the process, so a sluggish set keeps what a wrong model promised of it, and a
@@ -22,12 +24,13 @@ from retuner.schedule.gains import PidGains
 
 @dataclass(frozen=True, slots=True)
 class Hindsight:
-    """ms_tried : least Ms of the tried set over the models, and ms_old : greatest of the old one; infinite where
-    unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head of this file; 0
-    where it is not known.
+    """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
+    infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
+    of this file; 0 where it is not known.
     """
 
     ms_tried: float
+    ms_most: float
     ms_old: float
     robuster: bool
     slower: float
@@ -48,12 +51,12 @@ def hindsight(
     ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in later] for gains in (tried, old))
     slower = min(_cost(promise([found], old, tried, half_sample_s, b, tau_f_s)) for found in allowed)
     robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
-    return Hindsight(min(ms_tried), max(ms_old), robuster, slower)
+    return Hindsight(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
 
 
 def against(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
     """What hindsight says against the tried set, if anything; its numbers are put down."""
-    limit = max(settings.harmless_ms, promised.ms.high if promised.ms else 0.0)
+    limit = _limit(promised, settings)
     numbers |= {"ms_least": _finite(found.ms_tried), "ms_limit": _finite(limit), "cost_least": found.slower}
     if found.robuster and found.ms_tried > limit:
         words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
@@ -66,6 +69,18 @@ def against(found: Hindsight, promised: Promise, settings: TrialSettings, number
             f"the gains before, whose Ms is {found.ms_old:.2f} at most; promised {limit / settings.iae_slack:.2f}"
         )
     return ""
+
+
+def in_favour(found: Hindsight, promised: Promise, settings: TrialSettings) -> str:
+    """What hindsight says for the tried set, if anything."""
+    if found.ms_most > _limit(promised, settings):
+        return ""
+    return f"as robust as promised: Ms is {found.ms_most:.2f} at most by all that its record allows"
+
+
+def _limit(promised: Promise, settings: TrialSettings) -> float:
+    """Ms up to which the tried set is as robust as promised."""
+    return max(settings.harmless_ms, promised.ms.high if promised.ms else 0.0)
 
 
 def _cost(promised: Promise) -> float:

@@ -10,7 +10,7 @@ inexactness can do, and is no improvement on the gains before either:
 them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
 the peaks.) It is WORSE as well when the old gains were surely better on the models that its record allows, whatever
 the upset was (hindsight.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
-INCONCLUSIVE, which costs time but undoes nothing:
+INCONCLUSIVE, which costs time but undoes nothing, unless its record says that the tried set is robust:
 
     first peak within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
     worse by then will not get better: IAE only grows)
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.sample import FloatArray, Window
-from retuner.adaptive.trial.hindsight import Hindsight, against
+from retuner.adaptive.trial.hindsight import Hindsight, against, in_favour
 from retuner.adaptive.trial.promise import Expected, Promise
 from retuner.adaptive.trial.shape import swing, three
 from retuner.adaptive.trial.trial_settings import TrialSettings
@@ -84,14 +84,16 @@ class Seen:
 
 def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
     """Judge a response that ran under `gains`."""
-    numbers: dict[str, float] = {}
-    doubt = _doubt(seen, settings)
-    worse = against(seen.hindsight, promised, settings, numbers) if seen.hindsight and not doubt else ""
+    numbers: dict[str, float] = {"peaks": float(len(seen.response.peaks))}
+    nothing = _says_nothing(seen, settings)
+    if nothing:
+        return Judgement(Finding.INCONCLUSIVE, nothing, numbers)
+    worse = against(seen.hindsight, promised, settings, numbers) if seen.hindsight else ""
     setpoint = seen.response.sp_changed
-    doubt = doubt or (_unlike_a_step(seen, settings) if setpoint else "")
-    if doubt:
-        numbers["peaks"] = float(len(seen.response.peaks))
-        return Judgement(Finding.WORSE if worse else Finding.INCONCLUSIVE, worse or doubt, numbers)
+    unlike = _unlike_a_step(seen, settings) if setpoint else ""
+    if unlike:
+        return Judgement(Finding.WORSE, worse, numbers) if worse else _by_hindsight(
+            unlike, seen.hindsight, promised, settings, numbers)  # fmt: skip
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
@@ -105,14 +107,25 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
         return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs, worse))), numbers)
     told = _told(numbers)
     if seen.response.ending == Ending.SETPOINT:
-        return Judgement(Finding.INCONCLUSIVE, f"{seen.response.ending}; until then {told}", numbers)
+        why = f"{seen.response.ending}; until then {told}"
+        return _by_hindsight(why, seen.hindsight, promised, settings, numbers)
     better = numbers.get("iae", math.inf) < now.iae.low and numbers["decay"] <= max(now.decay.best, now.decay.low)
     if better:
         return Judgement(Finding.BETTER, f"better than promised: {told}", numbers)
     return Judgement(Finding.AS_PROMISED, f"as promised: {told}", numbers)
 
 
-def _doubt(seen: Seen, settings: TrialSettings) -> str:
+def _by_hindsight(
+    why: str, seen: Hindsight | None, promised: Promise, settings: TrialSettings, numbers: dict[str, float]
+) -> Judgement:
+    """Of a response that cannot speak for the promise: what its record says of the tried set may be enough."""
+    good = in_favour(seen, promised, settings) if seen else ""
+    if not good:
+        return Judgement(Finding.INCONCLUSIVE, why, numbers)
+    return Judgement(Finding.AS_PROMISED, f"{good}; {why}", numbers)
+
+
+def _says_nothing(seen: Seen, settings: TrialSettings) -> str:
     """Why the response says nothing at all, if so."""
     response = seen.response
     if seen.outside:

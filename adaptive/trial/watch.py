@@ -8,6 +8,7 @@ Half waves of the error beyond twice the noise band are followed; r is the ratio
     limit to limit, limit_swings times RUNAWAY   the output goes back and forth between its limits
     at one limit for limited_s         SATURATED the trial shows nothing of the gains
 
+A half wave that was under way when the trial began may have had its extreme before: nothing is measured against it.
 All counts begin anew with a setpoint change that could make such a swing, not with one that is small against it (a
 setpoint that another loop moves at every sample would blind the watch), and after a rest: when the error kept to its
 band for longer than the half wave before took, what comes is another upset. `grows` and `stays` are never below what
@@ -47,7 +48,7 @@ class WatchState(NamedTuple):
     """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
     how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
     output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
-    is back in its band (infinite when it is not).
+    is back in its band (infinite when it is not). joined : the half wave under way began before the watch.
     """
 
     sp: float
@@ -60,6 +61,7 @@ class WatchState(NamedTuple):
     since_s: float
     wave_s: float = math.inf
     inside_s: float = math.inf
+    joined: bool = False
 
 
 def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> WatchLaw:
@@ -76,13 +78,13 @@ def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> Wat
 
 def watch_begin(sp: float) -> WatchState:
     """Nothing seen yet."""
-    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf)
+    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=True)
 
 
 def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> tuple[WatchState, TrialEvent | None]:
     """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
     if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
-        state = watch_begin(sample.sp)
+        state = watch_begin(sample.sp)._replace(joined=False)
     state = _at_limits(state, sample)
     if state.swings >= law.limit_swings:
         return state, TrialEvent.RUNAWAY
@@ -90,7 +92,9 @@ def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> 
         return state, TrialEvent.SATURATED
     e = sample.sp - sample.pv
     if abs(e) <= SEEN_BANDS * band:
-        return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
+        if math.isfinite(state.inside_s):
+            return state, None
+        return state._replace(inside_s=sample.t_s, joined=state.joined and state.extreme != 0), None
     state = _follow(law, _rested(state, sample), e, sample.t_s)
     growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))
     runs = growing >= TWICE or state.stayed >= law.stays_for
@@ -110,7 +114,7 @@ def _rested(state: WatchState, sample: LoopSample) -> WatchState:
     """Out of the band again: after a rest, half waves are counted anew."""
     rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
     if rest_s > wave_s:
-        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0)
+        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False)
     return state._replace(inside_s=math.inf)
 
 
@@ -120,6 +124,8 @@ def _follow(law: WatchLaw, state: WatchState, e: float, t_s: float) -> WatchStat
         return state._replace(extreme=e, wave_s=t_s)
     if e * state.extreme > 0:
         return state._replace(extreme=e) if abs(e) > abs(state.extreme) else state
+    if state.joined:
+        return state._replace(extreme=e, wave_s=t_s, joined=False)
     ratio = abs(state.extreme / state.last) if state.last else 0.0
     grown = state.grown + 1 if ratio >= law.grows else 0
     stayed = state.stayed + 1 if ratio >= law.stays else 0

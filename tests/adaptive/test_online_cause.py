@@ -154,6 +154,8 @@ def test_a_stretch_begins_where_the_loop_came_to_rest() -> None:
     assert from_rest(never, load, SWING) == never
     too_late = samples([1.0] * 89 + [0.05] * 12)
     assert from_rest(too_late, load, SWING) == too_late
+    dwarfed = samples([300.0, -200.0] * 20 + [SWING.dwarfs + 0.1] + [SWING.dwarfs - 0.1] * 48 + [0.05] * 12)
+    assert from_rest(dwarfed, load, SWING)[0].t_s == 41.0
 
 
 @pytest.mark.parametrize(("before", "found"), [(0.14, False), (0.3, True)])

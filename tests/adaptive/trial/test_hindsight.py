@@ -93,7 +93,7 @@ def test_a_set_that_costs_as_much_as_promised_is_kept() -> None:
 
 
 def test_a_promised_ms_is_no_ground_to_undo() -> None:
-    found = Hindsight(ms_tried=2.05, ms_old=1.5, robuster=True, slower=0.7)
+    found = Hindsight(ms_tried=2.05, ms_most=2.1, ms_old=1.5, robuster=True, slower=0.7)
     assert against(found, lie(STRONG, 1 / 1.8), S, {})
     promised = promise([Plausible(MODEL, 0.0)], GOOD, STRONG, HALF_S)
     assert promised.ms is not None
@@ -103,3 +103,20 @@ def test_a_promised_ms_is_no_ground_to_undo() -> None:
 
 def test_without_integral_action_before_nothing_is_said_of_the_cost() -> None:
     assert hindsight(TRUE[:1], PidGains(GOOD.kp, 0.0), SLUGGISH, HALF_S).slower == 0.0
+
+
+def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
+    rig = Rig(GOOD, noise=0.025)
+    rig.load = 10.0
+    moving = next(seen for seen in responses(rig, 2500, rest=30, sp=5.0) if seen.response.sp_changed)
+    believed = promise(TRUE, SLUGGISH, GOOD, HALF_S)
+    assert judge(moving, believed, GOOD, S).finding is Finding.INCONCLUSIVE
+    known = replace(moving, hindsight=hindsight(TRUE, SLUGGISH, GOOD, HALF_S))
+    found = judge(known, believed, GOOD, S)
+    assert found.finding is Finding.AS_PROMISED
+    assert "as robust as promised" in found.reason
+    doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
+    unsure = replace(moving, hindsight=hindsight([*TRUE, doubtful], SLUGGISH, GOOD, HALF_S))
+    assert judge(unsure, believed, GOOD, S).finding is Finding.INCONCLUSIVE
+    small = replace(known, response=replace(moving.response, band=10.0))
+    assert judge(small, believed, GOOD, S).finding is Finding.INCONCLUSIVE

@@ -45,6 +45,24 @@ def test_good_gains_are_left_alone_for_long(seed: int, upset: dict[str, float]) 
     assert run(Rig(GOOD, noise=0.03, seed=seed, **upset), 1500)[0] is None
 
 
+def said(errors: list[float], band: float = 0.1) -> TrialEvent | None:
+    state = watch_begin(0.0)
+    for i, e in enumerate(errors):
+        state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), band)
+        if found:
+            return found
+    return None
+
+
+def test_a_half_wave_that_was_under_way_is_no_measure() -> None:
+    """The trial begins on a falling edge; a slow tail and a load follow: two larger ones, and no swing."""
+    tail, load = [-2.0, -1.9, -1.8, -1.7], [0.5, 2.0, 3.0, 2.0]
+    assert said([1.0, 0.6, 0.3, *tail, *load]) is None
+    assert said([0.0, 1.0, 0.6, 0.3, *tail, *load]) is TrialEvent.RUNAWAY  # seen from the start, it grows
+    assert said([1.0, 0.6, *tail, *load, -4.5]) is TrialEvent.RUNAWAY
+    assert said([1.0, 0.0, 0.0, 0.0, 1.0, *tail, *load]) is TrialEvent.RUNAWAY  # the first one came to rest
+
+
 def test_a_swing_that_does_not_die_out_is_stopped_and_one_that_decays_is_not() -> None:
     def swing(decay: float) -> TrialEvent | None:
         state = watch_begin(0.0)
@@ -74,12 +92,14 @@ def test_loads_that_come_now_and_then_and_grow_are_no_swing() -> None:
 
 def test_what_comes_after_a_rest_is_another_upset() -> None:
     state, found = watch_begin(0.0), None
-    errors = [0.5] * 5 + [-0.6] * 5 + [0.0] * 12 + [3.0] * 5  # two half waves of five samples, a longer rest, a load
+    errors = (
+        [0.0] + [0.5] * 5 + [-0.6] * 5 + [0.0] * 12 + [3.0] * 5
+    )  # two half waves of five samples, a longer rest, a load
     for i, e in enumerate(errors):
         state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
         assert found is None
     state = watch_begin(0.0)
-    for i, e in enumerate([0.5] * 5 + [-0.6] * 5 + [0.0] * 3 + [3.0] * 5):
+    for i, e in enumerate([0.0] + [0.5] * 5 + [-0.6] * 5 + [0.0] * 3 + [3.0] * 5):
         state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
         if found is not None:
             break
