@@ -36,15 +36,13 @@ from retuner.adaptive.proposing import without_model
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.robust_proposal import RobustProposal, propose
 from retuner.adaptive.robust_settings import later
-from retuner.adaptive.tracker import Learned, Surprise, learn, predicted
+from retuner.adaptive.tracker import ANEW, Learned, Surprise, learn, predicted
 from retuner.schedule.table import Lookup
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
 
 
-ANEW = frozenset({Surprise.FIRST, Surprise.OPENED})
-"""After these the model rests on nothing that came before."""
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
 

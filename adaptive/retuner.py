@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from retuner.adaptive.admission import Ground
 from retuner.adaptive.belief import Belief
-from retuner.adaptive.case import Case, Outcome
+from retuner.adaptive.case import LEFT, Case, Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.diagnosis.online import Standing
@@ -23,21 +23,14 @@ from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
-from retuner.adaptive.tracker import predicted
+from retuner.adaptive.tracker import ANEW, predicted
 from retuner.adaptive.trial.desk import TrialDesk
 from retuner.adaptive.trial.judge import Finding, Judgement
-from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.promise import Promise
 from retuner.adaptive.watcher import Completed, Left, Watcher, WatcherState
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
-
-LEFT = {
-    False: Outcome("left_region", "the response left its region; it teaches nothing of either"),
-    True: Outcome("variable_unknown", "the scheduling variable is not known any more: nobody can say to which region "
-                  "the response belongs; it teaches nothing"),
-}  # fmt: skip
-"""What follows from a response that was cut off, by whether a scheduling variable was unknown."""
 
 
 class RetunerState(NamedTuple):
@@ -196,6 +189,7 @@ class Retuner:
         trial, phase = self.desk.trial(region), self.desk.phase(region)
         also = [self.table.regions.names[other] for other in ended if other != region]
         decision = learned or self._decision(region, Outcome("undo", ""))
+        self._doubt(region, decision)
         return restoring(decision, self.table.regions.names[region], trial, phase, cause, also)
 
     def _seen(self, seen: Completed | Left) -> Decision | None:
@@ -216,6 +210,7 @@ class Retuner:
         decision = self._decision(seen.region, outcome, seen.response, judgement)
         trial = self.desk.trial(seen.region)
         if trial.phase == TrialPhase.RESTORING and trial.cause is not None and judgement is not None:
+            self._doubt(seen.region, decision)
             return restoring(decision, decision.region, trial, trial.phase, trial.cause, [])
         if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
             self.desk.begin(
@@ -224,6 +219,12 @@ class Retuner:
             )  # fmt: skip
             decision = replace(decision, trial=str(self.desk.phase(seen.region)))
         return decision
+
+    def _doubt(self, region: int, decision: Decision) -> None:
+        """Models that promised wrongly are not believed any more, unless the response itself has replaced them."""
+        if self.desk.trial(region).cause in UNDOS and decision.surprise not in ANEW:
+            self.beliefs.pop(region, None)
+            self.excitation.pop(region, None)
 
     def _judge(self, case: Case, outcome: Outcome) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""

@@ -51,6 +51,10 @@ class Surprise(StrEnum):
     SILENT = "shows nothing of the process; nothing is learned"
 
 
+ANEW = frozenset({Surprise.FIRST, Surprise.OPENED, Surprise.CHANGED})
+"""After these the model rests on nothing that was believed before."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
     """Settings.
@@ -66,6 +70,8 @@ class TrackerSettings:
         gain or delay that has doubled lies far beyond 4.5.
     decisive : deviance by which a record that fits both must speak for the rival, or against it; 2 to 20, default 6
         (odds of 20).
+    clearer : a single record gives way to one that contradicts it and knows the gain so many times better, and is its
+        rival from then on; 1 to 10, default 1.5.
     most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
     danger_ms : an odd record by which Ms is above this with the gains in force is believed at once; default 2.3.
     """
@@ -75,6 +81,7 @@ class TrackerSettings:
     scatter: float = 0.06
     gate: float = 4.5
     decisive: float = 6.0
+    clearer: float = 1.5
     most_lead: float = 60.0
     danger_ms: float = 2.3
 
@@ -161,8 +168,8 @@ def learn(
     points = remembered(belief.points, lesson.point(joined.innovation))
     if joined.innovation <= gate(len(belief.log.x), settings.gate):
         return _agreed(belief, joined, lesson, points)
-    if not belief.records or (lesson.alone.identifiable and not belief.identifiable):
-        return _first(lesson)
+    if not belief.records or (lesson.alone.identifiable and not _holds(belief, lesson)):
+        return _first(lesson, belief.known if belief.identifiable and belief.records else None)
     return _contradicted(belief, lesson, joined.innovation, points, in_force)
 
 
@@ -181,11 +188,20 @@ def _agreed(belief: Belief, joined: Joined, lesson: Lesson, points: tuple[Record
     return Learned(now, joined.estimate, Surprise.AGREES, joined.innovation)
 
 
-def _first(lesson: Lesson) -> Learned:
-    """The first record of a region: all that is known is what it says."""
+def _holds(belief: Belief, lesson: Lesson) -> bool:
+    """Whether what was known stands up to a record that settles the process by itself."""
+    if belief.records > 1 or belief.rival is not None or not belief.identifiable:
+        return belief.identifiable
+    single, other = (point.log.gain_uncertainty() for point in (belief.points[-1], lesson.point(0.0)))
+    return single < lesson.settings.clearer * other
+
+
+def _first(lesson: Lesson, rival: tuple[Known, ...] | None = None) -> Learned:
+    """The first record of a region: all that is known is what it says. rival : what it took the place of."""
     alone = lesson.alone
     known = _led([Known(scattered(a.log, lesson.settings), a.evidence) for a in alone.alternatives], lesson)
-    return Learned(_belief(known, 1, lesson.t_s, (lesson.point(0.0),), alone), alone, Surprise.FIRST, 0.0)
+    belief = replace(_belief(known, 1, lesson.t_s, (lesson.point(0.0),), alone), rival=rival)
+    return Learned(belief, alone, Surprise.FIRST, 0.0)
 
 
 def _belief(

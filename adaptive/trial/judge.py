@@ -12,7 +12,7 @@ the peaks.) It is WORSE as well when the old gains were surely better on the mod
 the upset was (hindsight.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless its record says that the tried set is robust:
 
-    first peak within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
+    all peaks within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
     worse by then will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
@@ -131,8 +131,8 @@ def _says_nothing(seen: Seen, settings: TrialSettings) -> str:
     if seen.outside:
         return f"not judged: {seen.outside}"
     least = settings.seen_bands * response.band
-    if not response.peaks or abs(response.peaks[0].e) < least:
-        return f"not judged: its first peak is below {least:.3g}, {settings.seen_bands:g} noise bands"
+    if max((abs(peak.e) for peak in response.peaks), default=0.0) < least:
+        return f"not judged: its peaks are below {least:.3g}, {settings.seen_bands:g} noise bands"
     return ""
 
 

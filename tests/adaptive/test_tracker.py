@@ -223,6 +223,20 @@ def test_what_settled_nothing_gives_way_at_once_to_a_record_that_does(loop: Call
     assert learned.belief.log.model().k == pytest.approx(1.0, rel=0.1)
 
 
+def test_a_single_record_gives_way_to_one_that_knows_far_better(loop: Callable) -> None:
+    vague = learn(None, loop(k=3.0, noise=0.1, sp=0.3).run(seed=1), UP, SCATTERED, FIT).belief
+    assert vague is not None
+    assert vague.identifiable
+    clear = loop(noise=0.01, sp=1.0).run(seed=2, t0=400.0)
+    found = learn(vague, clear, UP, SCATTERED, FIT)
+    assert found.surprise == Surprise.FIRST
+    assert found.belief is not None
+    assert found.belief.log.model().k == pytest.approx(1.0, rel=0.05)
+    assert found.belief.rival == vague.known
+    assert learn(replace(vague, records=2), clear, UP, SCATTERED, FIT).surprise == Surprise.ODD
+    assert learn(vague, clear, UP, replace(SCATTERED, clearer=100.0), FIT).surprise == Surprise.ODD
+
+
 def test_slow_fouling_is_followed(loop: Callable) -> None:
     belief, steps = None, 10
     for i in range(steps):

@@ -203,3 +203,16 @@ def test_decay_seen_is_that_of_a_whole_response_with_a_second_peak() -> None:
     assert decay_seen(seen) == pytest.approx(swing([peak.e for peak in seen.peaks], seen.band)[2])
     for other in (None, replace(seen, ending=Ending.SETPOINT), replace(seen, peaks=seen.peaks[:1])):
         assert decay_seen(other) is None
+
+
+def test_a_response_that_begins_with_a_small_peak_is_judged() -> None:
+    """As a process with an inverse response answers a load."""
+    base = responses(Rig(BAD["kc /4"], noise=0.025), 2500, load=10.0)[0]
+    first, *rest = base.response.peaks
+    inverse = (Peak(first.t_s - 5.0, -0.02 * first.e), first, *rest)
+    found = judge(replace(base, response=replace(base.response, peaks=inverse)), PROMISE, BAD["kc /4"], S)
+    assert found.finding is Finding.WORSE
+    assert "IAE" in found.reason
+    tiny = tuple(Peak(peak.t_s, 0.01 * peak.e) for peak in inverse)
+    small = judge(replace(base, response=replace(base.response, peaks=tiny)), PROMISE, BAD["kc /4"], S)
+    assert small.finding is Finding.INCONCLUSIVE

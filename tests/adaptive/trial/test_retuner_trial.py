@@ -12,6 +12,7 @@ from retuner.adaptive.memory import remember, restore
 from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopMode
+from retuner.adaptive.tracker import Surprise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -58,6 +59,38 @@ def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teac
     assert 0 in stand.retuner.beliefs
     assert stand.retuner.beliefs[0].log.model().theta_s == pytest.approx(5.0, rel=0.2)
     assert json.loads(decision.canonical())["trial"] == "restoring the verified set"
+
+
+def test_a_model_that_promised_wrongly_is_not_believed_any_more() -> None:
+    """The record of the undo agrees with it: what the two say together is forgotten, the next one begins anew."""
+    stand = Stand()
+    list(stand.run(40))
+    stand.rig.sp = 5.0
+    next(stand.run(100))
+    known = stand.retuner.beliefs[0]
+    for before, kept in ((known, False), (None, True)):
+        stand = Stand()
+        stand.retuner.beliefs = {} if before is None else {0: before}
+        list(stand.run(40))
+        stand.rig.sp = 5.0
+        decision = next(stand.run(100))
+        assert decision.code == "undo_runaway"
+        assert decision.surprise is (Surprise.FIRST if before is None else Surprise.AGREES)
+        assert (0 in stand.retuner.beliefs, 0 in stand.retuner.excitation) == (kept, kept)
+
+
+def test_an_undo_that_does_not_speak_against_the_gains_forgets_nothing() -> None:
+    stand = Stand()
+    list(stand.run(40))
+    stand.rig.sp = 5.0
+    next(stand.run(100))
+    known = stand.retuner.beliefs[0]
+    stand = Stand()
+    stand.retuner.beliefs = {0: known}
+    decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
+    assert decision is not None
+    assert decision.code == "undo_manual"
+    assert stand.retuner.beliefs == {0: known}
 
 
 def test_a_gap_or_manual_mode_ends_the_trial() -> None:
