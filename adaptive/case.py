@@ -49,7 +49,8 @@ class Outcome:
     """What the stages found; those that were not reached are None.
 
     code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
-    standing : an oscillation that is explained, to be remembered. excitation : what the belief rests on.
+    forget : what was known of the region is refuted. standing : an oscillation that is explained, to be remembered.
+    excitation : what the belief rests on.
     """
 
     code: str
@@ -63,6 +64,7 @@ class Outcome:
     standing: Standing | None = None
     excitation: Excitation | None = None
     numbers: dict[str, float] = field(default_factory=dict)
+    forget: bool = False
 
 
 LEFT = {

@@ -16,7 +16,7 @@ from retuner.adaptive.robust_settings import believed
 from retuner.adaptive.tracker import Learned, Surprise
 from retuner.adaptive.trial.hindsight import Hindsight, hindsight
 from retuner.adaptive.trial.judge import Seen
-from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.promise import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import GainTable
@@ -88,10 +88,10 @@ def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")
 
 
-def restoring(
-    decision: Decision, region: str, trial: Trial, phase: TrialPhase, cause: TrialEvent, also: Sequence[str]
-) -> Decision:
+def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
     """The decision that goes with taking a set back. also : other regions that are restored with this one."""
+    cause = trial.cause
+    assert cause is not None  # of a trial that is being restored
     judged = decision.judgement.reason if decision.judgement else ""
     reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
     return replace(
@@ -104,5 +104,5 @@ def restoring(
         gains_before=trial.new or decision.gains_before,
         gains_after=trial.old,
         promise=trial.promise,
-        trial=str(phase),
+        trial=str(trial.phase),
     )

@@ -142,7 +142,8 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
         return replace(outcome, belief=belief, excitation=excitation)
     doubt = _not_seen(case, outcome, settings)
     if doubt is not None:
-        return Outcome("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, excitation=excitation)
+        refuted = learned.surprise not in ANEW  # else the model is this record's, and what was known before stays
+        return Outcome("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, forget=refuted)
     if clear or _is_sure(case, outcome.verdict, learned, belief, known, settings):
         return replace(outcome, belief=belief, excitation=excitation)
     earlier = _was_known(case, learned, known, settings)

@@ -7,7 +7,7 @@ The object is a thin shell round pure steps: no clock, no file, no bus. It never
 and learns by `committed` what the controller then reported.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -185,12 +185,15 @@ class Retuner:
 
     def _give_up(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
         """The decision to restore. learned : what the response under way has taught."""
-        region, cause = next(iter(ended.items()))
-        trial, phase = self.desk.trial(region), self.desk.phase(region)
-        also = [self.table.regions.names[other] for other in ended if other != region]
-        decision = learned or self._decision(region, Outcome("undo", ""))
-        self._doubt(region, decision)
-        return restoring(decision, self.table.regions.names[region], trial, phase, cause, also)
+        region, also = next(iter(ended)), [self.table.regions.names[other] for other in list(ended)[1:]]
+        return self._restoring(region, learned or self._decision(region, Outcome("undo", "")), also)
+
+    def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
+        """The decision to restore. Models that promised wrongly are not believed any more, unless replaced by now."""
+        trial = self.desk.trial(region)
+        if trial.cause in UNDOS and decision.surprise not in ANEW:
+            self._forget(region)
+        return restoring(decision, self.table.regions.names[region], trial, also)
 
     def _seen(self, seen: Completed | Left) -> Decision | None:
         """Something came to an end: decide on it."""
@@ -206,12 +209,12 @@ class Retuner:
             self.standing[seen.region] = outcome.standing
         if outcome.excitation is not None:
             self.excitation[seen.region] = outcome.excitation
+        if outcome.forget:
+            self._forget(seen.region)
         judgement = self._judge(case, outcome)
         decision = self._decision(seen.region, outcome, seen.response, judgement)
-        trial = self.desk.trial(seen.region)
-        if trial.phase == TrialPhase.RESTORING and trial.cause is not None and judgement is not None:
-            self._doubt(seen.region, decision)
-            return restoring(decision, decision.region, trial, trial.phase, trial.cause, [])
+        if judgement is not None and self.desk.phase(seen.region) == TrialPhase.RESTORING:
+            return self._restoring(seen.region, decision)
         if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
             self.desk.begin(
                 seen.region, decision.gains_before, decision.gains_after, decision.promise, self._now_s,
@@ -220,11 +223,10 @@ class Retuner:
             decision = replace(decision, trial=str(self.desk.phase(seen.region)))
         return decision
 
-    def _doubt(self, region: int, decision: Decision) -> None:
-        """Models that promised wrongly are not believed any more, unless the response itself has replaced them."""
-        if self.desk.trial(region).cause in UNDOS and decision.surprise not in ANEW:
-            self.beliefs.pop(region, None)
-            self.excitation.pop(region, None)
+    def _forget(self, region: int) -> None:
+        """Nothing is known of a region any more."""
+        self.beliefs.pop(region, None)
+        self.excitation.pop(region, None)
 
     def _judge(self, case: Case, outcome: Outcome) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""

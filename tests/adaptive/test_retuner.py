@@ -112,12 +112,11 @@ def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatc
     assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
 
 
-def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains() -> None:
     """The process loses more than half of its gain at rest: one step is odd, the load after it is the second record."""
     bench = made(GOOD)
     bench.run(400)
     assert all(d.action == Action.NONE for d in [*bench.run(500, 1.0), *bench.run(500, 0.0), *bench.run(500, 0.0)])
-    monkeypatch.setattr(pipeline, "unconfirmed", None)  # nobody asks
     bench.sign = 0.4
     (odd,) = bench.run(600, 1.0)
     (confirming,) = bench.run(600, 1.0, 1.0)
@@ -127,6 +126,19 @@ def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains(m
     assert not confirming.response.sp_changed
     assert confirming.gains_after is not None
     assert confirming.gains_after.kp == pytest.approx(2 * GOOD.kp)  # the most that one change may do
+
+
+def test_a_model_that_the_loop_refutes_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = made(scaled(2.4, 2.4), Mode.ADVISE)
+    bench.run(400)
+    assert [d.action for d in bench.run(500, 1.0)] == [Action.ADVISE]
+    assert bench.retuner.excitation[0].setpoints == 1
+    monkeypatch.setattr(pipeline, "not_seen", lambda *_: "the loop came to rest")
+    (refuted,) = bench.run(500, 0.0)
+    assert (refuted.code, refuted.action, refuted.surprise) == ("unconfirmed", Action.NONE, Surprise.AGREES)
+    assert (bench.retuner.beliefs, bench.retuner.excitation) == ({}, {})
+    (again,) = bench.run(500, 1.0)
+    assert again.surprise == Surprise.FIRST
 
 
 def test_good_gains_are_left_alone() -> None:
