@@ -17,9 +17,13 @@ from dataclasses import dataclass, replace
 
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.trial.promise import Promise, promise
+from retuner.adaptive.trial.closed_responses import Loop, Upset, traces
+from retuner.adaptive.trial.promise import Promise
+from retuner.adaptive.trial.shape import shape_of
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
+
+UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,10 @@ def hindsight(
     """
     later = [replace(found.model, theta_s=found.model.theta_s + half_sample_s).linear() for found in allowed]
     ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in later] for gains in (tried, old))
-    slower = min(_cost(promise([found], old, tried, half_sample_s, b, tau_f_s)) for found in allowed)
+    loops = [Loop(process, gains, b, tau_f_s) for gains in (tried, old) for process in later]
+    found = zip(loops, traces(loops, UPSETS), strict=True)
+    iae = [[shape_of(trace, loop.gains.ki).iae for trace in row] for loop, row in found]
+    slower = min(_mean_ratio(now, then) for now, then in zip(iae[: len(later)], iae[len(later) :], strict=True))
     robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
     return Hindsight(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
 
@@ -61,7 +68,7 @@ def against(found: Hindsight, promised: Promise, settings: TrialSettings, number
     if found.robuster and found.ms_tried > limit:
         words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
         return f"worse than promised: by all that its record allows {words}, allowed {limit:.2f}"
-    limit = settings.iae_slack * max(_cost(promised), 1.0)
+    limit = settings.iae_slack * max(_promised_cost(promised), 1.0)
     numbers["cost_limit"] = limit
     if found.ms_old <= settings.harmless_ms and found.slower > limit:
         return (
@@ -83,15 +90,19 @@ def _limit(promised: Promise, settings: TrialSettings) -> float:
     return max(settings.harmless_ms, promised.ms.high if promised.ms else 0.0)
 
 
-def _cost(promised: Promise) -> float:
-    """J of the new set over the old one on the best model; 0 where one of them never comes to rest."""
-    pairs = ((promised.setpoint, promised.setpoint_before), (promised.load_step, promised.load_before))
-    ratios = [
-        now.iae.best / then.iae.best
-        for now, then in pairs
-        if math.isfinite(now.iae.best) and 0 < then.iae.best < math.inf
-    ]
-    return sum(ratios) / len(pairs) if len(ratios) == len(pairs) else 0.0
+def _promised_cost(promised: Promise) -> float:
+    """J of the new set over the old one as promised, on the best model."""
+    return _mean_ratio(
+        (promised.setpoint.iae.best, promised.load_step.iae.best),
+        (promised.setpoint_before.iae.best, promised.load_before.iae.best),
+    )
+
+
+def _mean_ratio(now: Sequence[float], then: Sequence[float]) -> float:
+    """Mean of the ratios of IAE; 0 where a loop never comes to rest."""
+    if not all(map(math.isfinite, (*now, *then))) or not all(then):
+        return 0.0
+    return sum(a / b for a, b in zip(now, then, strict=True)) / len(now)
 
 
 def _finite(value: float) -> float:
