@@ -58,8 +58,8 @@ def seen_of(case: Case, outcome: Outcome, trial: Trial, settings: RetunerSetting
 
 
 def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: RetunerSettings) -> Hindsight | None:
-    """None where the record does not settle the process, or leaves more than noise unexplained."""
-    if learned is None or trial.old is None or not learned.estimate.identifiable:
+    """None where the record shows nothing of the process, or leaves more than noise unexplained."""
+    if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
     estimate = learned.estimate
     if (
@@ -69,9 +69,10 @@ def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: Retu
         return None
     old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
     allowed = believed(estimate.plausible, settings.guard.believed)
-    return hindsight(
+    found = hindsight(
         allowed, old, case.in_force, settings.sample_time_s / 2, settings.setpoint_weight, settings.filter_s
     )
+    return replace(found, settled=estimate.identifiable)
 
 
 def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:

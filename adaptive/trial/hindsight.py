@@ -3,7 +3,7 @@
     least Ms(tried)  >  max(greatest promised, harmless_ms),  and  > Ms(old) on every model      less robust
     least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model   slower
 
-    greatest Ms(tried)  <=  max(greatest promised, harmless_ms)                                  as robust as promised
+    greatest Ms(tried)  <=  max(greatest promised, harmless_ms),  the process is settled by it   as robust as promised
 
 over all models that the record still allows; J is the mean over a setpoint and a load step of IAE with the tried set
 over IAE with the old one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the
@@ -30,7 +30,8 @@ UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 class Hindsight:
     """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
     infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
-    of this file; 0 where it is not known.
+    of this file; 0 where it is not known. settled : settings could follow from the record; to speak against a set it is
+    enough that all that it allows do so.
     """
 
     ms_tried: float
@@ -38,6 +39,7 @@ class Hindsight:
     ms_old: float
     robuster: bool
     slower: float
+    settled: bool = True
 
 
 def hindsight(
@@ -80,7 +82,7 @@ def against(found: Hindsight, promised: Promise, settings: TrialSettings, number
 
 def in_favour(found: Hindsight, promised: Promise, settings: TrialSettings) -> str:
     """What hindsight says for the tried set, if anything."""
-    if found.ms_most > _limit(promised, settings):
+    if not found.settled or found.ms_most > _limit(promised, settings):
         return ""
     return f"as robust as promised: Ms is {found.ms_most:.2f} at most by all that its record allows"
 

@@ -5,7 +5,8 @@ A loop in spec is given a bad set of gains, with a promise that is a lie of one 
 wrong model   the bad set is SIMC of a wrong model, and the promise is that model's, as if identification were fooled
 wrong set     the promise is the right model's for SIMC, but another set is in force, as if something went wrong later
 
-Setpoint and load steps in turn follow, one every 60 effective dead times. What puts it on trial, watches and judges is
+The write comes while the loop is at rest. Setpoint and load steps in turn follow, the first one AT_REST samples later,
+then one every 60 effective dead times. What puts it on trial, watches and judges is
 retuner's own (adaptive/trial).
 
 gain        Kc too large by 2.5 to 6: most of these loops are unstable
@@ -49,6 +50,8 @@ LENGTH_THETA = 60.0
 SAMPLES_PER_THETA = 8
 NOISE = 0.01
 PV_SPAN = 10.0
+AT_REST = 20
+"""Samples from the write to the first step."""
 TRIES = 100
 LOST = 100.0
 """A loop further from its setpoint than this many steps has been lost."""
@@ -135,7 +138,7 @@ def run(task: Task) -> Row:
     upto = len(tried) if trial.restored_s is None else int(trial.restored_s / loop.dt_s)
     excursion = max(tried[:upto], default=0.0) / max(usual[: max(upto, n + 1)], default=1.0)
     back = trial.restored_s is not None
-    took_s = trial.restored_s - n * loop.dt_s if trial.restored_s is not None else math.nan
+    took_s = trial.restored_s - (n - AT_REST) * loop.dt_s if trial.restored_s is not None else math.nan
     verdict = judge.of(bad)
     return {
         "part": "injected", "kind": task.kind, "lie": lie, "seed": task.seed, "index": task.index,
@@ -188,18 +191,18 @@ def watched(
     load: float,
     bad: tuple[PidGains, Plausible, PidGains] | None,
 ) -> list[float]:
-    """|sp - pv| without noise of every sample, the change written after the first of the stretches."""
+    """|sp - pv| without noise of every sample, the change written at the end of the first of the stretches."""
     process: LinearProcess = loop.process
     supervisor = trial or FixedGains()
     watched_loop = WatchedLoop(HeldPlant(process, loop.dt_s), one_region(loop.best), loop.dt_s, supervisor, lost=LOST)
     errors: list[float] = []
     sp = now = 0.0
     try:
-        for i, stretch in enumerate(noise):
+        for i, stretch in enumerate([noise[0][:-AT_REST], noise[0][-AT_REST:], *noise[1:]]):
             if i == 1 and trial and bad:
                 trial.inject(*bad)
-            if i:
-                sp, now = (1.0 - sp, now) if i % 2 else (sp, load - now)
+            if i > 1:
+                sp, now = (sp, load - now) if i % 2 else (1.0 - sp, now)
             trace = watched_loop.run(sp, now, stretch)
             errors += [abs(sp - pv + more) for (pv, _), more in zip(trace, stretch, strict=True)]
             if trial and trial.decided:

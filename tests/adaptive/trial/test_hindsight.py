@@ -111,12 +111,15 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     moving = next(seen for seen in responses(rig, 2500, rest=30, sp=5.0) if seen.response.sp_changed)
     believed = promise(TRUE, SLUGGISH, GOOD, HALF_S)
     assert judge(moving, believed, GOOD, S).finding is Finding.INCONCLUSIVE
-    known = replace(moving, hindsight=hindsight(TRUE, SLUGGISH, GOOD, HALF_S))
+    said = hindsight(TRUE, SLUGGISH, GOOD, HALF_S)
+    known = replace(moving, hindsight=said)
     found = judge(known, believed, GOOD, S)
     assert found.finding is Finding.AS_PROMISED
     assert "as robust as promised" in found.reason
     doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
     unsure = replace(moving, hindsight=hindsight([*TRUE, doubtful], SLUGGISH, GOOD, HALF_S))
     assert judge(unsure, believed, GOOD, S).finding is Finding.INCONCLUSIVE
+    unsettled = replace(known, hindsight=replace(said, settled=False))
+    assert judge(unsettled, believed, GOOD, S).finding is Finding.INCONCLUSIVE
     small = replace(known, response=replace(moving.response, band=10.0))
     assert judge(small, believed, GOOD, S).finding is Finding.INCONCLUSIVE
