@@ -66,12 +66,15 @@ def hindsight(
 def against(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
     """What hindsight says against the tried set, if anything; its numbers are put down."""
     limit = _limit(promised, settings)
-    numbers |= {"ms_least": _finite(found.ms_tried), "ms_limit": _finite(limit), "cost_least": found.slower}
+    numbers |= {"ms": _finite(found.ms_tried), "ms_limit": _finite(limit)}
+    if promised.ms:
+        numbers["ms_promised"] = _finite(promised.ms.best)
     if found.robuster and found.ms_tried > limit:
         words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
         return f"worse than promised: by all that its record allows {words}, allowed {limit:.2f}"
     limit = settings.iae_slack * max(_promised_cost(promised), 1.0)
-    numbers["cost_limit"] = limit
+    if found.slower:
+        numbers |= {"cost": found.slower, "cost_limit": limit, "cost_promised": limit / settings.iae_slack}
     if found.ms_old <= settings.harmless_ms and found.slower > limit:
         return (
             f"worse than promised: by all that its record allows IAE is at least {found.slower:.2f} times that with "

@@ -9,6 +9,8 @@ MEASURES = {
     "overshoot": ("overshoot (-E2/E1)", 100.0, " %"), "damping": ("damping", 1.0, ""),
     "decay": ("ratio of successive peaks", 1.0, ""), "iae": ("IAE per unit of the upset", 1.0, ""),
     "travel": ("travel of co per unit (told, not judged)", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
+    "ms": ("Ms on the models that this record allows, at least", 1.0, ""),
+    "cost": ("IAE on them over that of the settings before, at least", 1.0, ""),
 }  # fmt: skip
 """Numbers of a promise in words, with their factor and unit."""
 UPSETS = ("setpoint", "load")
@@ -30,13 +32,22 @@ def promise_section(view: DecisionView) -> str:
         if models
         else ", from what was seen"
     )
-    spread = f"In brackets the least and the greatest{over}."
+    spread = f"In brackets the least and the greatest{over}.{_promised_ms(promise)}"
     heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
     heading = (
         "The promise of what was taken back" if view.undoes else "Promise, for the next responses to be judged against"
     )
     return section(heading, text_table(heads, rows),
                    paragraph(spread, "muted"))  # fmt: skip
+
+
+def _promised_ms(promise: Document) -> str:
+    """Ms as promised, where models promised it."""
+    ms = numbers_or_none(promise, "ms")
+    if len(ms) != 3:
+        return ""
+    best, low, high = (_in(value) for value in ms)
+    return f" Ms promised: {best} ({low} .. {high})."
 
 
 def _promised(promise: Document, upset: str, name: str, factor: float, unit: str) -> tuple[str, str]:

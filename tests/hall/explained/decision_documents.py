@@ -15,7 +15,8 @@ FOUND = {
     "settle_s": [165.0, 163.0, None],
 }
 SWINGING = {**FOUND, "iae": [None, None, None], "overshoot": [0.61, 0.5, 0.7]}
-PROMISE = {"setpoint": FOUND, "load": FOUND, "setpoint_before": SWINGING, "load_before": SWINGING, "models": 5}
+PROMISE = {"setpoint": FOUND, "load": FOUND, "setpoint_before": SWINGING, "load_before": SWINGING, "models": 5,
+           "ms": [1.56, 1.5, 1.72]}  # fmt: skip
 WORSE = {
     "finding": "worse",
     "reason": "worse than promised: successive peaks in the ratio 0.60",
@@ -29,6 +30,11 @@ WORSE = {
         "iae": 212.0,
         "iae_promised": 106.5,
         "iae_before": 300.0,
+        "ms": 2.64,
+        "ms_limit": 2.1,
+        "ms_promised": 1.56,
+        "cost": 0.8,
+        "cost_limit": 1.5,
     },
 }
 N, DT = 300, 2.0

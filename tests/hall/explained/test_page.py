@@ -122,13 +122,18 @@ def test_no_text_becomes_markup() -> None:
 def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
     text = words_of(article(view(drawn=False)))
     for told in ("106.5 (103 .. 110)", "5 % (0 .. 8)", "61 %", "165 s (163 .. never at rest)", "never at rest",
-                 "over the 5 models"):  # fmt: skip
+                 "over the 5 models", "Ms promised: 1.56 (1.5 .. 1.72)."):  # fmt: skip
         assert told in text, told
+    promise: Any = COMMIT["promise"]
+    without = words_of(article(view(changed(promise={**promise, "ms": None}), drawn=False)))
+    assert "Ms promised" not in without
 
 
 def test_a_judged_response_shows_measured_beside_promised() -> None:
     text = article(view(RESTORED, drawn=False))
     assert "<td>ratio of successive peaks</td><td>0.6</td><td>0.1</td><td>0.25</td><td>never at rest</td>" in text
+    assert "allows, at least</td><td>2.64</td><td>1.56</td><td>2.1</td><td></td>" in text
+    assert "settings before, at least</td><td>0.8</td><td></td><td>1.5</td><td></td>" in text
     assert "<p>Worse than promised: successive peaks in the ratio 0.60.</p>" in text
     assert "Kc from 1.5 to 2.4" in text
 
