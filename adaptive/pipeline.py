@@ -30,7 +30,7 @@ from retuner.adaptive.diagnosis.confirmation import (
 )
 from retuner.adaptive.diagnosis.limit_swing import FOREIGN_SWINGS, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.online import Standing, goes_on, hidden_cause, swing_cause, swings
-from retuner.adaptive.diagnosis.seen_swing import not_seen
+from retuner.adaptive.diagnosis.seen_swing import not_seen, swings_anyway
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.proposing import without_model
 from retuner.adaptive.retuner_settings import RetunerSettings
@@ -140,16 +140,16 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)
+    wanted_for = outcome.diagnosis.cause if outcome.diagnosis else None
     doubt = _not_seen(case, outcome, settings)
-    if doubt is not None:
-        refuted = learned.surprise not in ANEW  # else the model is this record's, and what was known before stays
+    if doubt is not None:  # a model that is this record's own was not known before: what was known then stays
+        refuted = learned.surprise not in ANEW and wanted_for in SWINGING
         return Outcome("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, forget=refuted)
     if clear or _is_sure(case, outcome.verdict, learned, belief, known, settings):
         return replace(outcome, belief=belief, excitation=excitation)
     earlier = _was_known(case, learned, known, settings)
     if earlier is not None:
         return replace(earlier, belief=belief, excitation=excitation)
-    wanted_for = outcome.diagnosis.cause if outcome.diagnosis else None
     doubt, excitation = unconfirmed(
         case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis, wanted_for
     )
@@ -190,13 +190,15 @@ def _is_sure(
 
 def _not_seen(case: Case, outcome: Outcome, settings: RetunerSettings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
-    found, allowed = outcome.diagnosis, outcome.verdict.allowed if outcome.verdict else ()
-    if found is None or found.cause not in SWINGING or not allowed:
+    found, allowed, swing = outcome.diagnosis, outcome.verdict.allowed if outcome.verdict else (), settings.swing
+    if found is None or not allowed:
         return None
     if any(sample.limited for sample in case.samples if sample.t_s >= case.response.t_start_s):
         return None
-    model = later(allowed[0].model, settings.sample_time_s / 2)
-    reason = not_seen(case.response, model, case.in_force, settings.setpoint_weight, settings.filter_s, settings.swing)
+    reason = swings_anyway(case.response, swing) if found.cause == Cause.SLUGGISH else ""
+    if found.cause in SWINGING:
+        model = later(allowed[0].model, settings.sample_time_s / 2)
+        reason = not_seen(case.response, model, case.in_force, settings.setpoint_weight, settings.filter_s, swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, found.evidence, reason) if reason else None
 
 

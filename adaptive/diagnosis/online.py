@@ -57,6 +57,7 @@ class SwingSettings:
     again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
     unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
     shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
+    sluggish_decay : ratio of successive peaks that a sluggish loop does not have; 0.15 to 0.5, default 0.25.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
     """
 
@@ -81,6 +82,7 @@ class SwingSettings:
     again: float = 2.0
     unseen_bands: float = 2.0
     shown: float = 0.5
+    sluggish_decay: float = 0.25
     most_lookback: float = 10.0
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from retuner.adaptive.diagnosis.online import SwingSettings
-from retuner.adaptive.diagnosis.seen_swing import not_seen
+from retuner.adaptive.diagnosis.seen_swing import not_seen, swings_anyway
 from retuner.adaptive.process import ProcessModel, ProcessType
 from retuner.adaptive.response import Ending, Peak, Response
 from retuner.adaptive.rules.simc import simc
@@ -36,3 +36,11 @@ def test_a_swing_that_may_still_come_or_is_too_small_to_be_seen_is_not_refuted()
 @pytest.mark.parametrize(("third", "refuted"), [(1.2, False), (0.6, False), (0.1, True)])
 def test_three_peaks_show_how_it_swings(third: float, refuted: bool) -> None:
     assert bool(said(SWINGS, 2.0, -1.0, third, ending=Ending.COMPLETE)) is refuted
+
+
+@pytest.mark.parametrize(
+    ("peaks", "swinging"), [((1.0,), False), ((1.0, -0.3, 0.06), False), ((1.0, -0.5, 0.2), True), ((1.0, -0.9), False)]
+)
+def test_a_loop_that_swings_is_not_sluggish(peaks: tuple[float, ...], swinging: bool) -> None:
+    response = Response(0.0, 100.0, tuple(Peak(10.0 * i, e) for i, e in enumerate(peaks)), Ending.QUIET, True, BAND)
+    assert bool(swings_anyway(response, SwingSettings())) is swinging
