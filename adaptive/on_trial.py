@@ -13,10 +13,10 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.robust_settings import believed
-from retuner.adaptive.tracker import Learned, Surprise
+from retuner.adaptive.tracker import ANEW, Learned, Surprise
 from retuner.adaptive.trial.hindsight import Hindsight, hindsight
 from retuner.adaptive.trial.judge import Seen
-from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.promise import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import GainTable
@@ -89,12 +89,23 @@ def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")
 
 
+def promised_wrongly(trial: Trial, decision: Decision) -> bool:
+    """Whether the models behind a change that is given up are not to be believed any more.
+
+    decision : on the response that ended it; it may have put another model in their place.
+    """
+    by_models = trial.promise is not None and trial.promise.models > 0
+    return trial.cause in UNDOS and by_models and decision.surprise not in ANEW
+
+
 def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
     """The decision that goes with taking a set back. also : other regions that are restored with this one."""
     cause = trial.cause
     assert cause is not None  # of a trial that is being restored
     judged = decision.judgement.reason if decision.judgement else ""
     reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
+    if promised_wrongly(trial, decision):
+        reason += "; what was known of this process had promised otherwise, and is forgotten"
     return replace(
         decision,
         region=region,

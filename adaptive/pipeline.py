@@ -100,7 +100,8 @@ def _learned(case: Case, settings: RetunerSettings) -> Outcome:
         if hidden is not None and not _held_up(case, hidden, settings):
             return Outcome(str(hidden.cause), hidden.reason, learned, diagnosis=hidden, standing=standing)
     if learned.belief is None:
-        return _without_model(case, learned, left, learned.estimate.reason, settings)
+        counted = case.excitation.with_response(case.response)
+        return _without_model(case, learned, left, learned.estimate.reason, counted, settings)
     return _weighed(case, learned, _known_of_limit_swing(case, settings) or learned.belief, left, settings)
 
 
@@ -135,7 +136,7 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
     wanted = propose(belief, log, case.in_force, settings)
     if not wanted.ready:
-        unsettled = _without_model(case, learned, left, belief.reason, settings)
+        unsettled = _without_model(case, learned, left, belief.reason, excitation, settings)
         return replace(unsettled, belief=belief, excitation=unsettled.excitation or excitation)
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
@@ -156,6 +157,9 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     if doubt is None:
         return replace(outcome, belief=belief, excitation=excitation)
     taken = None if doubt.cause in FOREIGN else belief
+    if taken is None and learned.surprise in ANEW:  # what was known before stays, and what that rested on
+        counted = case.excitation.with_response(case.response)
+        excitation = replace(counted, asked=counted.loads)
     return Outcome("unconfirmed", doubt.reason, learned, taken, doubt, outcome.proposal, excitation=excitation)
 
 
@@ -238,8 +242,13 @@ def _tuned(case: Case, learned: Learned, belief: Belief, wanted: RobustProposal,
     )
 
 
-def _without_model(case: Case, learned: Learned, left: float, why: str, settings: RetunerSettings) -> Outcome:
-    """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
+def _without_model(
+    case: Case, learned: Learned, left: float, why: str, excitation: Excitation, settings: RetunerSettings
+) -> Outcome:
+    """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it.
+
+    excitation : of what is known, with this response.
+    """
     found = without_model(case.response, case.window, case.in_force, None, settings.without_model,
                           settings.locks_of(case.region))  # fmt: skip
     reason = f"{why}; {found.sentence}"
@@ -251,7 +260,6 @@ def _without_model(case: Case, learned: Learned, left: float, why: str, settings
         return Outcome(NOT_KNOWN, f"{reason}; beside its neighbours' no set of this region puts that in force", learned,
                        numbers=found.numbers)  # fmt: skip
     tuning = replace(found.tuning, gains=stored)
-    excitation = case.excitation.with_response(case.response)
     if not is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing):
         doubt, excitation = unconfirmed(
             case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis

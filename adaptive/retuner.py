@@ -17,16 +17,16 @@ from retuner.adaptive.case import LEFT, Case, Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.diagnosis.online import Standing
-from retuner.adaptive.on_trial import held, promise_of, restoring, seen_of
+from retuner.adaptive.on_trial import held, promise_of, promised_wrongly, restoring, seen_of
 from retuner.adaptive.pipeline import decide
 from retuner.adaptive.recogniser import Phase
 from retuner.adaptive.response import Response
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.sample import LoopSample
-from retuner.adaptive.tracker import ANEW, predicted
+from retuner.adaptive.tracker import predicted
 from retuner.adaptive.trial.desk import TrialDesk
 from retuner.adaptive.trial.judge import Finding, Judgement
-from retuner.adaptive.trial.phase import UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.promise import Promise
 from retuner.adaptive.watcher import Completed, Left, Watcher, WatcherState
 from retuner.schedule.gains import PidGains
@@ -189,9 +189,9 @@ class Retuner:
         return self._restoring(region, learned or self._decision(region, Outcome("undo", "")), also)
 
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
-        """The decision to restore. Models that promised wrongly are not believed any more, unless replaced by now."""
+        """The decision to restore."""
         trial = self.desk.trial(region)
-        if trial.cause in UNDOS and decision.surprise not in ANEW:
+        if promised_wrongly(trial, decision):
             self._forget(region)
         return restoring(decision, self.table.regions.names[region], trial, also)
 

@@ -192,8 +192,8 @@ def _holds(belief: Belief, lesson: Lesson) -> bool:
     """Whether what was known stands up to a record that settles the process by itself."""
     if belief.records > 1 or belief.rival is not None or not belief.identifiable:
         return belief.identifiable
-    single, other = (point.log.gain_uncertainty() for point in (belief.points[-1], lesson.point(0.0)))
-    return single < lesson.settings.clearer * other
+    own = [point for point in belief.points if point.t_s == belief.t_s]  # later ones were odd, and are not in it
+    return not own or own[-1].log.gain_uncertainty() < lesson.settings.clearer * lesson.alone.log.gain_uncertainty()
 
 
 def _first(lesson: Lesson, rival: tuple[Known, ...] | None = None) -> Learned:

@@ -1,14 +1,15 @@
-"""Hindsight: what the record of a trial says of both sets, whatever was promised.
+"""Hindsight: what is known with a trial's record says of both sets, whatever was promised.
 
     least Ms(tried)  >  max(greatest promised, harmless_ms),  and  > Ms(old) on every model      less robust
-    least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model   slower
+    least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model,
+                        and the old set was not seen to swing                                    slower
+    greatest Ms(tried)  <=  harmless_ms,  the process is settled                                 robust
 
-    greatest Ms(tried)  <=  max(greatest promised, harmless_ms),  the process is settled by it   as robust as promised
-
-over all models that the record still allows; J is the mean over a setpoint and a load step of IAE with the tried set
-over IAE with the old one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the
-IAE of a load is 1/ki per unit whatever the process, so a sluggish set keeps what a wrong model promised of it, and a
-set of high Ms may still take up a load with hardly a swing.
+over all models that are still allowed (tracker.py: the record with what was known before, or by itself where they
+contradict each other); J is the mean over a setpoint and a load step of IAE with the tried set over IAE with the old
+one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the IAE of a load is 1/ki
+per unit whatever the process, so a sluggish set keeps what a wrong model promised of it, and a set of high Ms may still
+take up a load with hardly a swing. What was seen of the old set counts more than what any model says of it.
 """
 
 import math
@@ -65,38 +66,47 @@ def hindsight(
 
 def against(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
     """What hindsight says against the tried set, if anything; its numbers are put down."""
-    limit = _limit(promised, settings)
-    numbers |= {"ms": _finite(found.ms_tried), "ms_limit": _finite(limit)}
-    if promised.ms:
-        numbers["ms_promised"] = _finite(promised.ms.best)
-    if found.robuster and found.ms_tried > limit:
-        words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
-        return f"worse than promised: by all that its record allows {words}, allowed {limit:.2f}"
-    limit = settings.iae_slack * max(_promised_cost(promised), 1.0)
-    if found.slower:
-        numbers |= {"cost": found.slower, "cost_limit": limit, "cost_promised": limit / settings.iae_slack}
-    if found.ms_old <= settings.harmless_ms and found.slower > limit:
-        return (
-            f"worse than promised: by all that its record allows IAE is at least {found.slower:.2f} times that with "
-            f"the gains before, whose Ms is {found.ms_old:.2f} at most; promised {limit / settings.iae_slack:.2f}"
-        )
-    return ""
+    return _less_robust(found, promised, settings, numbers) or _slower(found, promised, settings, numbers)
 
 
-def in_favour(found: Hindsight, promised: Promise, settings: TrialSettings) -> str:
-    """What hindsight says for the tried set, if anything."""
-    if not found.settled or found.ms_most > _limit(promised, settings):
+def _less_robust(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """The first test at the head of this file."""
+    said = promised.ms
+    limit = max(settings.harmless_ms, *(ms for ms in (said.best, said.high) if math.isfinite(ms))) if said else (
+        settings.harmless_ms)  # fmt: skip
+    numbers |= {"ms": _finite(found.ms_tried), "ms_limit": limit, "ms_before": _finite(found.ms_old)}
+    if said:
+        numbers["ms_promised"] = _finite(said.best)
+    if not found.robuster or found.ms_tried <= limit:
         return ""
-    return f"as robust as promised: Ms is {found.ms_most:.2f} at most by all that its record allows"
+    words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
+    return f"worse than promised: by every model that is still allowed {words}, limit {limit:.2f}"
 
 
-def _limit(promised: Promise, settings: TrialSettings) -> float:
-    """Ms up to which the tried set is as robust as promised."""
-    return max(settings.harmless_ms, promised.ms.high if promised.ms else 0.0)
+def _slower(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """The second test at the head of this file."""
+    said = _promised_cost(promised)
+    limit = settings.iae_slack * max(said, 1.0)
+    if found.slower:
+        numbers |= {"cost": found.slower, "cost_limit": limit} | ({"cost_promised": said} if said else {})
+    swung = promised.decay_seen is not None and promised.decay_seen > settings.harmless_decay
+    if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
+        return ""
+    return (
+        f"worse than promised: by every model that is still allowed IAE is at least {found.slower:.2f} times that with "
+        f"the gains before, whose Ms is {found.ms_old:.2f} at most; limit {limit:.2f}"
+    )
+
+
+def in_favour(found: Hindsight, settings: TrialSettings) -> str:
+    """What hindsight says for the tried set, if anything."""
+    if not found.settled or found.ms_most > settings.harmless_ms:
+        return ""
+    return f"robust: Ms is {found.ms_most:.2f} at most by every model that is still allowed"
 
 
 def _promised_cost(promised: Promise) -> float:
-    """J of the new set over the old one as promised, on the best model."""
+    """J of the new set over the old one as promised, on the best model; 0 where it is not known."""
     return _mean_ratio(
         (promised.setpoint.iae.best, promised.load_step.iae.best),
         (promised.setpoint_before.iae.best, promised.load_before.iae.best),

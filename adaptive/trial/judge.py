@@ -8,9 +8,9 @@ inexactness can do, and is no improvement on the gains before either:
 
 (before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
 them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
-the peaks.) It is WORSE as well when the old gains were surely better on the models that its record allows, whatever
+the peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
 the upset was (hindsight.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
-INCONCLUSIVE, which costs time but undoes nothing, unless its record says that the tried set is robust:
+INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
     all peaks within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
     worse by then will not get better: IAE only grows)
@@ -71,8 +71,8 @@ class Seen:
 
     response, window : the response and its samples, with some of the time before it.
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
-    tuning that was found behind the response, empty when none was. hindsight : what the record's models say of both
-    sets, None where they are not known.
+    tuning that was found behind the response, empty when none was. hindsight : what the models that are still allowed
+    say of both sets, None where there are none.
     """
 
     response: Response
@@ -93,7 +93,7 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
     if unlike:
         return Judgement(Finding.WORSE, worse, numbers) if worse else _by_hindsight(
-            unlike, seen.hindsight, promised, settings, numbers)  # fmt: skip
+            unlike, seen.hindsight, settings, numbers)  # fmt: skip
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
@@ -108,18 +108,16 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
     told = _told(numbers)
     if seen.response.ending == Ending.SETPOINT:
         why = f"{seen.response.ending}; until then {told}"
-        return _by_hindsight(why, seen.hindsight, promised, settings, numbers)
+        return _by_hindsight(why, seen.hindsight, settings, numbers)
     better = numbers.get("iae", math.inf) < now.iae.low and numbers["decay"] <= max(now.decay.best, now.decay.low)
     if better:
         return Judgement(Finding.BETTER, f"better than promised: {told}", numbers)
     return Judgement(Finding.AS_PROMISED, f"as promised: {told}", numbers)
 
 
-def _by_hindsight(
-    why: str, seen: Hindsight | None, promised: Promise, settings: TrialSettings, numbers: dict[str, float]
-) -> Judgement:
-    """Of a response that cannot speak for the promise: what its record says of the tried set may be enough."""
-    good = in_favour(seen, promised, settings) if seen else ""
+def _by_hindsight(why: str, seen: Hindsight | None, settings: TrialSettings, numbers: dict[str, float]) -> Judgement:
+    """Of a response that cannot speak for the promise: what is known with it of the tried set may be enough."""
+    good = in_favour(seen, settings) if seen else ""
     if not good:
         return Judgement(Finding.INCONCLUSIVE, why, numbers)
     return Judgement(Finding.AS_PROMISED, f"{good}; {why}", numbers)

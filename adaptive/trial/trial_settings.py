@@ -14,8 +14,8 @@ class TrialSettings:
     decay_slack : and by this much in the ratio of successive peaks; 0 to 0.5, default 0.15 (a model is never exact).
     iae_slack : and by this factor in IAE; 1 to 4, default 1.5.
     harmless_decay : a ratio of successive peaks up to this is never called worse; 0.1 to 0.5, default 0.25.
-    harmless_ms : an Ms up to this is never called worse, by what the trial's own record says; 1.5 to 3, default 2.1
-        (what the guard allows on the worst model).
+    harmless_ms : an Ms up to this on the models that a trial leaves allowed is never called worse; 1.5 to 3, default
+        2.1 (as the guard's for the worst model).
     seen_bands : noise bands that the largest peak must have to be judged; 2 to 20, default 4.
     rest_share : share of a setpoint step that may be left of the upset before it; 0 to 0.1, default 0.05.
     cool_down_s : no change for this long after an abort, s; None takes cool_down_tau_i times tau_I of the restored set.

@@ -92,9 +92,7 @@ def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> 
         return state, TrialEvent.SATURATED
     e = sample.sp - sample.pv
     if abs(e) <= SEEN_BANDS * band:
-        if math.isfinite(state.inside_s):
-            return state, None
-        return state._replace(inside_s=sample.t_s, joined=state.joined and state.extreme != 0), None
+        return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
     state = _follow(law, _rested(state, sample), e, sample.t_s)
     growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))
     runs = growing >= TWICE or state.stayed >= law.stays_for

@@ -9,7 +9,7 @@ MEASURES = {
     "overshoot": ("overshoot (-E2/E1)", 100.0, " %"), "damping": ("damping", 1.0, ""),
     "decay": ("ratio of successive peaks", 1.0, ""), "iae": ("IAE per unit of the upset", 1.0, ""),
     "travel": ("travel of co per unit (told, not judged)", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
-    "ms": ("Ms on the models that this record allows, at least", 1.0, ""),
+    "ms": ("Ms on every model that is still allowed, at least", 1.0, ""),
     "cost": ("IAE on them over that of the settings before, at least", 1.0, ""),
 }  # fmt: skip
 """Numbers of a promise in words, with their factor and unit."""
@@ -46,7 +46,7 @@ def _promised_ms(promise: Document) -> str:
     ms = numbers_or_none(promise, "ms")
     if len(ms) != 3:
         return ""
-    best, low, high = (_in(value) for value in ms)
+    best, low, high = ("unstable" if value is None else _in(value) for value in ms)
     return f" Ms promised: {best} ({low} .. {high})."
 
 
@@ -91,9 +91,15 @@ def judged_rows(found: Document) -> list[tuple[str, ...]]:
         if number(found, name) is None:
             continue
         beside = (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before"))
-        rows.append((label, *("" if one is None else _in(None if one < 0 and name != "overshoot" else one, factor, unit)
-                              for one in beside)))  # fmt: skip
+        rows.append((label, *("" if one is None else _judged(name, one, factor, unit) for one in beside)))
     return rows
+
+
+def _judged(name: str, value: float, factor: float, unit: str) -> str:
+    """A number that was weighed; below 0 stands for infinite, but an overshoot may be."""
+    if value >= 0 or name == "overshoot":
+        return _in(value, factor, unit)
+    return "unstable" if name == "ms" else _in(None)
 
 
 def later_section(view: DecisionView) -> str:

@@ -1,5 +1,6 @@
 """Hindsight: what the record of a trial says of both sets undoes what kept a false promise, and only that."""
 
+import math
 from dataclasses import replace
 from itertools import product
 
@@ -8,9 +9,9 @@ from rig import BAD, GOOD, MODEL, Rig, responses
 
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.trial.hindsight import Hindsight, against, hindsight
+from retuner.adaptive.trial.hindsight import Hindsight, against, hindsight, in_favour
 from retuner.adaptive.trial.judge import Finding, judge
-from retuner.adaptive.trial.promise import Promise, promise
+from retuner.adaptive.trial.promise import Promise, Spread, promise
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
@@ -80,10 +81,48 @@ def test_hindsight_is_silent_where_something_else_is_behind_the_response() -> No
     assert judge(known, lie(STRONG, 1 / 1.8), STRONG, S).finding is Finding.INCONCLUSIVE
 
 
-@pytest.mark.parametrize("old", [BAD["kc x4"], BAD["tau_i /4"], PidGains(2.2 * GOOD.kp, 2.2 * GOOD.ki)], ids=str)
-def test_a_cure_is_not_undone_for_being_slower_than_a_set_that_is_not_robust(old: PidGains) -> None:
-    cured = promise(TRUE, old, GOOD, HALF_S)
-    assert not against(hindsight(TRUE, old, GOOD, HALF_S), cured, S, {})
+SEEN = Hindsight(ms_tried=1.3, ms_most=1.4, ms_old=1.8, robuster=False, slower=3.0)
+"""The tried set is three times as slow as an old one that is robust."""
+
+
+def test_a_cure_is_not_undone_for_being_slower_than_a_set_that_is_not_robust() -> None:
+    believed = lie(SLUGGISH, 4.0)
+    assert "3.00 times" in against(SEEN, believed, S, {})
+    assert not against(replace(SEEN, ms_old=S.harmless_ms + 0.01), believed, S, {})
+    assert not against(replace(SEEN, ms_old=math.inf), believed, S, {})
+
+
+def test_what_was_seen_of_the_old_set_counts_more_than_what_models_say_of_it() -> None:
+    believed = lie(SLUGGISH, 4.0)
+    assert against(SEEN, replace(believed, decay_seen=S.harmless_decay), S, {})
+    assert not against(SEEN, replace(believed, decay_seen=S.harmless_decay + 0.01), S, {})
+
+
+def test_a_set_is_not_undone_for_one_that_is_no_more_robust() -> None:
+    strong = Hindsight(ms_tried=2.5, ms_most=2.6, ms_old=2.7, robuster=True, slower=0.5)
+    believed = lie(STRONG, 1 / 1.8)
+    assert "limit 2.10" in against(strong, believed, S, {})
+    assert not against(replace(strong, robuster=False), believed, S, {})
+
+
+def test_a_promise_of_being_faster_is_not_held_against_a_set_that_is_not_slower() -> None:
+    fast = promise(TRUE[:1], SLUGGISH, GOOD, HALF_S)
+    numbers: dict[str, float] = {}
+    assert not against(replace(SEEN, slower=1.4), fast, S, numbers)
+    assert numbers["cost_promised"] < 0.5
+    assert numbers["cost_limit"] == S.iae_slack
+
+
+def test_no_promise_makes_an_unstable_loop_pass() -> None:
+    believed = promise(TRUE, SLUGGISH, GOOD, HALF_S)
+    assert believed.ms is not None
+    unsafe = replace(believed, ms=Spread(2.0, 1.5, math.inf))
+    runs_away = Hindsight(ms_tried=math.inf, ms_most=math.inf, ms_old=1.5, robuster=True, slower=0.0)
+    assert not in_favour(runs_away, S)
+    assert not in_favour(replace(runs_away, ms_tried=1.5, ms_most=S.harmless_ms + 0.01), S)
+    numbers: dict[str, float] = {}
+    assert "unstable" in against(runs_away, unsafe, S, numbers)
+    assert (numbers["ms"], numbers["ms_limit"]) == (-1.0, S.harmless_ms)
 
 
 def test_a_set_that_costs_as_much_as_promised_is_kept() -> None:
@@ -115,7 +154,7 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     known = replace(moving, hindsight=said)
     found = judge(known, believed, GOOD, S)
     assert found.finding is Finding.AS_PROMISED
-    assert "as robust as promised" in found.reason
+    assert "robust: Ms is" in found.reason
     doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
     unsure = replace(moving, hindsight=hindsight([*TRUE, doubtful], SLUGGISH, GOOD, HALF_S))
     assert judge(unsure, believed, GOOD, S).finding is Finding.INCONCLUSIVE

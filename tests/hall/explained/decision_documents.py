@@ -33,6 +33,7 @@ WORSE = {
         "ms": 2.64,
         "ms_limit": 2.1,
         "ms_promised": 1.56,
+        "ms_before": -1.0,
         "cost": 0.8,
         "cost_limit": 1.5,
     },

@@ -132,7 +132,7 @@ def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
 def test_a_judged_response_shows_measured_beside_promised() -> None:
     text = article(view(RESTORED, drawn=False))
     assert "<td>ratio of successive peaks</td><td>0.6</td><td>0.1</td><td>0.25</td><td>never at rest</td>" in text
-    assert "allows, at least</td><td>2.64</td><td>1.56</td><td>2.1</td><td></td>" in text
+    assert "allowed, at least</td><td>2.64</td><td>1.56</td><td>2.1</td><td>unstable</td>" in text
     assert "settings before, at least</td><td>0.8</td><td></td><td>1.5</td><td></td>" in text
     assert "<p>Worse than promised: successive peaks in the ratio 0.60.</p>" in text
     assert "Kc from 1.5 to 2.4" in text
