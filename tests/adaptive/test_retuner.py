@@ -10,6 +10,7 @@ import pytest
 from retuner.adaptive import pipeline
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.confirmation import Excitation
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.memory import remember, restore
 from retuner.adaptive.process import LinearProcess
@@ -241,6 +242,14 @@ def test_a_restored_memory_decides_as_if_never_stopped() -> None:
     later = bench.exercise(2)
     assert later
     assert [d.canonical() for d in later] == [d.canonical() for d in twin.exercise(2)]
+
+
+def test_what_a_belief_rests_on_is_remembered() -> None:
+    bench = made(GOOD)
+    bench.run(10)
+    bench.retuner.excitation = {0: Excitation(setpoints=1, loads=2, asked=3, clear=4, rival=5)}
+    again = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
+    assert again.excitation == bench.retuner.excitation
 
 
 @pytest.mark.parametrize("damage", [{"version": 1}, {"table": "x"}, {"beliefs": {"0": {}}}, {"noise": None}])

@@ -3,17 +3,27 @@
 import math
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import pytest
 from rig import BAD, GOOD, MODEL, Rig, responses
 
+from retuner.adaptive import retuner as retuner_module
+from retuner.adaptive.case import Outcome
+from retuner.adaptive.decision import Action, Mode
 from retuner.adaptive.margins import sensitivity_peak
+from retuner.adaptive.on_trial import seen_of
 from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.retuner import Retuner
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.tracker import Surprise
 from retuner.adaptive.trial.hindsight import Hindsight, against, hindsight, in_favour
 from retuner.adaptive.trial.judge import Finding, judge
 from retuner.adaptive.trial.promise import Promise, Spread, promise
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
 
 S = TrialSettings()
 HALF_S = 0.5
@@ -162,3 +172,34 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     assert judge(unsettled, believed, GOOD, S).finding is Finding.INCONCLUSIVE
     small = replace(known, response=replace(moving.response, band=10.0))
     assert judge(small, believed, GOOD, S).finding is Finding.INCONCLUSIVE
+
+
+def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(retuner_module, "seen_of", lambda *a: asked.append(a) or seen_of(*a))  # type: ignore[func-returns-value]
+    table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (GOOD,))
+    retuner, rig = Retuner(table, RetunerSettings(1.0, 100.0, Mode.AUTO, band=0.1)), Rig(GOOD, noise=0.02)
+    _ = [retuner.observe(sample) for sample in rig.run(60)]
+    retuner.ordered(0, Outcome("injected", "for a test"), SLUGGISH, lie(SLUGGISH, 4.0))
+    retuner.committed(0, SLUGGISH)
+    rig.change(SLUGGISH)
+    _ = [retuner.observe(sample) for sample in rig.run(40)]
+    rig.sp = 5.0
+    decision = next(filter(None, (retuner.observe(sample) for sample in rig.run(2000))))
+    assert decision.action is Action.RESTORE
+    ((case, outcome, trial, settings),) = asked
+    learned = outcome.learned
+
+    def with_(**changes: Any) -> Hindsight | None:
+        estimate = replace(learned.estimate, **{k: v for k, v in changes.items() if k != "surprise"})
+        now = replace(learned, estimate=estimate, surprise=changes.get("surprise", learned.surprise))
+        return seen_of(case, replace(outcome, learned=now), trial, settings).hindsight
+
+    usual, unsettled = with_(), with_(identifiable=False)
+    assert usual is not None
+    assert unsettled == replace(usual, settled=False)
+    assert (usual.settled, usual.slower > 3.0) == (True, True)
+    assert with_(surprise=Surprise.SILENT) is None
+    assert with_(plausible=()) is None
+    assert with_(residual_std=1e3) is None
+    assert seen_of(case, replace(outcome, learned=None), trial, settings).hindsight is None

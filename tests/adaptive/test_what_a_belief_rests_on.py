@@ -1,0 +1,77 @@
+"""The excitation that goes with a belief: it changes hands when the belief does, and only then."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from retuner.adaptive import pipeline
+from retuner.adaptive.case import Outcome
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.confirmation import Excitation
+from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.tracker import Surprise
+
+SETTINGS = RetunerSettings(1.0, 100.0)
+BEFORE = Excitation(setpoints=0, loads=3, asked=0, clear=0, rival=1)
+NEW: Any = SimpleNamespace(log=None, reason="")
+"""A belief that the record has led to."""
+
+
+def weighed(monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False,
+            ready: bool = True) -> Outcome:  # fmt: skip
+    """The pipeline's last stages on one response, with what comes before them given."""
+    found = Outcome(
+        "accepted",
+        "",
+        diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""),
+        verdict=SimpleNamespace(accepted=True, ruling=None, allowed=()),
+    )  # type: ignore[arg-type]
+    given: dict[str, Any] = {
+        "is_clear": lambda *_: clear, "predicted": lambda *_: None, "_tuned": lambda *_: found,
+        "propose": lambda *_: SimpleNamespace(ready=ready), "_not_seen": lambda *_: None, "_is_sure": lambda *_: False,
+        "_was_known": lambda *_: None, "_without_model": lambda *_: Outcome("not_identifiable", ""),
+        "unconfirmed": lambda _s, _r, _g, e, *_: (Diagnosis(doubt, 0.9, {}, "") if doubt else None, e),
+    }  # fmt: skip
+    for name, value in given.items():
+        monkeypatch.setattr(pipeline, name, value)
+    case: Any = SimpleNamespace(
+        excitation=BEFORE, samples=[], in_force=None, beliefs={}, region=0,
+        response=SimpleNamespace(sp_changed=clear, peaks=()), window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
+    )  # fmt: skip
+    learned: Any = SimpleNamespace(surprise=surprise, estimate=SimpleNamespace(load_times_s=()))
+    return pipeline._weighed(case, learned, NEW, 1.0, SETTINGS)
+
+
+def test_a_rival_that_takes_over_brings_what_it_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = weighed(monkeypatch, Surprise.CHANGED, None)
+    assert found.belief is NEW
+    assert found.excitation == Excitation(setpoints=1, loads=1, clear=1)
+
+
+@pytest.mark.parametrize("surprise", [Surprise.CHANGED, Surprise.FIRST, Surprise.OPENED])
+def test_a_belief_that_is_not_taken_leaves_the_old_one_with_its_own(
+    monkeypatch: pytest.MonkeyPatch, surprise: Surprise
+) -> None:
+    found = weighed(monkeypatch, surprise, Cause.STICTION)
+    assert found.belief is None
+    assert found.excitation is not None
+    assert (found.excitation.setpoints, found.excitation.loads, found.excitation.clear) == (0, 4, 0)
+    assert found.excitation.asked == found.excitation.loads
+
+
+@pytest.mark.parametrize("clear", [True, False])
+@pytest.mark.parametrize("ready", [True, False])
+def test_an_odd_record_is_remembered_by_whether_it_was_clear(
+    monkeypatch: pytest.MonkeyPatch, clear: bool, ready: bool
+) -> None:
+    found = weighed(monkeypatch, Surprise.ODD, None, clear=clear, ready=ready)
+    assert found.excitation is not None
+    assert found.excitation.rival == int(clear)
+
+
+def test_a_first_record_rests_on_itself_ready_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    for ready in (True, False):
+        found = weighed(monkeypatch, Surprise.FIRST, None, ready=ready)
+        assert found.excitation == Excitation(loads=1)
