@@ -120,7 +120,7 @@ def estimate_of(
     best = found[0]
     record = best.fit.misfit.record
     firsts = {c.fit.misfit.type: c for c in reversed(found) if c.fit.misfit.sign == best.fit.misfit.sign}
-    ordered = sorted(firsts.values(), key=lambda c: c.criterion)
+    ordered = sorted(firsts.values(), key=lambda c: (c is not best, c.criterion))  # the winner leads among equals
     alternatives = tuple(_alternative(c, priors.get(c.fit.misfit.type)) for c in ordered)
     fit = best.fit
     left = record.pv - fit.at.explained

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.fit.dynamics import Clock, Dynamics
-from retuner.adaptive.identify import OPEN_LOOP, identify_window
+from retuner.adaptive.identify import OPEN_LOOP, FitSettings, estimate_of, fitted, identify_window
 from retuner.adaptive.process import ProcessType
 from retuner.adaptive.sample import Window
 
@@ -128,6 +129,17 @@ def test_a_condensed_record_tells_the_same(loop: Callable) -> None:
 def test_a_short_record_is_not_condensed(loop: Callable) -> None:
     window = loop(sp=1.0).run()
     assert window.condensed(500) is window
+
+
+def test_structures_that_are_equally_good_make_no_difference(loop: Callable) -> None:
+    """A record that shows nothing is explained alike by all of them: the winner leads, whichever it is."""
+    found = fitted(loop(noise=0.1, n=60).run(seed=1), (1,), FitSettings())
+    equal = [replace(c, criterion=0.0) for c in found]
+    assert len({c.fit.misfit.type for c in equal}) > 2
+    for i in range(len(equal)):
+        estimate = estimate_of([*equal[i:], *equal[:i]], 0.0, {}, FitSettings())
+        assert estimate.log.type == equal[i].fit.misfit.type
+        assert estimate.plausible
 
 
 def test_seconds_since_1970_make_no_difference() -> None:

@@ -233,9 +233,7 @@ def test_a_single_record_gives_way_to_one_that_knows_far_better(loop: Callable) 
     assert found.belief is not None
     assert found.belief.log.model().k == pytest.approx(1.0, rel=0.05)
     assert found.belief.rival == vague.known
-    odd = replace(
-        vague.points[0], t_s=vague.t_s + 50.0, log=found.belief.log
-    )  # not in the belief
+    odd = replace(vague.points[0], t_s=vague.t_s + 50.0, log=found.belief.log)  # not in the belief
     assert learn(replace(vague, points=(*vague.points, odd)), clear, UP, SCATTERED, FIT).surprise == Surprise.FIRST
     assert learn(replace(vague, points=()), clear, UP, SCATTERED, FIT).surprise == Surprise.ODD
     assert learn(replace(vague, records=2), clear, UP, SCATTERED, FIT).surprise == Surprise.ODD
