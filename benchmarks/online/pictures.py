@@ -103,18 +103,19 @@ def put_back(path: Path, task: injected.Task) -> None:
     trial, size = injected.OnTrial(loop.best, loop.dt_s), judge.load_like_setpoint()
     watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), one_region(loop.best), loop.dt_s, trial)
     n, trace, sps, sp, load = int(25 * injected.SAMPLES_PER_THETA), [], [], 0.0, 0.0
-    for i in range(4):
+    before = n - injected.AT_REST
+    for i, length in enumerate((before, injected.AT_REST, n, n, n)):
         if i == 1:
             trial.inject(bad, wrong, bad)
-        if i:
-            sp, load = (1.0 - sp, load) if i % 2 else (sp, size - load)
-        trace += watched.run(sp, load, (injected.NOISE * rng.standard_normal(n)).tolist())
-        sps += [sp] * n
+        if i > 1:
+            sp, load = (sp, size - load) if i % 2 else (1.0 - sp, load)
+        trace += watched.run(sp, load, (injected.NOISE * rng.standard_normal(length)).tolist())
+        sps += [sp] * length
     t = np.arange(1, len(trace) + 1) * loop.dt_s / loop.theta_s
     above.plot(t, [pv for pv, _ in trace], lw=0.8)
     above.plot(t, sps, lw=0.8)
     below.plot(t, [co for _, co in trace], lw=0.8, color="C2")
-    _mark(above, below, n * loop.dt_s / loop.theta_s, "bad set written", 0)
+    _mark(above, below, before * loop.dt_s / loop.theta_s, "bad set written", 0)
     if trial.restored_s is not None:
         _mark(above, below, trial.restored_s / loop.theta_s, f"put back: {trial.cause}", 1)
     above.legend(fontsize=7)
