@@ -141,16 +141,24 @@ def _weighed(case: Case, learned: Learned, belief: Belief, left: float, settings
     outcome = _tuned(case, learned, belief, wanted, settings)
     if outcome.verdict is None or not outcome.verdict.accepted:
         return replace(outcome, belief=belief, excitation=excitation)
-    wanted_for = outcome.diagnosis.cause if outcome.diagnosis else None
     doubt = _not_seen(case, outcome, settings)
     if doubt is not None:  # a model that is this record's own was not known before: what was known then stays
-        refuted = learned.surprise not in ANEW and wanted_for in SWINGING
+        swings_by_it = outcome.diagnosis is not None and outcome.diagnosis.cause in SWINGING
+        refuted = learned.surprise not in ANEW and swings_by_it
         return Outcome("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, forget=refuted)
     if clear or _is_sure(case, outcome.verdict, learned, belief, known, settings):
         return replace(outcome, belief=belief, excitation=excitation)
     earlier = _was_known(case, learned, known, settings)
     if earlier is not None:
         return replace(earlier, belief=belief, excitation=excitation)
+    return _asked(case, learned, belief, outcome, excitation, settings)
+
+
+def _asked(
+    case: Case, learned: Learned, belief: Belief, outcome: Outcome, excitation: Excitation, settings: RetunerSettings
+) -> Outcome:
+    """A change that the whole diagnosis has to confirm."""
+    wanted_for = outcome.diagnosis.cause if outcome.diagnosis else None
     doubt, excitation = unconfirmed(
         case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis, wanted_for
     )
