@@ -190,8 +190,10 @@ def _agreed(belief: Belief, joined: Joined, lesson: Lesson, points: tuple[Record
 
 def _holds(belief: Belief, lesson: Lesson) -> bool:
     """Whether what was known stands up to a record that settles the process by itself."""
-    if belief.records > 1 or belief.rival is not None or not belief.identifiable:
-        return belief.identifiable
+    if not belief.identifiable:
+        return False
+    if belief.records > 1 or belief.rival is not None:
+        return True
     own = [point for point in belief.points if point.t_s == belief.t_s]  # later ones were odd, and are not in it
     return not own or own[-1].log.gain_uncertainty() < lesson.settings.clearer * lesson.alone.log.gain_uncertainty()
 

@@ -5,8 +5,7 @@
                  among what the model rests on, and this response swings and agrees with it, or the loop runs away at
                  such a step, or it swings at its own crossover between the output's limits (limit_swing.py)
     known        a clear case before this response already called for a change that its model proves (the rest of a
-                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away;
-                 or it confirms what a clear case showed that contradicted all before: the process has changed
+                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
                  load responses at the earliest. When it does not, nothing is learned from loads until there were twice

@@ -14,13 +14,14 @@ take up a load with hardly a swing. What was seen of the old set counts more tha
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.trial.closed_responses import Loop, Upset, traces
+from retuner.adaptive.robust_settings import later
+from retuner.adaptive.trial.closed_responses import Loop, Upset
 from retuner.adaptive.trial.promise import Promise
-from retuner.adaptive.trial.shape import shape_of
+from retuner.adaptive.trial.shape import shapes, storable
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
@@ -31,8 +32,8 @@ UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 class Hindsight:
     """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
     infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
-    of this file; 0 where it is not known. settled : settings could follow from the record; to speak against a set it is
-    enough that all that it allows do so.
+    of this file; 0 where it is not known. settled : settings could follow from what is known; to speak against a set it
+    is enough that all allowed models do so.
     """
 
     ms_tried: float
@@ -47,19 +48,18 @@ def hindsight(
     allowed: Sequence[Plausible], old: PidGains, tried: PidGains, half_sample_s: float, b: float = 1.0,
     tau_f_s: float = 0.0,
 ) -> Hindsight:  # fmt: skip
-    """Both sets on the models that a record allows.
+    """Both sets on the models that are still allowed.
 
     Parameters
     ----------
     allowed : at least one model. half_sample_s : dead time that sampling adds, s.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
     """
-    later = [replace(found.model, theta_s=found.model.theta_s + half_sample_s).linear() for found in allowed]
-    ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in later] for gains in (tried, old))
-    loops = [Loop(process, gains, b, tau_f_s) for gains in (tried, old) for process in later]
-    found = zip(loops, traces(loops, UPSETS), strict=True)
-    iae = [[shape_of(trace, loop.gains.ki).iae for trace in row] for loop, row in found]
-    slower = min(_mean_ratio(now, then) for now, then in zip(iae[: len(later)], iae[len(later) :], strict=True))
+    sampled = [later(found.model, half_sample_s).linear() for found in allowed]
+    ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in sampled] for gains in (tried, old))
+    loops = [Loop(process, gains, b, tau_f_s) for gains in (tried, old) for process in sampled]
+    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(sampled)
+    slower = min(_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True))
     robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
     return Hindsight(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
 
@@ -72,11 +72,11 @@ def against(found: Hindsight, promised: Promise, settings: TrialSettings, number
 def _less_robust(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
     """The first test at the head of this file."""
     said = promised.ms
-    limit = max(settings.harmless_ms, *(ms for ms in (said.best, said.high) if math.isfinite(ms))) if said else (
-        settings.harmless_ms)  # fmt: skip
-    numbers |= {"ms": _finite(found.ms_tried), "ms_limit": limit, "ms_before": _finite(found.ms_old)}
+    allowed = [ms for ms in (said.best, said.high) if math.isfinite(ms)] if said else []
+    limit = max([settings.harmless_ms, *allowed])
+    numbers |= {"ms": storable(found.ms_tried), "ms_limit": limit, "ms_before": storable(found.ms_old)}
     if said:
-        numbers["ms_promised"] = _finite(said.best)
+        numbers["ms_promised"] = storable(said.best)
     if not found.robuster or found.ms_tried <= limit:
         return ""
     words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
@@ -118,8 +118,3 @@ def _mean_ratio(now: Sequence[float], then: Sequence[float]) -> float:
     if not all(map(math.isfinite, (*now, *then))) or not all(then):
         return 0.0
     return sum(a / b for a, b in zip(now, then, strict=True)) / len(now)
-
-
-def _finite(value: float) -> float:
-    """A number that JSON can hold: -1 stands for "unstable"."""
-    return value if math.isfinite(value) else -1.0

@@ -31,7 +31,7 @@ from retuner.adaptive.response import Ending, Response
 from retuner.adaptive.sample import FloatArray, Window
 from retuner.adaptive.trial.hindsight import Hindsight, against, in_favour
 from retuner.adaptive.trial.promise import Expected, Promise
-from retuner.adaptive.trial.shape import swing, three
+from retuner.adaptive.trial.shape import storable, swing, three
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
@@ -91,9 +91,10 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
     worse = against(seen.hindsight, promised, settings, numbers) if seen.hindsight else ""
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
+    if unlike and worse:
+        return Judgement(Finding.WORSE, worse, numbers)
     if unlike:
-        return Judgement(Finding.WORSE, worse, numbers) if worse else _by_hindsight(
-            unlike, seen.hindsight, settings, numbers)  # fmt: skip
+        return _by_hindsight(unlike, seen.hindsight, settings, numbers)
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
@@ -202,8 +203,10 @@ def _costs(
         return ""
     measured, limit = iae / unit, now.iae.high * settings.iae_slack
     travel = float(np.sum(np.abs(np.diff(window.co[during])))) / unit
-    numbers |= {"iae": measured, "iae_promised": _finite(now.iae.best), "iae_before": _finite(before),
-                "iae_limit": _finite(limit), "travel": travel, "travel_promised": _finite(now.travel.best)}  # fmt: skip
+    numbers |= {
+        "iae": measured, "iae_promised": storable(now.iae.best), "iae_before": storable(before),
+        "iae_limit": storable(limit), "travel": travel, "travel_promised": storable(now.travel.best),
+    }  # fmt: skip
     if measured <= limit or measured <= before:
         return ""
     kind = "setpoint step" if response.sp_changed else "load"
@@ -237,11 +240,6 @@ def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, least: floa
 def _area(values: FloatArray, t: FloatArray) -> float:
     """Integral by the trapezoidal rule."""
     return float(np.trapezoid(values, t))
-
-
-def _finite(value: float) -> float:
-    """A number that JSON can hold: -1 stands for "never comes to rest"."""
-    return value if math.isfinite(value) else -1.0
 
 
 def _told(numbers: dict[str, float]) -> str:

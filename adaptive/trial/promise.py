@@ -15,10 +15,10 @@ from typing import Any
 
 from retuner.adaptive.margins import sensitivity_peak
 from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel
 from retuner.adaptive.response import Ending, Response
-from retuner.adaptive.trial.closed_responses import Loop, Upset, traces
-from retuner.adaptive.trial.shape import Shape, shape_of, swing
+from retuner.adaptive.robust_settings import later
+from retuner.adaptive.trial.closed_responses import Loop, Upset
+from retuner.adaptive.trial.shape import Shape, shapes, swing
 from retuner.schedule.gains import PidGains
 
 MOST_MODELS = 16
@@ -175,14 +175,10 @@ def promise(
     models = sorted(allowed, key=lambda found: found.excess)[:MOST_MODELS]  # stable: the best one stays first
     if not models:
         raise ValueError("a promise needs at least one model")
-    sampled = [_sampled(found.model, half_sample_s).linear() for found in models]
+    sampled = [later(found.model, half_sample_s).linear() for found in models]
     loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
-    shapes = [
-        [shape_of(trace, loop.gains.ki) for trace in row]
-        for loop, row in zip(loops, traces(loops, UPSETS), strict=True)
-    ]
-    n = len(models)
-    now, then = shapes[:n], shapes[n:]
+    found, n = shapes(loops, UPSETS), len(models)
+    now, then = found[:n], found[n:]
     ms = Spread.over([sensitivity_peak(process, new, tau_f_s) for process in sampled])
     return Promise(_setpoint(now), _load(now), _setpoint(then), _load(then), n, ms=ms)
 
@@ -227,9 +223,9 @@ def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promi
     )  # fmt: skip
 
 
-def _setpoint(shapes: Sequence[Sequence[Shape]]) -> Expected:
+def _setpoint(found: Sequence[Sequence[Shape]]) -> Expected:
     """Over the models, under a setpoint step."""
-    return Expected.over([row[0] for row in shapes])
+    return Expected.over([row[0] for row in found])
 
 
 def _load(shapes: Sequence[Sequence[Shape]]) -> Expected:
@@ -238,11 +234,6 @@ def _load(shapes: Sequence[Sequence[Shape]]) -> Expected:
     pulses = [row[2].decay for row in shapes]
     decay = found.decay
     return replace(found, decay=Spread(decay.best, min(decay.low, *pulses), max(decay.high, *pulses)))
-
-
-def _sampled(model: ProcessModel, half_sample_s: float) -> ProcessModel:
-    """The model with the dead time of sampling."""
-    return replace(model, theta_s=model.theta_s + half_sample_s)
 
 
 def _percent(spread: Spread) -> str:

@@ -12,13 +12,14 @@ third one: the error of a load stays on one side while the integral takes it ove
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from retuner.adaptive.sample import FloatArray
-from retuner.adaptive.trial.closed_responses import Trace
+from retuner.adaptive.trial.closed_responses import Loop, Trace, Upset, traces
 
 SMALL = 0.02
 """Half waves below this share of the largest error are not counted as peaks of a computed response."""
@@ -83,3 +84,14 @@ def shape_of(trace: Trace, ki: float) -> Shape:
     moving = np.flatnonzero(size > AT_REST * before)
     settle = trace.step_s * float(moving[-1] if moving.size else 0)
     return Shape(overshoot, damping, decay, trace.step_s * float(np.sum(size)) + rest, travel, settle)
+
+
+def shapes(loops: Sequence[Loop], upsets: Sequence[Upset]) -> list[list[Shape]]:
+    """The numbers of every loop under every upset: [loop][upset]."""
+    rows = zip(loops, traces(loops, upsets), strict=True)
+    return [[shape_of(trace, loop.gains.ki) for trace in row] for loop, row in rows]
+
+
+def storable(value: float) -> float:
+    """A number that JSON can hold: -1 stands for infinite, "unstable" or "never comes to rest"."""
+    return value if math.isfinite(value) else -1.0

@@ -76,15 +76,15 @@ def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> Wat
     )  # fmt: skip
 
 
-def watch_begin(sp: float) -> WatchState:
-    """Nothing seen yet."""
-    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=True)
+def watch_begin(sp: float, *, joined: bool = True) -> WatchState:
+    """Nothing seen yet. joined : a half wave may be under way, as when a trial begins."""
+    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
 
 
 def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> tuple[WatchState, TrialEvent | None]:
     """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
     if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
-        state = watch_begin(sample.sp)._replace(joined=False)
+        state = watch_begin(sample.sp, joined=False)
     state = _at_limits(state, sample)
     if state.swings >= law.limit_swings:
         return state, TrialEvent.RUNAWAY

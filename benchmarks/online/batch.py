@@ -19,7 +19,7 @@ from online.counting import counted
 from online.judge import Judge, Judgement
 from online.loop import LostLoop, WatchedLoop
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
-from online.supervisors import Watching, one_region, settings
+from online.supervisors import Watching, guard_settings, one_region, settings
 from retuner.adaptive.decision import Decision
 from retuner.schedule.gains import PidGains
 
@@ -168,7 +168,8 @@ def line(row: Row) -> str:
 
 def in_one_change(row: Row) -> bool:
     """Whether the right settings lie within one change of the start: the limits are of Kc, tau_I and Kc/tau_I."""
-    more, less = (8.0, 8.0) if row["opened"] else (2.0, 4.0)
+    limits = guard_settings(opened=row["opened"])
+    more, less = limits.step_up_max, limits.step_down_max
     ways = (1 / row["kc"], row["tau_i"], row["tau_i"] / row["kc"])  # above 1: towards more action
     return all(1 / less - 1e-9 <= way <= more + 1e-9 for way in ways)
 
