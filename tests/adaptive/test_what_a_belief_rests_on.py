@@ -22,12 +22,8 @@ NEW: Any = SimpleNamespace(log=None, reason="")
 def weighed(monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False,
             ready: bool = True) -> Outcome:  # fmt: skip
     """The pipeline's last stages on one response, with what comes before them given."""
-    found = Outcome(
-        "accepted",
-        "",
-        diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""),
-        verdict=SimpleNamespace(accepted=True, ruling=None, allowed=()),
-    )  # type: ignore[arg-type]
+    verdict: Any = SimpleNamespace(accepted=True, ruling=None, allowed=())
+    found = Outcome("accepted", "", diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""), verdict=verdict)
     given: dict[str, Any] = {
         "is_clear": lambda *_: clear, "predicted": lambda *_: None, "_tuned": lambda *_: found,
         "propose": lambda *_: SimpleNamespace(ready=ready), "_not_seen": lambda *_: None, "_is_sure": lambda *_: False,

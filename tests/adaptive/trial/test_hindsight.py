@@ -18,7 +18,7 @@ from retuner.adaptive.retuner import Retuner
 from retuner.adaptive.retuner_settings import RetunerSettings
 from retuner.adaptive.tracker import Surprise
 from retuner.adaptive.trial.hindsight import Hindsight, against, hindsight, in_favour
-from retuner.adaptive.trial.judge import Finding, judge
+from retuner.adaptive.trial.judge import Finding, Seen, judge
 from retuner.adaptive.trial.promise import Promise, Spread, promise
 from retuner.adaptive.trial.trial_settings import TrialSettings
 from retuner.schedule.gains import PidGains
@@ -176,7 +176,12 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
 
 def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(retuner_module, "seen_of", lambda *a: asked.append(a) or seen_of(*a))  # type: ignore[func-returns-value]
+
+    def noted(*given: Any) -> Seen:
+        asked.append(given)
+        return seen_of(*given)
+
+    monkeypatch.setattr(retuner_module, "seen_of", noted)
     table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (GOOD,))
     retuner, rig = Retuner(table, RetunerSettings(1.0, 100.0, Mode.AUTO, band=0.1)), Rig(GOOD, noise=0.02)
     _ = [retuner.observe(sample) for sample in rig.run(60)]

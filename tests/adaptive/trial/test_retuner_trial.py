@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import pytest
 from rig import BAD, GOOD, PROMISE, Rig
 
+from retuner.adaptive.belief import Belief
 from retuner.adaptive.case import Outcome
 from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.memory import remember, restore
@@ -43,12 +44,22 @@ class Stand:
             if decision is not None:
                 yield decision
 
+    def run_away(self) -> Decision:
+        """A setpoint step under the set on trial, until it is given up."""
+        assert list(self.run(40)) == []
+        self.rig.sp = 5.0
+        return next(self.run(100))
+
+
+def learned_by_a_runaway() -> Belief:
+    stand = Stand()
+    stand.run_away()
+    return stand.retuner.beliefs[0]
+
 
 def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teaches() -> None:
     stand = Stand()
-    assert list(stand.run(40)) == []
-    stand.rig.sp = 5.0
-    decision = next(stand.run(100))
+    decision = stand.run_away()
     assert decision.action is Action.RESTORE
     assert decision.code == "undo_runaway"
     assert (decision.gains_before, decision.gains_after) == (NEW, GOOD)
@@ -63,29 +74,17 @@ def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teac
 
 def test_a_model_that_promised_wrongly_is_not_believed_any_more() -> None:
     """The record of the undo agrees with it: what the two say together is forgotten, the next one begins anew."""
-    stand = Stand()
-    list(stand.run(40))
-    stand.rig.sp = 5.0
-    next(stand.run(100))
-    known = stand.retuner.beliefs[0]
-    for before, kept in ((known, False), (None, True)):
+    for before, kept in ((learned_by_a_runaway(), False), (None, True)):
         stand = Stand()
         stand.retuner.beliefs = {} if before is None else {0: before}
-        list(stand.run(40))
-        stand.rig.sp = 5.0
-        decision = next(stand.run(100))
+        decision = stand.run_away()
         assert decision.code == "undo_runaway"
         assert decision.surprise is (Surprise.FIRST if before is None else Surprise.AGREES)
         assert (0 in stand.retuner.beliefs, 0 in stand.retuner.excitation) == (kept, kept)
 
 
 def test_an_undo_that_does_not_speak_against_the_gains_forgets_nothing() -> None:
-    stand = Stand()
-    list(stand.run(40))
-    stand.rig.sp = 5.0
-    next(stand.run(100))
-    known = stand.retuner.beliefs[0]
-    stand = Stand()
+    known, stand = learned_by_a_runaway(), Stand()
     stand.retuner.beliefs = {0: known}
     decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
     assert decision is not None

@@ -65,14 +65,7 @@ def test_a_half_wave_that_was_under_way_is_no_measure() -> None:
 
 def test_a_swing_that_does_not_die_out_is_stopped_and_one_that_decays_is_not() -> None:
     def swing(decay: float) -> TrialEvent | None:
-        state = watch_begin(0.0)
-        for i in range(12):
-            for share in (0.5, 1.0, 0.5):
-                e = 5.0 * decay**i * (-1) ** i * share
-                state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
-                if found:
-                    return found
-        return None
+        return said([5.0 * decay**i * (-1) ** i * share for i in range(12) for share in (0.5, 1.0, 0.5)])
 
     assert swing(1.0) is TrialEvent.RUNAWAY
     assert swing(0.97) is TrialEvent.RUNAWAY
@@ -90,20 +83,10 @@ def test_loads_that_come_now_and_then_and_grow_are_no_swing() -> None:
             assert found is None
 
 
-def test_what_comes_after_a_rest_is_another_upset() -> None:
-    state, found = watch_begin(0.0), None
-    errors = (
-        [0.0] + [0.5] * 5 + [-0.6] * 5 + [0.0] * 12 + [3.0] * 5
-    )  # two half waves of five samples, a longer rest, a load
-    for i, e in enumerate(errors):
-        state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
-        assert found is None
-    state = watch_begin(0.0)
-    for i, e in enumerate([0.0] + [0.5] * 5 + [-0.6] * 5 + [0.0] * 3 + [3.0] * 5):
-        state, found = watch(LAW, state, LoopSample(float(i), 0.0, -e, 0.0), 0.1)
-        if found is not None:
-            break
-    assert found == TrialEvent.RUNAWAY
+@pytest.mark.parametrize(("rest", "found"), [(12, None), (3, TrialEvent.RUNAWAY)])
+def test_what_comes_after_a_rest_is_another_upset(rest: int, found: TrialEvent | None) -> None:
+    """Two half waves of five samples, a longer or a shorter rest, a load."""
+    assert said([0.0] + [0.5] * 5 + [-0.6] * 5 + [0.0] * rest + [3.0] * 5) is found
 
 
 def test_a_new_setpoint_begins_anew() -> None:
