@@ -18,19 +18,19 @@ from collections.abc import Callable
 
 import can
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice, CanDeviceSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.codec import Codec
-from retuner.drivers.device_process import DeviceOnBus
-from retuner.drivers.frames import TelemetryPv
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.link_share import LinkShare
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.codec import Codec
+from retuner.drivers.protocol.frames import TelemetryPv
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

@@ -20,23 +20,23 @@ from online.judge import Judge
 
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
-from retuner.adaptive.process import LinearProcess, ProcessModel
-from retuner.adaptive.reduction import half_rule
+from retuner.adaptive.loop.margins import ultimate
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.sample import Window
-from retuner.adaptive.ultimate import ultimate
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.adaptive.signals.sample import Window
+from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.device_process import DeviceOnBus
-from retuner.drivers.firmware_settings import VirtualDeviceSettings
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice
-from retuner.experiment.conductor import Conductor
+from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
+from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import Findings, Question, evaluate
-from retuner.running import nothing
+from retuner.experiment.runner import Conductor
 from retuner.schedule.gains import PidGains
+from retuner.session.running import nothing
 
 SAMPLES_PER_THETA = 8
 AMPLITUDE = 10.0

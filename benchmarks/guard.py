@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import Border, ChangeRequest, GuardSettings, allowed, prove
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.structure import parameters_of
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
 

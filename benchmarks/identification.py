@@ -28,7 +28,7 @@ from cases.loop import performance
 from cases.robustness import robustness
 
 from retuner import identify
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25

@@ -15,9 +15,9 @@ import numpy as np
 from cases import diagnosis, traps
 from cases.case import DiagnosisCase
 
-from retuner.adaptive.diagnosis.indexes.condition import Condition
-from retuner.adaptive.diagnosis.indexes.screening import Screening, screen
-from retuner.adaptive.sample import Window
+from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.indexes.screening import Screening, screen
+from retuner.adaptive.signals.sample import Window
 
 CAUSES = set(diagnosis.CAUSES)
 CONTRASTS = {

@@ -13,18 +13,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.indexes.autocovariance import decay_ratio, regularity
-from retuner.adaptive.diagnosis.indexes.bicoherence import bicoherence
-from retuner.adaptive.diagnosis.indexes.condition import record_condition
-from retuner.adaptive.diagnosis.indexes.cross_correlation import cross_correlation
-from retuner.adaptive.diagnosis.indexes.half_wave import half_wave_shape
-from retuner.adaptive.diagnosis.indexes.harmonics import refined_frequency, tones
-from retuner.adaptive.diagnosis.indexes.jumps import flat_share, jump_share
-from retuner.adaptive.diagnosis.indexes.pv_co_shape import ellipse, yamashita
-from retuner.adaptive.diagnosis.indexes.recording_quality import recording_quality
-from retuner.adaptive.diagnosis.indexes.screening import screen
-from retuner.adaptive.sample import Window
-from retuner.adaptive.settings_in_force import settings_in_force
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.indexes.autocovariance import decay_ratio, regularity
+from retuner.adaptive.indexes.bicoherence import bicoherence
+from retuner.adaptive.indexes.condition import record_condition
+from retuner.adaptive.indexes.half_wave import half_wave_shape
+from retuner.adaptive.indexes.harmonics import refined_frequency, tones
+from retuner.adaptive.indexes.jumps import flat_share, jump_share
+from retuner.adaptive.indexes.recording_quality import recording_quality
+from retuner.adaptive.indexes.screening import screen
+from retuner.adaptive.indexes.shapes import cross_correlation, ellipse, yamashita
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 PERIOD = 50

@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from retuner.adaptive.margins import margins, sensitivity_peak
-from retuner.adaptive.open_loop import open_loop
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.loop.margins import margins, sensitivity_peak
+from retuner.adaptive.loop.open_loop import open_loop
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 ROUNDS, CALLS, SEED, RANDOM_LOOPS = 41, 400, 1, 2000

@@ -14,9 +14,9 @@ import sys
 import time
 from collections.abc import Callable
 
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import PidLaw, law, start, step

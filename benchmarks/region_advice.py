@@ -3,7 +3,7 @@
     python benchmarks/region_advice.py [FIRST_SEED [SEEDS]]
 
 Each case is a configuration as a user would write it, run in simulated time over CAN in mode advise; what counts is
-what adaptive/region_advice.py says at its end. Seeds below 100 were used in development.
+what adaptive/region_model/region_advice.py says at its end. Seeds below 100 were used in development.
 
   two processes   one region over a boiler whose gain is 2 times larger at 92 than at 40 degC; both are visited in turn
   one process     the same steps on a process that is the same everywhere
@@ -15,11 +15,11 @@ what adaptive/region_advice.py says at its end. Seeds below 100 were used in dev
 import sys
 from collections import Counter
 
-from retuner.adaptive.decision import Mode
-from retuner.adaptive.region_advice import AdviceSettings, RegionAdvice, region_advice
+from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
+from retuner.adaptive.supervision.decision import Mode
 from retuner.config.loading import parse_config
 from retuner.config.model import Config
-from retuner.running import Run, nothing
+from retuner.session.running import Run, nothing
 
 SEEDS = (2028, 3)
 LOOP = """schema = 1

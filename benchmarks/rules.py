@@ -6,11 +6,11 @@ full process. No chance in it. Run: python benchmarks/rules.py
 
 import numpy as np
 
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.optimum import optimal_pi, references
-from retuner.adaptive.performance import performance, weighted_cost
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.reduction import half_rule
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.optimum import optimal_pi, references
+from retuner.adaptive.loop.performance import performance, weighted_cost
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
 
 SLOW = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.3, 1.5, 2.0, 4.0, 6.0, 8.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retuner.adaptive.sample import Window
-from retuner.adaptive.settings_in_force import SettingsInForce, settings_in_force
+from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 

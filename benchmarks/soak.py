@@ -24,24 +24,24 @@ from pathlib import Path
 
 import numpy as np
 
-from retuner.adaptive.decision import Mode
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice, CanDeviceSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.device_process import DeviceOnBus
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.link_share import LinkShare
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.ledger import Ledger
-from retuner.scenario import ScenarioPlayer
+from retuner.report.trend import Trend
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
-from retuner.session import Session
-from retuner.trend import Trend
+from retuner.session.scenario import ScenarioPlayer
+from retuner.session.session import Session
 
 SAMPLE_S = 2.0
 STEP_EVERY_S = 3600.0

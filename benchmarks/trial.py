@@ -22,17 +22,17 @@ from online.judge import Judge
 from online.loop import FixedGains, LostLoop, WatchedLoop
 from online.supervisors import one_region
 
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel
-from retuner.adaptive.reduction import half_rule
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopSample
-from retuner.adaptive.trial.desk import TrialDesk
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.process.reduction import half_rule
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.promise import promise
-from retuner.adaptive.trial.trial_settings import TrialSettings
-from retuner.adaptive.watcher import Completed, Watcher
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.supervisor import TrialDesk
 
 UPSETS = ("setpoint", "load", "pulse", "ramp", "two loads", "lagged load", "from motion")
 NOISE = 0.01

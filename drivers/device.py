@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.schedule.gains import PidGains
 
 

@@ -7,10 +7,10 @@ and what it would change; here the gains are taken over at once, without a bump.
 """
 
 from retuner import GainTable, LoopSample, PidGains, Retuner, RetunerSettings
-from retuner.adaptive.decision import Action, Mode
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.explain import one_line
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.supervision.decision import Action, Mode
+from retuner.decision_page.explain import one_line
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.pid import change, law, start, step
 from retuner.schedule.regions import Regions
 

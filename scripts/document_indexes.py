@@ -5,7 +5,7 @@ python scripts/document_indexes.py
 
 from pathlib import Path
 
-from retuner.evidence_words import GROUPS, WORDS
+from retuner.decision_page.evidence_words import GROUPS, WORDS
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "indexes.md"
 HEAD = """# The numbers of the evidence

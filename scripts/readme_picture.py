@@ -5,10 +5,10 @@ python scripts/readme_picture.py
 
 from pathlib import Path
 
-from retuner.adaptive.decision import Mode
+from retuner.adaptive.supervision.decision import Mode
 from retuner.config import load_config
-from retuner.plots import trend_png
-from retuner.running import Run, nothing
+from retuner.report.plots import trend_png
+from retuner.session.running import Run, nothing
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -4,6 +4,10 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.process.model import ProcessModel
+from retuner.schedule.gains import PidGains
+
 
 class Cause(StrEnum):
     """What is behind the behaviour of a loop. Only three of them may change gains."""
@@ -62,3 +66,90 @@ class Diagnosis:
             "evidence": evidence,
             "reason": self.reason,
         }
+
+
+# Whether the tuning is the cause: the margins that the identified process has with the gains in force decide.
+#
+#     Ms high, small gain margin    aggressive: too much gain
+#     Ms high, LARGE gain margin    slow_integrating: too much integral action for the gain (the loop swings slowly)
+#     little integral action        sluggish: ki well under what SIMC gives, with robustness to spare
+#     little gain                   sluggish, or slow_integrating where the integral time is short as well
+#     otherwise                     ok
+#     Ms high with derivative       unknown: what the derivative does hangs on a second lag, which a first-order model
+#                                   does not have; it calls good PID loops unstable
+#
+# 1/ki is the integrated error after a unit load step, whatever the process (Astrom & Hagglund 2006, section 4.3), so
+# the ratio of ki to SIMC's says how much worse than necessary loads are rejected. The margins separate the classes
+# completely where gain ratios, idle index and decay ratio overlap (diagnosis study).
+
+
+@dataclass(frozen=True, slots=True)
+class CauseSettings:
+    """Settings.
+
+    ms_high : Ms above which a loop is not robust enough; 1.5 to 2.2, default 1.8 (design limit).
+    gm_large : gain margin above which a high Ms is the integral's fault; 2 to 6, default 3.0 (SIMC's own is 3.14).
+    slack : ratio of SIMC's ki to the one in force from which a loop is sluggish; 1.2 to 3, default 1.3.
+    weak : the same of kp; 1.2 to 10, default 1.3.
+    saturated_share : share of limited samples above which nothing is said of the tuning; default 0.5.
+    """
+
+    ms_high: float = 1.8
+    gm_large: float = 3.0
+    slack: float = 1.3
+    weak: float = 1.3
+    saturated_share: float = 0.5
+
+
+def tuning_cause(
+    model: ProcessModel, gains: PidGains, best: PidGains, gain_uncertainty: float, settings: CauseSettings
+) -> Diagnosis:
+    """Diagnose the gains in force on an identified process.
+
+    Parameters
+    ----------
+    model : the process. gains : in force. best : what the rule gives for it.
+    gain_uncertainty : standard deviation of ln |G(j/theta)|, for the confidence.
+    """
+    found = margins(model.linear(), gains)
+    slack = best.ki / gains.ki if gains.ki else math.inf
+    evidence = {
+        "ms": found.ms,
+        "gm": found.gm,
+        "pm_deg": found.pm_deg,
+        "ki_ratio": slack,
+        "kp_ratio": best.kp / gains.kp if gains.kp else math.inf,
+    }
+    cause, reason = _name(found, slack, evidence["kp_ratio"], settings)
+    if gains.kd and not model.tau2_s and found.ms > settings.ms_high:
+        unsure = "derivative action is in force: a model without a second lag cannot tell whether it does harm"
+        return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
+    room = max(slack, evidence["kp_ratio"])
+    return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
+
+
+def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) -> tuple[Cause, str]:
+    """The table at the head of this file, with the sentence."""
+    if not found.stable:
+        return Cause.AGGRESSIVE, "the loop is unstable with the gains in force"
+    if found.ms > settings.ms_high:
+        if found.gm > settings.gm_large:
+            return Cause.SLOW_INTEGRATING, (
+                f"Ms {found.ms:.2f} is over {settings.ms_high:g} with a gain margin of "
+                f"{found.gm:.1f}: integral action too strong for the gain"
+            )
+        return Cause.AGGRESSIVE, f"Ms {found.ms:.2f} is over {settings.ms_high:g}, gain margin {found.gm:.2f}"
+    if slack > settings.slack:
+        return Cause.SLUGGISH, f"loads are rejected {slack:.1f} times slower than Ms {found.ms:.2f} would allow"
+    if weak > settings.weak:
+        cause = Cause.SLOW_INTEGRATING if weak > slack * settings.slack else Cause.SLUGGISH
+        return cause, f"the gain could be {weak:.1f} times as large at Ms {found.ms:.2f}"
+    return Cause.OK, f"Ms {found.ms:.2f}, loads rejected at {1 / max(slack, 1e-9):.0%} of the attainable speed"
+
+
+def _confidence(found: Margins, slack: float, cause: Cause, gain_uncertainty: float, settings: CauseSettings) -> float:
+    """How many standard deviations of the gain lie between the loop and the nearest limit, as a normal probability."""
+    over = math.log(max(found.ms, 1.0) / settings.ms_high) if found.stable else math.inf
+    room = math.log(max(slack, 1e-9) / settings.slack) if math.isfinite(slack) else math.inf
+    distance = min(abs(over), abs(room)) if cause == Cause.OK else max(over, room)
+    return 0.5 * (1 + math.erf(distance / max(gain_uncertainty, 1e-6) / math.sqrt(2)))

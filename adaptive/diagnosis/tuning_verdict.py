@@ -12,14 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
-from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.tuning_cause import CauseSettings, tuning_cause
-from retuner.adaptive.estimate import ModelEstimate, gain_spread
-from retuner.adaptive.fit.candidate import Candidate
-from retuner.adaptive.identify import estimate_of
-from retuner.adaptive.robust_settings import RobustTuning, later, robust_simc
-from retuner.adaptive.sample import Window
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, CauseSettings, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.identification.candidate import Candidate
+from retuner.adaptive.identification.estimate import ModelEstimate, gain_spread
+from retuner.adaptive.identification.identify import estimate_of
+from retuner.adaptive.identification.robust_simc import RobustTuning, later, robust_simc
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 

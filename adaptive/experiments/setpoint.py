@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.experiments.levels import CLEAR, peak, smoothed
-from retuner.adaptive.noise import noise_sigma
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.tuning import Tuning, tuning
-from retuner.adaptive.sample import FloatArray, Window
+from retuner.adaptive.experiments.plan import CLEAR, peak, smoothed
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import Tuning, tuning
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 LARGEST_D = 0.6
 """Largest overshoot for which the correlations were made (Shamsuzzoha & Skogestad 2010, section 3)."""

@@ -19,10 +19,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from retuner.adaptive.experiments.levels import CLEAR, crossing, smoothed
-from retuner.adaptive.noise import noise_sigma
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.sample import FloatArray, Window
+from retuner.adaptive.experiments.plan import CLEAR, crossing, smoothed
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 T1_SHARE = 1 - math.exp(-1 / 3)
 T2_SHARE = 1 - math.exp(-1)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.experiments.levels import CLEAR
-from retuner.adaptive.noise import noise_sigma
-from retuner.adaptive.sample import FloatArray, Window
+from retuner.adaptive.experiments.plan import CLEAR
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 FEWEST_PERIODS = 3
 """Whole periods from which a period and a decay are given."""

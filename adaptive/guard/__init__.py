@@ -1,8 +1,7 @@
 """The guard: proof before change. See proof.py."""
 
-from retuner.adaptive.guard.allowed import allowed
 from retuner.adaptive.guard.border import borders_of
-from retuner.adaptive.guard.parameters import change_factor, within_limits
+from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.proof import prove
 from retuner.adaptive.guard.request import (
     KC_ONLY,
@@ -16,6 +15,7 @@ from retuner.adaptive.guard.request import (
 )
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
 from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.guard.step_size import change_factor, within_limits
 
 __all__ = [
     "KC_ONLY",

@@ -18,11 +18,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from retuner.adaptive.guard.allowed import sampled
+from retuner.adaptive.guard.model_set import sampled
 from retuner.adaptive.guard.request import Beside, Border
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GAIN_NAMES, GainTable, Lookup
 

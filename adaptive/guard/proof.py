@@ -14,27 +14,115 @@ Everything is deterministic, so that replay decides alike.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
-from retuner.adaptive.guard.allowed import sampled
 from retuner.adaptive.guard.border import at_border
-from retuner.adaptive.guard.cutting import Goal, goals, nothing_left, without_short_derivative
-from retuner.adaptive.guard.loops import Loops
-from retuner.adaptive.guard.parameters import change_factor, extent, less_of_everything, within_factor, within_limits
-from retuner.adaptive.guard.questions import (
+from retuner.adaptive.guard.checks import (
     evidence_checks,
     evidence_doubt,
     failed_checks,
     limit_checks,
     robustness_checks,
 )
+from retuner.adaptive.guard.limits import Goal, goals, nothing_left, without_short_derivative
+from retuner.adaptive.guard.model_set import sampled
 from retuner.adaptive.guard.request import Border, ChangeRequest, Support
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
 from retuner.adaptive.guard.settings import GuardSettings
-from retuner.adaptive.guard.slower import slower_settings
+from retuner.adaptive.guard.step_size import change_factor, extent, less_of_everything, within_factor, within_limits
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.rules.rule import ControllerKind, Tuning
+from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.schedule.gains import PidGains
+
+# Ms of one set of gains on every model that is allowed, evaluated when asked and only once.
+#
+# A set is safer than another when, on the models that are stable with either,
+#
+#     Ms falls on the process, falls at worst, and rises on no model,
+#
+# and no model that was stable becomes unstable. On a model that is unstable before and after (the largest step that the
+# limits allow is not enough) Ms does not say which is better. There the direction does: less of everything, which slows
+# the run away on any process; or a step on the straight way to a goal that is stable there.
+
+
+class Loops:
+    """Several processes, the first the one identified; filter_s : filter time of the controller's derivative."""
+
+    def __init__(self, processes: Sequence[LinearProcess], filter_s: float = 0.0) -> None:
+        self._processes, self._filter_s = tuple(processes), filter_s
+        self._known: dict[tuple[int, PidGains], float] = {}
+        self._order = list(range(len(self._processes)))
+
+    def __len__(self) -> int:
+        return len(self._processes)
+
+    def ms(self, i: int, gains: PidGains) -> float:
+        """Ms on one process, infinite when unstable."""
+        key = (i, gains)
+        if key not in self._known:
+            self._known[key] = sensitivity_peak(self._processes[i], gains, self._filter_s)
+        return self._known[key]
+
+    def nominal(self, gains: PidGains) -> float:
+        """Ms on the process, NaN when no model is known."""
+        return self.ms(0, gains) if self._processes else math.nan
+
+    def worst(self, gains: PidGains) -> float:
+        """Largest Ms, NaN when no model is known."""
+        return max((self.ms(i, gains) for i in range(len(self))), default=math.nan)
+
+    def within(self, gains: PidGains, nominal: float, worst: float) -> bool:
+        """Whether Ms keeps both limits; stops at the first model that does not, which is asked first next time."""
+        if self.nominal(gains) > nominal:
+            return False
+        for place, i in enumerate(self._order):
+            if self.ms(i, gains) > worst:
+                self._order.insert(0, self._order.pop(place))
+                return False
+        return True
+
+    def all_over(self, gains: PidGains, limit: float) -> bool:
+        """Whether Ms is over a limit on every model (and there is one)."""
+        return bool(self._processes) and all(self.ms(i, gains) > limit for i in range(len(self)))
+
+    def safer(self, old: PidGains, new: PidGains, goal: PidGains) -> bool:
+        """Whether new is safer than old (see the head of this file); goal : where the step leads."""
+        pairs = [(self.ms(i, old), self.ms(i, new)) for i in range(len(self))]
+        if not pairs or any(after > before for before, after in pairs):
+            return False
+        lost = [i for i, (before, after) in enumerate(pairs) if math.isinf(before) and math.isinf(after)]
+        if lost:
+            return less_of_everything(old, new) or all(math.isfinite(self.ms(i, goal)) for i in lost)
+        return pairs[0][1] < pairs[0][0] and max(after for _, after in pairs) < max(before for before, _ in pairs)
+
+
+# The rule's own settings at larger tau_c: the first remedy for what is not robust.
+
+
+STEPS = 3
+"""Equal ratios from the proposal's tau_c to the largest."""
+RULE = "simc"
+"""The rule whose settings the guard can find by itself."""
+
+
+def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence[Tuning]:
+    """In order of tau_c, up to tau_c_max_ratio times the (effective) dead time; none for rules without tau_c."""
+    wanted = request.proposal
+    if request.slower or wanted.rule != RULE or wanted.tau_c_s is None or not request.models:
+        return request.slower
+    best = request.models[0].model
+    model = replace(best, theta_s=best.theta_s + request.sample_time_s / 2)
+    kind = ControllerKind.PID if wanted.gains.kd else ControllerKind.PI
+    theta = model.theta_s if kind == ControllerKind.PID else without_second_lag(model).theta_s
+    whole = theta * settings.tau_c_max_ratio / wanted.tau_c_s
+    if whole <= 1.0:
+        return ()
+    return [simc(model, wanted.tau_c_s * whole ** (i / STEPS), kind) for i in range(1, STEPS + 1)]
+
 
 SHARES = (1.0, 0.5, 0.25)
 """Full, half and quarter step."""

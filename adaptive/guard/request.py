@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel
-from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.gains import PidGains
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from retuner.adaptive.plausible import Plausible
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.schedule.gains import PidGains
 
 

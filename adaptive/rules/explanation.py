@@ -3,12 +3,10 @@
 import re
 from dataclasses import dataclass
 
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import fitted_to, reading_for
-from retuner.adaptive.rules.rule import Oscillation, Rule, Takes, Wishes
+from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import TAU_I_FACTOR, without_second_lag
-from retuner.adaptive.rules.tuning import Tuning
 
 PREFIXES = {
     "integrating: ": (ProcessType.INTEGRATING,),

@@ -6,10 +6,8 @@ Ideal form; see optimum.py. The PID controller's derivative has no filter and ac
 and a bound for what a real one can do.
 """
 
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.kinds import ControllerKind
-from retuner.adaptive.rules.rule import Rule, Wishes
-from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import ControllerKind, Rule, Tuning, Wishes
 
 PI, PID = ControllerKind.PI, ControllerKind.PID
 MS_DEFAULT = 1.59
@@ -24,7 +22,7 @@ def optimal(model: ProcessModel, kind: ControllerKind = PI, wishes: Wishes | Non
     ValueError
         No controller of this kind has that Ms on this process.
     """
-    from retuner.adaptive.optimum import optimal_pi, optimal_pid
+    from retuner.adaptive.loop.optimum import optimal_pi, optimal_pid
 
     ms = MS_DEFAULT if wishes is None or wishes.ms is None else wishes.ms
     found = (optimal_pi if kind == PI else optimal_pid)(model.linear(), ms)

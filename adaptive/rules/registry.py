@@ -3,37 +3,13 @@
 import math
 from dataclasses import replace
 
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules import (
-    amigo,
-    cohen_coon,
-    imc,
-    itae,
-    lambda_tuning,
-    optimal,
-    quarter_decay,
-    simc_family,
-    ziegler_nichols_reaction,
-    ziegler_nichols_ultimate,
-)
-from retuner.adaptive.rules.kinds import ControllerKind
-from retuner.adaptive.rules.rule import WISH_LABELS, Oscillation, Rule, Takes, Wishes
+from retuner.adaptive.loop.margins import ultimate
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules import classic, lambda_imc, optimal, simc_family, ziegler_nichols
+from retuner.adaptive.rules.rule import WISH_LABELS, ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import without_second_lag
-from retuner.adaptive.rules.tuning import Tuning
-from retuner.adaptive.ultimate import ultimate
 
-MODULES = (
-    simc_family,
-    optimal,
-    lambda_tuning,
-    imc,
-    amigo,
-    cohen_coon,
-    itae,
-    ziegler_nichols_reaction,
-    ziegler_nichols_ultimate,
-    quarter_decay,
-)
+MODULES = (simc_family, optimal, lambda_imc, classic, ziegler_nichols)
 RULES: dict[str, Rule] = {rule.name: rule for module in MODULES for rule in module.RULES}
 """Every rule by its name."""
 ALIASES = {"itae": "itae-load", "zn-quarter-decay": "quarter-decay"}

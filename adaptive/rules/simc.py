@@ -13,10 +13,9 @@ that lag into the dead time and half into tau1 (the half rule of the same paper,
 
 import math
 
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.kinds import ControllerKind
-from retuner.adaptive.rules.tuning import Tuning, tuning
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import ControllerKind, Tuning, tuning
 from retuner.schedule.gains import PidGains
 
 TAU_I_FACTOR = 4.0

@@ -11,9 +11,9 @@ and tau_c say the same thing. In general both are found on the exact loop by bis
 import math
 from collections.abc import Callable
 
-from retuner.adaptive.margins import gain_margin, sensitivity_peak
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.loop.margins import gain_margin, sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.gains import PidGains
 
 BISECTIONS = 45

@@ -27,12 +27,12 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from retuner.adaptive.response import Ending, Response
-from retuner.adaptive.sample import FloatArray, Window
-from retuner.adaptive.trial.hindsight import Hindsight, against, in_favour
-from retuner.adaptive.trial.promise import Expected, Promise
-from retuner.adaptive.trial.shape import storable, swing, three
-from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.signals.response import Ending, Response
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.trial.expectation import Expected, Promise
+from retuner.adaptive.trial.posterior_check import Hindsight, against, in_favour
+from retuner.adaptive.trial.response_numbers import storable, swing, three
+from retuner.adaptive.trial.settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 MEAN_OF_NOISE = 0.8

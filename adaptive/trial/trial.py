@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
-from retuner.adaptive.trial.promise import Promise
-from retuner.adaptive.trial.watch import WatchState
+from retuner.adaptive.trial.runaway import WatchState
 from retuner.schedule.gains import PidGains
 
 

@@ -46,7 +46,7 @@ def fingerprint() -> str:
     loaded = {
         name.rpartition(".")[2] for name in sys.modules if name.startswith(("retuner.drivers.", "bus_simulation."))
     }
-    for path in sorted((*here.glob("*.py"), *there.glob("*.py"), *there.glob("*.dbc"))):
+    for path in sorted((*here.glob("*.py"), *there.rglob("*.py"), *there.glob("*.dbc"))):
         if path.stem in loaded or path.suffix == ".dbc":
             digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]

@@ -9,9 +9,9 @@ import can
 from bus_simulation import truth as t
 from bus_simulation.bus import Bus
 from bus_simulation.truth import Ran, Truth, ViolationError
-from retuner.drivers.codec import COMMAND_BITS
-from retuner.drivers.gain_pages import Slot
-from retuner.drivers.virtual_device import VirtualDevice
+from retuner.drivers.controller.gain_memory import Slot
+from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.drivers.protocol.codec import COMMAND_BITS
 
 NAME = "device"
 COMMIT = 5

@@ -7,10 +7,8 @@ import can
 from bus_simulation import truth as t
 from bus_simulation.bus import Bus
 from bus_simulation.truth import Order, Truth
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
-from retuner.drivers.checksum import to_wire
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.device import (
     DeviceError,
     DeviceRestarted,
@@ -22,7 +20,9 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.drivers.link_settings import LinkSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
 
 READ, PAGE_RUNNING = 2, 0

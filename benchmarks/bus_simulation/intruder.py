@@ -11,9 +11,10 @@ import can
 from bus_simulation.bus import STRANGER as NAME
 from bus_simulation.bus import Bus
 from bus_simulation.truth import Order, Truth
-from retuner.drivers.checksum import commit_crc, frame_crc, page_crc, set_crc, to_wire
-from retuner.drivers.codec import Codec
-from retuner.drivers.frames import (
+from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.drivers.protocol.checksum import commit_crc, frame_crc, page_crc, set_crc, to_wire
+from retuner.drivers.protocol.codec import Codec
+from retuner.drivers.protocol.frames import (
     EPOCH_TAG,
     OWNER_TAG,
     PAGE_TAG,
@@ -43,7 +44,6 @@ from retuner.drivers.frames import (
     TelemetryPv,
     TelemetrySp,
 )
-from retuner.drivers.virtual_device import VirtualDevice
 from retuner.schedule.gains import PidGains
 
 BAD_NUMBERS = (float("nan"), float("inf"), float("-inf"), 1e30, -1.0, 0.0, 1e-40)

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import can
 
 from bus_simulation.device_end import LagPlant
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.bus.link_settings import LinkSettings
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, WriteDone
-from retuner.drivers.link_settings import LinkSettings
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
 from retuner.schedule.gains import PidGains
 
 SAMPLE_S = 2.0

@@ -15,10 +15,10 @@ from bus_simulation.host_end import HostEnd
 from bus_simulation.intruder import Intruder
 from bus_simulation.truth import Ran, Truth
 from bus_simulation.weather import CALM, CHANGE_EVERY, draw
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import WriteDone
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.running_belief import ALONE
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.running_set import ALONE
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 FIRST = PidGains(1.0, 0.0625, 0.25)

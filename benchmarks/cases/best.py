@@ -8,7 +8,7 @@ import math
 from dataclasses import replace
 
 from cases.robustness import robustness
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 

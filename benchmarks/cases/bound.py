@@ -13,7 +13,7 @@ import numpy as np
 from cases.best import half_rule, later, simc_of
 from cases.case import FloatArray, IdentificationCase
 from cases.plant import HeldPlant
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 
 PLAIN = frozenset({"open-loop step", "open-loop steps", "setpoint", "load", "setpoint and load", "several", "pid"})
 """Groups with nothing but steps and white noise."""

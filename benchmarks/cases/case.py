@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 FloatArray = npt.NDArray[np.float64]

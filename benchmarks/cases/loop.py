@@ -11,7 +11,7 @@ import numpy as np
 
 from cases.case import FloatArray, Record
 from cases.plant import HeldPlant
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from cases.case import FloatArray
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 
 ROUNDING = 1e-9
 """Share of a step by which a dead time may miss a whole number of steps and still count as whole."""

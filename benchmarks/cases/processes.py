@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 
 DECADES_OF_TIME = (-2.0, 2.0)
 """Exponents of ten of the time scale in seconds: from an effective dead time of 10 ms to 100 s."""

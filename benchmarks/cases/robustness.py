@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cases.case import FloatArray
-from retuner.adaptive.process import ComplexArray, LinearProcess
+from retuner.adaptive.process.model import ComplexArray, LinearProcess
 from retuner.schedule.gains import PidGains
 
 POINTS_PER_DECADE = 150

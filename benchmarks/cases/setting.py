@@ -8,7 +8,7 @@ from cases.best import best_pi, best_pid, half_rule, sampled
 from cases.loop import Controller, Upsets, run
 from cases.processes import draw, log_uniform
 from cases.robustness import Robustness, robustness
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.forms import from_form, to_series
 from retuner.schedule.gains import PidGains
 

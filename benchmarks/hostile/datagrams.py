@@ -8,11 +8,11 @@ import msgpack
 from can.interfaces.udp_multicast.utils import unpack_message
 from mutants import mutant
 
-from retuner.drivers import bus
-from retuner.drivers.bus import CanLink, LinkSettings
+from retuner.drivers.bus import bus
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.codec import Codec
-from retuner.drivers.link_share import LinkShare
+from retuner.drivers.protocol.codec import Codec
 
 NODE = 5
 ODD = (0.5, -1, -0.5, 1e300, float("nan"), float("inf"), True, None, "abc", b"\x00", [], {}, [1, 2], 1 << 40, "", 178.0)

@@ -5,14 +5,14 @@ from collections import deque
 
 import can
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.bus import LinkSettings
-from retuner.drivers.can_device import CanDevice, CanDeviceSettings
-from retuner.drivers.checksum import frame_crc
-from retuner.drivers.codec import COMMAND_BITS, Codec
+from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.bus.bus import LinkSettings
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import DeviceError, LinkState
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.checksum import frame_crc
+from retuner.drivers.protocol.codec import COMMAND_BITS, Codec
 from retuner.schedule.gains import PidGains
 
 NODE = 5

@@ -31,9 +31,8 @@ from mutants import cuts, mutant
 
 from retuner import cli
 from retuner.config import load_config
-from retuner.drivers.codec import Refused, plans_of, schema, schema_of
-from retuner.drivers.dbc_reading import DbcError, read_dbc
-from retuner.drivers.recording import RecordingError, read_recording
+from retuner.drivers.protocol.codec import DbcError, Refused, plans_of, read_dbc, schema, schema_of
+from retuner.drivers.recorded.recording import RecordingError, read_recording
 from retuner.errors import ConfigError, LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.document import from_toml, to_toml

@@ -12,7 +12,7 @@ J. Process Control 14, section 3 (the test batch), and Astrom & Hagglund (2006),
 
 from typing import NamedTuple
 
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 
 P1_T = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.3, 1.5, 2, 4, 6, 8, 10, 20, 50, 100, 200, 500, 1000)
 P2_T = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.3, 1.5, 2, 4, 6, 8, 10, 20, 50, 100, 200, 500)

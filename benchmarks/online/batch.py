@@ -20,7 +20,7 @@ from online.judge import Judge, Judgement
 from online.loop import LostLoop, WatchedLoop
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
 from online.supervisors import Watching, guard_settings, one_region, settings
-from retuner.adaptive.decision import Decision
+from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains
 
 SAMPLES_PER_THETA = 8

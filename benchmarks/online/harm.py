@@ -35,8 +35,8 @@ from online.counting import at_most
 from online.judge import Effect, Judge, effect
 from online.loop import LostLoop, WatchedLoop
 from online.supervisors import Watching, one_region, settings
-from retuner.adaptive.decision import Action
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]

@@ -34,12 +34,12 @@ from online.counting import counted
 from online.judge import Judge
 from online.loop import FixedGains, LostLoop, WatchedLoop
 from online.supervisors import Watching, one_region, settings
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import LinearProcess, ProcessModel
-from retuner.adaptive.reduction import half_rule
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.process.reduction import half_rule
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.promise import promise
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]

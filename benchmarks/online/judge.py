@@ -13,8 +13,8 @@ import numpy as np
 from cases.loop import Controller, Upsets, iae, run
 from cases.robustness import robustness
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.reduction import half_rule
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
 

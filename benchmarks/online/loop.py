@@ -9,7 +9,7 @@ from typing import Protocol
 
 from cases.loop import FAR, Sensor, Valve
 
-from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
 from retuner.schedule.regions import RegionState, choose, enter

@@ -14,7 +14,7 @@ from online.judge import Judge, Judgement
 from online.loop import FixedGains, WatchedLoop
 from online.runner import rows_of
 from online.supervisors import Watching, one_region, settings
-from retuner.adaptive.decision import Action
+from retuner.adaptive.supervision.decision import Action
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]

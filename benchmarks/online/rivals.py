@@ -11,15 +11,14 @@ from cases.best import later
 
 from online.loop import Moved
 from retuner.adaptive.experiments.relay import relay_cycle
-from retuner.adaptive.identify import OPEN_LOOP, identify_window
-from retuner.adaptive.pattern_rule import pattern_rule
-from retuner.adaptive.pattern_settings import PatternSettings
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.identification.identify import OPEN_LOOP, identify_window
+from retuner.adaptive.loop.margins import ultimate
+from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.sample import LoopSample, Window
-from retuner.adaptive.ultimate import ultimate
-from retuner.adaptive.watcher import Completed, Watcher
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.process.model import LinearProcess
 
 SUBSTEPS = 4
 MOST_DELAY = 4096

@@ -10,18 +10,18 @@ import subprocess
 from collections import Counter
 from collections.abc import Callable
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice, CanDeviceSettings
-from retuner.drivers.checksum import to_wire
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.clock import MonotonicClock
+from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import Event, LinkChanged, SamplesLost, WriteDone, WriteRefusedError
-from retuner.drivers.device_process import DeviceOnBus, fresh_epoch
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.link_faults import LinkFault
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.checksum import to_wire
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 NODE = 5

@@ -11,8 +11,8 @@ from pathlib import Path
 import can
 from bench import NODE, SAMPLE_S, Bench, sh
 
-from retuner.drivers.link_faults import LinkFault
-from retuner.drivers.socket_probe import SO_RCVBUFFORCE
+from retuner.drivers.bus.link_faults import LinkFault
+from retuner.drivers.bus.socket_probe import SO_RCVBUFFORCE
 
 IFACE = "vcan0"
 BURST = 5000

@@ -16,14 +16,14 @@ from pathlib import Path
 
 from bench import FIRMWARE, FIRST, HOST, LOOK_S, NODE, link, some_gains
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import fresh_owner
+from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.clock import MonotonicClock
+from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device
+from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import WriteDone, WriteRefusedError
-from retuner.drivers.device_process import DeviceOnBus, fresh_epoch, run_device
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice
+from retuner.drivers.host.can_settings import fresh_owner
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains

@@ -9,16 +9,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from retuner.adaptive.decision import Decision as Decision
-    from retuner.adaptive.margins import margins as margins
-    from retuner.adaptive.performance import performance as performance
-    from retuner.adaptive.process import LinearProcess as LinearProcess
-    from retuner.adaptive.process import ProcessModel as ProcessModel
-    from retuner.adaptive.process import ProcessType as ProcessType
-    from retuner.adaptive.reduction import reduce as reduce
-    from retuner.adaptive.retuner import Retuner as Retuner
-    from retuner.adaptive.retuner_settings import RetunerSettings as RetunerSettings
-    from retuner.adaptive.sample import LoopSample as LoopSample
+    from retuner.adaptive.loop.margins import margins as margins
+    from retuner.adaptive.loop.performance import performance as performance
+    from retuner.adaptive.process.model import LinearProcess as LinearProcess
+    from retuner.adaptive.process.model import ProcessModel as ProcessModel
+    from retuner.adaptive.process.model import ProcessType as ProcessType
+    from retuner.adaptive.process.reduction import reduce as reduce
+    from retuner.adaptive.signals.sample import LoopSample as LoopSample
+    from retuner.adaptive.supervision.decision import Decision as Decision
+    from retuner.adaptive.supervision.retuner import Retuner as Retuner
+    from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
     from retuner.api import identify as identify
     from retuner.config import load_config as load_config
     from retuner.conversions import gains_of as gains_of
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
     from retuner.tuning import tune as tune
 
 _HOMES = {
-    "Decision": "adaptive.decision",
+    "Decision": "adaptive.supervision.decision",
     "GainTable": "schedule.table",
-    "LinearProcess": "adaptive.process",
-    "LoopSample": "adaptive.sample",
+    "LinearProcess": "adaptive.process.model",
+    "LoopSample": "adaptive.signals.sample",
     "PidGains": "schedule.gains",
-    "ProcessModel": "adaptive.process",
-    "ProcessType": "adaptive.process",
-    "Retuner": "adaptive.retuner",
-    "RetunerSettings": "adaptive.retuner_settings",
+    "ProcessModel": "adaptive.process.model",
+    "ProcessType": "adaptive.process.model",
+    "Retuner": "adaptive.supervision.retuner",
+    "RetunerSettings": "adaptive.supervision.settings",
     "gains_of": "conversions",
     "identify": "api",
     "load_config": "config",
-    "margins": "adaptive.margins",
-    "performance": "adaptive.performance",
+    "margins": "adaptive.loop.margins",
+    "performance": "adaptive.loop.performance",
     "process_of": "conversions",
-    "reduce": "adaptive.reduction",
+    "reduce": "adaptive.process.reduction",
     "to_control": "conversions",
     "to_scipy": "conversions",
     "tune": "tuning",

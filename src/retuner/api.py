@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.estimate import ModelEstimate
-from retuner.adaptive.identify import OPEN_LOOP, FitSettings, identify_window
-from retuner.adaptive.margins import Margins, margins
-from retuner.adaptive.robust_settings import RobustSettings, robust_simc
-from retuner.adaptive.sample import Window
-from retuner.adaptive.settings_in_force import settings_in_force
+from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, identify_window
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
+from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult
 

@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from retuner.adaptive.process import LinearProcess, ProcessModel
-from retuner.adaptive.transfer_functions import from_roots, to_polynomials
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.process.transfer_functions import from_roots, to_polynomials
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
 

@@ -2,14 +2,12 @@
 
 from dataclasses import dataclass
 
-from retuner.adaptive.margins import Margins, margins
-from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.explanation import Explanation, explanation
-from retuner.adaptive.rules.kinds import ControllerKind
 from retuner.adaptive.rules.registry import RULES as REGISTRY
 from retuner.adaptive.rules.registry import kind_for, rule_named, settings
-from retuner.adaptive.rules.rule import Oscillation, Rule, Takes, Wishes
-from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
 
 RULES = tuple(REGISTRY)
 """Names of the tuning rules."""

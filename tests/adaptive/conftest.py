@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from retuner.adaptive.sample import Window
+from retuner.adaptive.signals.sample import Window
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.admission import Admission, AdmissionSettings, Ground, admit, inside_region
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.response import Ending, Peak, Response
-from retuner.adaptive.sample import LoopMode, LoopSample, Window
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
+from retuner.adaptive.supervision.admission import Admission, AdmissionSettings, Ground, admit, inside_region
 from retuner.schedule.axis import Axis
 from retuner.schedule.regions import Regions
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.belief import Belief, Known
-from retuner.adaptive.borrowing import BorrowingSettings, borrowed
-from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.identify import FitSettings
-from retuner.adaptive.process import ProcessType
-from retuner.adaptive.tracker import Surprise, TrackerSettings, learn
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, borrowed
+from retuner.adaptive.region_model.region_model import Belief, Known
+from retuner.adaptive.region_model.update import Surprise, TrackerSettings, learn
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 

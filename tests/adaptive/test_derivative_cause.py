@@ -1,9 +1,8 @@
 """What may be said of a controller with derivative action by a model that has no second lag."""
 
-from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.tuning_cause import CauseSettings, tuning_cause
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, tuning_cause
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains

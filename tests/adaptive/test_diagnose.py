@@ -7,11 +7,11 @@ import pytest
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.stuck_valve import Family, StuckValve
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.sample import Window
-from retuner.drivers.linear_plant import LinearPlant
+from retuner.adaptive.diagnosis.rival_fits import Family, StuckValve
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import Window
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 

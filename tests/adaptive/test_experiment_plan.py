@@ -19,7 +19,7 @@ from retuner.adaptive.experiments.plan import (
     relay_start,
     relay_step,
 )
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample
 
 PLAN = Plan(Kind.RELAY, 10.0, 0.0, 100.0, rest_samples=30)
 REST = Rest(50.0, 40.0, 0.1, 0.3)

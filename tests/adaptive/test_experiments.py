@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.experiments import asymmetric_relay, setpoint, step
+from retuner.adaptive.experiments import relay, setpoint, step
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
 from retuner.adaptive.experiments.sustained import swing
-from retuner.adaptive.process import LinearProcess, ProcessType
+from retuner.adaptive.process.model import LinearProcess, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.sample import Window
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.recording import read_recording
+from retuner.adaptive.signals.sample import Window
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.recorded.recording import read_recording
 
 SERVO = Path(__file__).parents[1] / "data" / "servo" / "relay.csv"
 
@@ -302,7 +302,7 @@ def test_noise_round_the_switching_point_needs_the_hysteresis() -> None:
 )
 def test_asymmetric_relay_finds_first_order_with_dead_time_exactly(process: LinearProcess, eps: float) -> None:
     cycle = relay_cycle(relay_record(process, 1.3, 0.7, eps=eps, dt=0.01, n=8000, shift=40.0), eps)
-    model = asymmetric_relay.first_order(cycle, 40.0, 40.0)
+    model = relay.first_order(cycle, 40.0, 40.0)
     assert model.k == pytest.approx(process.k, rel=0.01)
     assert model.tau1_s == pytest.approx(process.lags_s[0], rel=0.03)
     assert model.theta_s == pytest.approx(process.theta_s, abs=0.02)  # up to two samples of switching delay
@@ -311,10 +311,10 @@ def test_asymmetric_relay_finds_first_order_with_dead_time_exactly(process: Line
 def test_asymmetric_relay_refuses_what_it_has_no_formula_for() -> None:
     process = LinearProcess(1.0, (5.0,), (), 1.0)
     with pytest.raises(ValueError, match="symmetric relay"):
-        asymmetric_relay.first_order(relay_cycle(relay_record(process, 1.0, 1.0)), 0.0, 0.0)
+        relay.first_order(relay_cycle(relay_record(process, 1.0, 1.0)), 0.0, 0.0)
     integrating = relay_cycle(relay_record(LinearProcess(1.0, (), (), 1.0, 1), 1.3, 0.7))
     with pytest.raises(ValueError, match=r"use the fit|symmetric"):
-        asymmetric_relay.first_order(integrating, 0.0, 0.0)
+        relay.first_order(integrating, 0.0, 0.0)
 
 
 def test_the_real_servo_record_has_this_ultimate_gain_and_period() -> None:

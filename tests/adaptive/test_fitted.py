@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from retuner.adaptive.fitted import fitted_pv
-from retuner.adaptive.identify import identify_window
-from retuner.adaptive.sample import Window
+from retuner.adaptive.identification.fitted_curve import fitted_pv
+from retuner.adaptive.identification.identify import identify_window
+from retuner.adaptive.signals.sample import Window
 
 
 @pytest.mark.parametrize("load", [0.0, 1.5])

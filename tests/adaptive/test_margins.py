@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.margins import margins, sensitivity_peak
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.loop.margins import margins, sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 

@@ -6,10 +6,10 @@ import control
 import numpy as np
 import pytest
 
-from retuner.adaptive.crossovers import gain_crossovers, grid
-from retuner.adaptive.margins import Margins, margins, sensitivity_peak
-from retuner.adaptive.open_loop import OpenLoop, open_loop
-from retuner.adaptive.process import LinearProcess
+from retuner.adaptive.loop.crossovers import gain_crossovers, grid
+from retuner.adaptive.loop.margins import Margins, margins, sensitivity_peak
+from retuner.adaptive.loop.open_loop import OpenLoop, open_loop
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 SEED = 20240607

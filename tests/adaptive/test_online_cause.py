@@ -6,10 +6,10 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from retuner.adaptive.decision import Action, Decision, Mode
-from retuner.adaptive.diagnosis import confirmation
+from retuner.adaptive.diagnosis import second_opinion
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.confirmation import (
+from retuner.adaptive.diagnosis.oscillation_online import Standing, SwingSettings, goes_on, stretch, swing_cause, swings
+from retuner.adaptive.diagnosis.second_opinion import (
     Excitation,
     from_rest,
     is_clear,
@@ -20,16 +20,16 @@ from retuner.adaptive.diagnosis.confirmation import (
     unconfirmed,
     was_at_rest,
 )
-from retuner.adaptive.diagnosis.diagnosis_settings import DiagnosisSettings
-from retuner.adaptive.diagnosis.limit_swing import LimitSwingSettings, at_own_crossover, touches_limits
-from retuner.adaptive.diagnosis.online import Standing, SwingSettings, goes_on, stretch, swing_cause, swings
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings, at_own_crossover, touches_limits
 from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.guard import Ruling
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.response import Ending, Peak, Response
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.forms import SeriesGains
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import change, law, start, step
@@ -173,7 +173,7 @@ def test_a_setpoint_step_on_top_of_an_explained_swing_is_not_the_tuning(before: 
 
 def test_the_whole_diagnosis_must_not_ask_for_the_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
     says = Diagnosis(Cause.SLOW_INTEGRATING, 1.0, {}, "it swings")
-    monkeypatch.setattr(confirmation, "diagnose_window", lambda *_, **__: Found(says))
+    monkeypatch.setattr(second_opinion, "diagnose_window", lambda *_, **__: Found(says))
     stretch_of = samples([0.0] * 101)
     for wanted, agrees in ((Cause.SLUGGISH, False), (Cause.AGGRESSIVE, True), (None, True)):
         doubt, _ = unconfirmed(stretch_of, response(1.0), GOOD, Excitation(1, 2), SWING, DIAGNOSIS, wanted)

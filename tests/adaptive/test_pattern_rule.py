@@ -9,11 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.pattern import pattern_numbers
-from retuner.adaptive.pattern_rule import MOVING, PatternAdvice, Reading, pattern_rule
-from retuner.adaptive.pattern_settings import PatternSettings
-from retuner.adaptive.response import Ending, Peak, Response
-from retuner.adaptive.sample import FloatArray, Window
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.without_model.pattern_evidence import pattern_numbers
+from retuner.adaptive.without_model.pattern_rule import MOVING, PatternAdvice, PatternSettings, Reading, pattern_rule
 from retuner.schedule.gains import PidGains
 
 PI = PidGains(2.0, 2.0 / 30)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from retuner.adaptive.performance import Performance, performance, weighted_cost
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.state_space import state_space
-from retuner.adaptive.step_response import step_response
+from retuner.adaptive.loop.performance import Performance, performance, weighted_cost
+from retuner.adaptive.loop.simulate import step_response
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.process.state_space import state_space
 from retuner.schedule.gains import PidGains
 
 

@@ -7,12 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.decision import Basis
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, Locks
-from retuner.adaptive.proposing import Proposed, WithoutModelSettings, keep_locked, without_model
-from retuner.adaptive.response import Ending, Peak, Response
-from retuner.adaptive.sample import Window
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.proposal_without_model import (
+    Proposed,
+    WithoutModelSettings,
+    keep_locked,
+    without_model,
+)
 from retuner.schedule.gains import PidGains
 
 PERIOD, N, AT = 60.0, 600, 100

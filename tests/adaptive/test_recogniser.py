@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.recogniser import TABLE, Event, Phase, RecogniserLaw, begin, step, take
-from retuner.adaptive.response import Ending, Response
+from retuner.adaptive.signals.recogniser import TABLE, Event, Phase, RecogniserLaw, begin, step, take
+from retuner.adaptive.signals.response import Ending, Response
 
 LAW = RecogniserLaw(wait_s=60.0, quiet_s=8.0)
 

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.numerator_rules import against, set_against
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.reduction import Leads, half_rule, reduce
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process.reduction import Leads, against, half_rule, reduce, set_against
 from retuner.adaptive.rules.simc import ControllerKind, simc
 
 E2 = LinearProcess(1.0, (2.0, 1.0, 0.4, 0.2, 0.05, 0.05, 0.05), (-0.3, 0.08))

@@ -7,11 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.belief import Belief, Known, RecordPoint
-from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.process import ProcessType
-from retuner.adaptive.region_advice import AdviceKind, AdviceSettings, RegionAdvice, _gate, region_advice
-from retuner.adaptive.settings_features import features
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.region_advice import (
+    AdviceKind,
+    AdviceSettings,
+    RegionAdvice,
+    _gate,
+    features,
+    region_advice,
+)
+from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoint
 from retuner.schedule.axis import Axis
 from retuner.schedule.regions import Regions
 

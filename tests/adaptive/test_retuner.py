@@ -7,19 +7,19 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import pytest
 
-from retuner.adaptive import pipeline
-from retuner.adaptive.decision import Action, Decision, Mode
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.confirmation import Excitation
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.memory import remember, restore
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.recogniser import Phase
-from retuner.adaptive.response import Ending
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopMode, LoopSample
-from retuner.adaptive.tracker import Surprise
+from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.signals.recogniser import Phase
+from retuner.adaptive.signals.response import Ending
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.forms import SeriesGains
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

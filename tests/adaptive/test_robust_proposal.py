@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.belief import Belief, Known
-from retuner.adaptive.borrowing import spread
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard.parameters import less_of_everything
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.robust_proposal import no_more_action, propose
-from retuner.adaptive.robust_settings import later
+from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.robust_simc import later
+from retuner.adaptive.identification.structure import parameters_of
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.from_neighbours import spread
+from retuner.adaptive.region_model.region_model import Belief, Known
 from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.supervision.proposal_from_model import no_more_action, propose
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 
 S = RetunerSettings(0.5, 100.0)

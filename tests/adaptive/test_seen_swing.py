@@ -2,11 +2,11 @@
 
 import pytest
 
-from retuner.adaptive.diagnosis.online import SwingSettings
-from retuner.adaptive.diagnosis.seen_swing import not_seen, swings_anyway
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.response import Ending, Peak, Response
+from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
+from retuner.adaptive.diagnosis.swing_checks import not_seen, swings_anyway
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.schedule.gains import PidGains
 
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.sample import Window
-from retuner.adaptive.settings_in_force import SettingsInForce, settings_in_force
-from retuner.drivers.recording import read_recording
+from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
+from retuner.adaptive.signals.sample import Window
+from retuner.drivers.recorded.recording import read_recording
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import ControllerKind, simc, simc_at_most_ms, without_second_lag
 
 T = ProcessType

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import Locks
-from retuner.adaptive.response import Ending, Peak, Response
-from retuner.adaptive.slow_oscillation_online import (
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.without_model.slow_oscillation_step import (
     SlowAdvice,
     SlowReading,
     SlowSettings,

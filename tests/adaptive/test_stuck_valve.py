@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis.stuck_valve import Family, StuckValve
+from retuner.adaptive.diagnosis.rival_fits import Family, StuckValve
 
 TRIANGLE = np.interp(np.arange(400) % 80, [0, 40, 80], [0.0, 10.0, 0.0])
 

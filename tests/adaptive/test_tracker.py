@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from retuner.adaptive.belief import Belief
-from retuner.adaptive.belief_memory import belief_in, belief_out
-from retuner.adaptive.fit.misfit import Misfit
-from retuner.adaptive.identify import FitSettings, fitted, identify_window
-from retuner.adaptive.process import ProcessType
-from retuner.adaptive.region_filter import update
-from retuner.adaptive.sample import FloatArray, Window
-from retuner.adaptive.tracker import Surprise, TrackerSettings, learn, predicted
+from retuner.adaptive.identification.identify import FitSettings, fitted, identify_window
+from retuner.adaptive.identification.misfit import Misfit
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.kalman import update
+from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.update import Surprise, TrackerSettings, learn, predicted
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.supervision.state_file import belief_in, belief_out
 from retuner.schedule.gains import PidGains
 
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.0)

@@ -4,10 +4,9 @@ import math
 
 import pytest
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.tuning_cause import CauseSettings, tuning_cause
+from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, tuning_cause
 from retuner.adaptive.guard import GuardSettings
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, simc_at_most_ms
 from retuner.schedule.gains import PidGains
 

@@ -5,12 +5,12 @@ import math
 
 import pytest
 
-from retuner.adaptive.decision import Mode
-from retuner.adaptive.memory import remember, restore
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopMode, LoopSample
-from retuner.adaptive.watcher import Left, Watcher
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.response_finder import Left, Watcher
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

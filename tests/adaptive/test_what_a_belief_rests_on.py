@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retuner.adaptive import pipeline
-from retuner.adaptive.case import Outcome
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.confirmation import Excitation
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.tracker import Surprise
+from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.settings import RetunerSettings
 
 SETTINGS = RetunerSettings(1.0, 100.0)
 BEFORE = Excitation(setpoints=0, loads=3, asked=0, clear=0, rival=1)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retuner.adaptive.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.identify import FitSettings
-from retuner.adaptive.proposing import WithoutModelSettings
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
+from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

@@ -11,8 +11,8 @@ from cases.processes import FAMILIES, draw
 from cases.robustness import robustness
 from scipy import signal
 
-from retuner.adaptive.margins import margins
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.loop.margins import margins
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.schedule.gains import PidGains
 
 

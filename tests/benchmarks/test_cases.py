@@ -7,8 +7,8 @@ from cases.best import sampled
 from cases.bound import kc_bound
 from cases.counting import interval
 
-from retuner.adaptive.margins import margins
-from retuner.adaptive.sample import Window
+from retuner.adaptive.loop.margins import margins
+from retuner.adaptive.signals.sample import Window
 
 SEED = 99
 

@@ -16,8 +16,8 @@ from online.loop import FixedGains, LostLoop, WatchedLoop
 from online.runner import finite, rows_of
 from online.supervisors import one_region
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.reduction import half_rule
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
 

@@ -10,8 +10,8 @@ from online import harm, injected, walks
 from online.judge import Judge, effect
 from online.rivals import relay_then_ziegler_nichols, step_then_simc
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.ultimate import ultimate
+from retuner.adaptive.loop.margins import ultimate
+from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 PROCESS = LinearProcess(-2.0, (8.0, 1.0), (), 1.0)

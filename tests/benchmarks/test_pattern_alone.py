@@ -14,9 +14,9 @@ from online.loop import LostLoop, WatchedLoop
 from online.rivals import PatternAlone
 from online.supervisors import one_region, settings
 
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.schedule.gains import PidGains
 
 PROCESSES = {

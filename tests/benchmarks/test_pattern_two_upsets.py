@@ -10,10 +10,9 @@ from online.judge import perfect
 from online.loop import WatchedLoop
 from online.supervisors import one_region, settings
 
-from retuner.adaptive.pattern_rule import MOVING, PatternAdvice, pattern_rule
-from retuner.adaptive.pattern_settings import PatternSettings
-from retuner.adaptive.sample import LoopSample
-from retuner.adaptive.watcher import Completed, Watcher
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.without_model.pattern_rule import MOVING, PatternAdvice, PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 

@@ -8,17 +8,17 @@ from typing import Any
 
 import pytest
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import Event
-from retuner.drivers.device_process import DeviceOnBus
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 sys.path.append(str(Path(__file__).parent))  # speaking.py

@@ -1,12 +1,12 @@
 """Speaking to a virtual device frame by frame, as the owner of its lease."""
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.checksum import commit_crc, set_crc
-from retuner.drivers.codec import Codec
-from retuner.drivers.frames import Ack, Commit, Frame, Item, Lease, Reason, Stage
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.checksum import commit_crc, set_crc
+from retuner.drivers.protocol.codec import Codec
+from retuner.drivers.protocol.frames import Ack, Commit, Frame, Item, Lease, Reason, Stage
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

@@ -4,7 +4,15 @@ import itertools
 
 import pytest
 
-from retuner.drivers.arrival_check import MAX_WRONG, TRANSITIONS, WINDOW, Arrival, ArrivalCheck, Stream, Verdict
+from retuner.drivers.telemetry.telemetry_quality import (
+    MAX_WRONG,
+    TRANSITIONS,
+    WINDOW,
+    Arrival,
+    ArrivalCheck,
+    Stream,
+    Verdict,
+)
 
 
 @pytest.mark.parametrize(

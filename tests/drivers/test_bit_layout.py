@@ -7,9 +7,8 @@ import struct
 import cantools.database
 import pytest
 
-from retuner.drivers.bit_layout import BitLayout
-from retuner.drivers.codec import _database, plans_of
-from retuner.drivers.dbc_reading import DbcError, read_dbc
+from retuner.drivers.protocol.bit_layout import BitLayout
+from retuner.drivers.protocol.codec import DbcError, _database, plans_of, read_dbc
 
 LAYOUTS = _database().messages
 DRAWS = 300

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.drivers.boiler_plant import BoilerPlant, BoilerSettings, flow_of
+from retuner.drivers.plants.boiler_plant import BoilerPlant, BoilerSettings, flow_of
 
 QUIET = BoilerSettings(noise_c=0.0, flow_noise_pct=0.0)
 

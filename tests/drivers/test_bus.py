@@ -3,11 +3,11 @@
 import can
 import pytest
 
-from retuner.drivers import bus_opening
-from retuner.drivers.bus import CanLink, LinkSettings
+from retuner.drivers.bus import bus_opening
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.clock import SimulatedClock
 from retuner.drivers.device import BusError, LinkState
-from retuner.drivers.link_faults import LinkFault
 
 FRAME = can.Message(arbitration_id=0x21, is_extended_id=False, data=b"\x01\x02")
 
@@ -54,7 +54,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> list[FakeBus]:
         opened.append(FakeBus())
         return opened[-1]
 
-    monkeypatch.setattr("retuner.drivers.bus.open_bus", open_bus)
+    monkeypatch.setattr("retuner.drivers.bus.bus.open_bus", open_bus)
     return opened
 
 
@@ -98,14 +98,14 @@ def test_a_receive_error_closes_the_bus_and_it_is_opened_anew_with_back_off(
         attempts.append(clock.now_s())
         raise BusError("gone")
 
-    monkeypatch.setattr("retuner.drivers.bus.open_bus", refuse)
+    monkeypatch.setattr("retuner.drivers.bus.bus.open_bus", refuse)
     for _ in range(200):
         clock.advance(0.125)
         assert link.receive_all() == []
     pauses = [round(b - a, 1) for a, b in zip([0.0, *attempts], attempts, strict=False)]
     assert pauses[:5] == [1.0, 2.0, 4.0, 4.0, 4.0]
 
-    monkeypatch.setattr("retuner.drivers.bus.open_bus", lambda *_: fakes[0])
+    monkeypatch.setattr("retuner.drivers.bus.bus.open_bus", lambda *_: fakes[0])
     clock.advance(5.0)
     fakes[0].incoming = [FRAME]
     assert len(link.receive_all()) == 1

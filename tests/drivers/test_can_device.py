@@ -6,11 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from retuner.adaptive.sample import LoopMode
-from retuner.drivers import frames
-from retuner.drivers.can_settings import CanDeviceSettings
-from retuner.drivers.checksum import to_wire
-from retuner.drivers.codec import Codec
+from retuner.adaptive.signals.sample import LoopMode
 from retuner.drivers.device import (
     CommandDone,
     CommandFailed,
@@ -27,7 +23,11 @@ from retuner.drivers.device import (
     WriteRefusedError,
     WriteUnknown,
 )
-from retuner.drivers.gain_box import GainBox
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.protocol import frames
+from retuner.drivers.protocol.checksum import to_wire
+from retuner.drivers.protocol.codec import Codec
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)
@@ -343,11 +343,11 @@ def test_a_device_that_is_not_the_expected_one_is_refused(make_bench, settings, 
 
 
 def test_another_protocol_or_layout_is_refused(make_bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("retuner.drivers.virtual_device.PROTOCOL_VERSION", 9)
+    monkeypatch.setattr("retuner.drivers.controller.virtual_device.PROTOCOL_VERSION", 9)
     with pytest.raises(DeviceMismatchError, match="protocol 9, this host 2"):
         make_bench().run(5)
     monkeypatch.undo()
-    monkeypatch.setattr("retuner.drivers.virtual_device.schema", lambda: 0xABCD)
+    monkeypatch.setattr("retuner.drivers.controller.virtual_device.schema", lambda: 0xABCD)
     with pytest.raises(DeviceMismatchError, match="frame layout is 0xabcd"):
         make_bench().run(5)
 

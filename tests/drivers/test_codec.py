@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.drivers import frames
-from retuner.drivers.checksum import commit_crc, crc8, set_crc, to_wire
-from retuner.drivers.codec import COMMAND_BITS, Codec, FrameError, Refusal, Refused, _database, _plans, schema
-from retuner.drivers.frames import NAMES, newer
+from retuner.drivers.protocol import frames
+from retuner.drivers.protocol.checksum import commit_crc, crc8, set_crc, to_wire
+from retuner.drivers.protocol.codec import COMMAND_BITS, Codec, FrameError, Refusal, Refused, _database, _plans, schema
+from retuner.drivers.protocol.frames import NAMES, newer
 from retuner.schedule.gains import PidGains
 
 NODE = 5

@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 from speaking import FIRST, OWNER, SECOND, acks, commit, device, say, stage, step, take_lease
 
-from retuner.drivers.can_settings import CanDeviceSettings
-from retuner.drivers.commit_code import CodeDesk, code_frames, commit_code
+from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import WriteDone, WriteFailed
-from retuner.drivers.frames import Abort, Auth, Challenge, Flags, Frame, Heartbeat, Page, Read, Reason
-from retuner.drivers.virtual_device import VirtualDevice
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.protocol.authentication import CodeDesk, code_frames, commit_code
+from retuner.drivers.protocol.frames import Abort, Auth, Challenge, Flags, Frame, Heartbeat, Page, Read, Reason
 
 KEY = bytes(range(16))
 

@@ -8,11 +8,11 @@ import textwrap
 
 import pytest
 
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
 from retuner.drivers.device import BusError, CommandDone, Device, WriteDone, WriteFailed
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
 from retuner.schedule.gains import PidGains
 
 GROUP = "239.74.163.2"
@@ -83,12 +83,12 @@ def test_own_frames_do_not_come_back(pair) -> None:
 
 DEVICE_PROCESS = """
     import sys
-    from retuner.adaptive.process import LinearProcess
-    from retuner.drivers.bus import CanLink, LinkSettings
+    from retuner.adaptive.process.model import LinearProcess
+    from retuner.drivers.bus.bus import CanLink, LinkSettings
     from retuner.drivers.clock import MonotonicClock
-    from retuner.drivers.device_process import DeviceOnBus, run_device
-    from retuner.drivers.linear_plant import LinearPlant
-    from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+    from retuner.drivers.controller.device_process import DeviceOnBus, run_device
+    from retuner.drivers.plants.linear_plant import LinearPlant
+    from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
     from retuner.schedule.gains import PidGains
 
     clock = MonotonicClock(speed=50.0)

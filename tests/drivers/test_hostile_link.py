@@ -12,16 +12,16 @@ import struct
 import can
 import pytest
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.bus import LinkSettings
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
-from retuner.drivers.codec import Codec
+from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.bus.bus import LinkSettings
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, WriteDone, WriteFailed, WriteRefusedError
-from retuner.drivers.frames import Commit, TelemetryPv, TelemetrySp
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.codec import Codec
+from retuner.drivers.protocol.frames import Commit, TelemetryPv, TelemetrySp
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

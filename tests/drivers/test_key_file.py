@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from retuner.drivers.device import DeviceError
-from retuner.drivers.key_file import KeyFileError, read_key
+from retuner.drivers.host.key_file import KeyFileError, read_key
 
 KEY = "00112233445566778899aabbccddeeff"
 

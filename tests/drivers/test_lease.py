@@ -3,8 +3,8 @@
 import pytest
 from speaking import OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings, fresh_owner
+from retuner.drivers.bus.link_settings import LinkSettings
+from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.device import (
     CommandDone,
     ForeignHost,
@@ -14,7 +14,9 @@ from retuner.drivers.device import (
     WriteFailed,
     WriteRefusedError,
 )
-from retuner.drivers.frames import (
+from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.protocol.frames import (
     Confirm,
     Flags,
     Heartbeat,
@@ -29,8 +31,6 @@ from retuner.drivers.frames import (
     Stage,
     Store,
 )
-from retuner.drivers.link_settings import LinkSettings
-from retuner.drivers.link_share import LinkShare
 
 OTHER = 77
 

@@ -9,11 +9,9 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from retuner.drivers import bus
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.device import LinkState
-from retuner.drivers.link_faults import (
+from retuner.drivers.bus import bus
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.link_faults import (
     TELL_EVERY_S,
     FaultBook,
     FaultNews,
@@ -23,7 +21,9 @@ from retuner.drivers.link_faults import (
     is_full,
     is_garbage,
 )
-from retuner.drivers.socket_probe import SocketProbe
+from retuner.drivers.bus.socket_probe import SocketProbe
+from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.device import LinkState
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="the counters are Linux's")
 

@@ -5,17 +5,17 @@ import itertools
 import can
 import pytest
 
-from retuner.adaptive.process import LinearProcess
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers import link_share
-from retuner.drivers.bus import CanLink, LinkSettings
-from retuner.drivers.can_device import CanDevice, CanDeviceSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.bus import shared_link as link_share
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import LinkState, SamplesLost
-from retuner.drivers.device_process import DeviceOnBus
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.link_share import LinkShare
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.schedule.gains import PidGains
 
 NODES = (1, 5, 63)

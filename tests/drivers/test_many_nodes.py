@@ -2,17 +2,17 @@
 
 from speaking import FIRST, SECOND
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.bus import CanLink
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.bus.bus import CanLink
+from retuner.drivers.bus.link_settings import LinkSettings
+from retuner.drivers.bus.shared_link import LinkShare
 from retuner.drivers.clock import SimulatedClock
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import WriteDone
-from retuner.drivers.frames import HIGHEST_NODE
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.link_settings import LinkSettings
-from retuner.drivers.link_share import LinkShare
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.frames import HIGHEST_NODE
 from retuner.schedule.gains import PidGains
 
 PLANT = LinearProcess(1.2, (30.0,))

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.device import DeviceRestarted
-from retuner.drivers.frame_log import READING_ERRORS, SUFFIXES, read_frames
-from retuner.drivers.overhearing import Overhearing
-from retuner.drivers.recording import RecordingError
+from retuner.drivers.recorded.bus_log_samples import Overhearing
+from retuner.drivers.recorded.frame_log import READING_ERRORS, SUFFIXES, read_frames
+from retuner.drivers.recorded.recording import RecordingError
 from retuner.schedule.gains import PidGains
 
 
@@ -44,7 +44,7 @@ def overheard(log: Path, lost_contact_after: tuple[int, ...] = (), *, as_host: b
 @pytest.fixture
 def logged(make_bench: Callable[..., Any], tmp_path: Path) -> Callable[[], tuple[Any, Path]]:
     """A bench with a log whose host schedules by pv."""
-    from retuner.drivers.can_settings import CanDeviceSettings
+    from retuner.drivers.host.can_settings import CanDeviceSettings
 
     log = tmp_path / "bus.blf"
     return lambda: (make_bench(log=log, host=CanDeviceSettings(sample_time_s=1.0, variable="pv"),

@@ -8,10 +8,10 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.process import LinearProcess
-from retuner.drivers.linear_plant import LinearPlant
-from retuner.drivers.oven_plant import OvenPlant, OvenSettings
-from retuner.drivers.plant import Plant
+from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.plants.oven_plant import OvenPlant, OvenSettings
+from retuner.drivers.plants.plant import Plant
 
 DT_S = 2.0
 QUIET = OvenSettings(noise_c=0.0)
@@ -149,7 +149,7 @@ def test_oven_buffer_stays_small_and_trimming_changes_nothing(monkeypatch: pytes
         return values, len(oven._times)
 
     untrimmed, _ = run()
-    monkeypatch.setattr("retuner.drivers.oven_plant.HISTORY_TRIM", 40)
+    monkeypatch.setattr("retuner.drivers.plants.oven_plant.HISTORY_TRIM", 40)
     trimmed, size = run()
     np.testing.assert_allclose(trimmed, untrimmed, atol=1e-7)
     assert size < 100

@@ -8,7 +8,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from retuner.drivers.recording import Recording, RecordingError, read_recording, require_excitation, require_setpoint
+from retuner.drivers.recorded.recording import (
+    Recording,
+    RecordingError,
+    read_recording,
+    require_excitation,
+    require_setpoint,
+)
 
 HEATER = Path(__file__).parent.parent / "data" / "heater" / "open_loop_step.csv"
 GOOD = "t,sp,pv,co\n0,1,2,3\n1,1,2.5,3\n2.5,1,-3e-1,4\n"

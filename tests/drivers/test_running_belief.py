@@ -1,9 +1,9 @@
 """What a host may believe: read-backs that fit an epoch, restarts, and a device that seems to go back in time."""
 
-from retuner.drivers.checksum import page_crc, set_crc
-from retuner.drivers.frames import Heartbeat, Page
-from retuner.drivers.page_reader import ReadBack
-from retuner.drivers.running_belief import ALONE, DISPROVED_MAX, Belief, RunningBelief
+from retuner.drivers.host.page_reader import ReadBack
+from retuner.drivers.host.running_set import ALONE, DISPROVED_MAX, Belief, RunningBelief
+from retuner.drivers.protocol.checksum import page_crc, set_crc
+from retuner.drivers.protocol.frames import Heartbeat, Page
 from retuner.schedule.gains import PidGains
 
 GAINS = PidGains(1.0, 0.0625)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.drivers.checksum import sample_crc
-from retuner.drivers.frames import TelemetryPv, TelemetrySp
-from retuner.drivers.sample_joiner import Joined, SampleJoiner
+from retuner.drivers.protocol.checksum import sample_crc
+from retuner.drivers.protocol.frames import TelemetryPv, TelemetrySp
+from retuner.drivers.telemetry.sample_assembly import Joined, SampleJoiner
 
 
 def halves(number: int, revision: int = 1) -> tuple[TelemetryPv, TelemetrySp]:

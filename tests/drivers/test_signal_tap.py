@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers.dbc_reading import DbcError
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.device import VariableChanged
-from retuner.drivers.sample_joiner import SampleJoiner
-from retuner.drivers.signal_source import ScheduleInputs, find_signal, plant_message
-from retuner.drivers.signal_tap import SignalTap
+from retuner.drivers.protocol.codec import DbcError
+from retuner.drivers.telemetry.sample_assembly import SampleJoiner
+from retuner.drivers.telemetry.signal_source import ScheduleInputs, find_signal, plant_message
+from retuner.drivers.telemetry.signal_values import SignalTap
 
 FOREIGN = """VERSION ""
 BU_: Meter

@@ -4,8 +4,8 @@ import pytest
 from speaking import FIRST, OWNER, SECOND, THIRD, acks, device, say, step, take_lease, write
 
 from retuner.drivers.device import CommandDone, Reverted, WriteDone, WriteRefusedError
-from retuner.drivers.frames import Abort, Confirm, Flags, Heartbeat, Reason, Store
-from retuner.drivers.probation import Probation
+from retuner.drivers.host.requests import Probation
+from retuner.drivers.protocol.frames import Abort, Confirm, Flags, Heartbeat, Reason, Store
 
 
 def test_a_set_that_is_not_confirmed_gives_way_to_the_confirmed_one_in_time() -> None:

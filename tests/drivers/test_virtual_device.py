@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from speaking import CODEC, FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
 
-from retuner.drivers.checksum import frame_crc, page_crc, set_crc
 from retuner.drivers.clock import SimulatedClock
-from retuner.drivers.device_process import RunReport, run_device
-from retuner.drivers.frames import (
+from retuner.drivers.controller.device_process import RunReport, run_device
+from retuner.drivers.controller.gain_memory import Slot
+from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
+from retuner.drivers.protocol.checksum import frame_crc, page_crc, set_crc
+from retuner.drivers.protocol.frames import (
     STORE_KEY,
     Abort,
     Commit,
@@ -32,9 +34,7 @@ from retuner.drivers.frames import (
     TelemetryPv,
     TelemetrySp,
 )
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.gain_pages import Slot
-from retuner.drivers.virtual_device import VirtualDeviceSettings
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 

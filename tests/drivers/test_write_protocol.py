@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.drivers.checksum import page_crc
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
-from retuner.drivers.frames import Abort, Ack, Commit, Kind, Page, Read, Reason, Stage, reason_text
-from retuner.drivers.page_reader import PageReader, ReadBack
-from retuner.drivers.write_protocol import TRANSITIONS, Sequence, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.host.write_protocol import TRANSITIONS, Sequence, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.protocol.checksum import page_crc
+from retuner.drivers.protocol.frames import Abort, Ack, Commit, Kind, Page, Read, Reason, Stage, reason_text
 from retuner.schedule.gains import PidGains
 
 OLD, NEW = PidGains(1.0, 0.0625), PidGains(1.5, 0.125)

@@ -7,11 +7,11 @@ import itertools
 
 import pytest
 
-from retuner.drivers.checksum import page_crc
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
-from retuner.drivers.frames import Abort, Ack, Challenge, Commit, Kind, Page, Read, Reason
-from retuner.drivers.page_reader import PageReader, ReadBack
-from retuner.drivers.write_protocol import TRANSITIONS, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.host.write_protocol import TRANSITIONS, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.protocol.checksum import page_crc
+from retuner.drivers.protocol.frames import Abort, Ack, Challenge, Commit, Kind, Page, Read, Reason
 from retuner.schedule.gains import PidGains
 
 OLD, NEW = PidGains(1.0, 0.0625), PidGains(1.5, 0.125)

@@ -12,10 +12,10 @@ from bus_simulation.truth import Order, Ran, Truth, ViolationError
 from bus_simulation.weather import late
 from bus_simulation.world import BOX, FIRST, World
 
+from retuner.drivers.controller.gain_memory import GainPages, GainSet
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
-from retuner.drivers.frames import Kind, Reason
-from retuner.drivers.gain_pages import GainPages, GainSet
-from retuner.drivers.write_protocol import WriteProtocol
+from retuner.drivers.host.write_protocol import WriteProtocol
+from retuner.drivers.protocol.frames import Kind, Reason
 from retuner.schedule.gains import PidGains
 
 STEPS = 700

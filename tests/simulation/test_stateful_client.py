@@ -9,9 +9,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from retuner.adaptive.sample import LoopSample
-from retuner.drivers.can_device import CanDevice
-from retuner.drivers.can_settings import CanDeviceSettings
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.bus.link_settings import LinkSettings
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import (
     DeviceRestarted,
     DeviceSilentError,
@@ -22,9 +22,9 @@ from retuner.drivers.device import (
     WriteFailed,
     WriteRefusedError,
 )
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.link_settings import LinkSettings
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 FIRST = PidGains(1.0, 0.0625, 0.5)

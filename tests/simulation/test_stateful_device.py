@@ -7,11 +7,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from retuner.drivers.checksum import commit_crc, set_crc, to_wire
-from retuner.drivers.codec import Codec
-from retuner.drivers.frames import Abort, Ack, Commit, Confirm, Item, Kind, Lease, Reason, Stage, Store, newer
-from retuner.drivers.gain_box import GainBox
-from retuner.drivers.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.protocol.checksum import commit_crc, set_crc, to_wire
+from retuner.drivers.protocol.codec import Codec
+from retuner.drivers.protocol.frames import Abort, Ack, Commit, Confirm, Item, Kind, Lease, Reason, Stage, Store, newer
+from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
 CODEC = Codec(1)

@@ -9,17 +9,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from retuner.adaptive.decision import gains_dict
-from retuner.adaptive.proposal import Proposal, Standing
+from retuner.adaptive.supervision.decision import gains_dict
+from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
 from retuner.config.loading import load_config
 from retuner.config.model import Config
+from retuner.decision_page.explain import settings_text
 from retuner.errors import LedgerError, UserError, user_input
-from retuner.explain import settings_text
 from retuner.ledger.lock import WriterLock
-from retuner.orders import Order, OrderKind, put_order
-from retuner.outputs import CONFIG
-from retuner.recorded_session import believed_rows, ledger_path
-from retuner.shown_proposals import SHORT, Shown, shown, superseded
+from retuner.session.order_queue import SHORT, Shown, shown, superseded
+from retuner.session.orders import Order, OrderKind, put_order
+from retuner.session.outputs import CONFIG
+from retuner.session.recorded_session import believed_rows, ledger_path
 
 SHORTEST = SHORT
 """Hexadecimal digits of a hash that a person has to give at least."""

@@ -3,14 +3,14 @@
 import sys
 from pathlib import Path
 
-from retuner.assembly import link_settings, make_plant, virtual_device_settings
 from retuner.commands.run import RunOptions, overridden
 from retuner.config import load_config
-from retuner.drivers.bus import CanLink
+from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
-from retuner.drivers.device_process import DeviceOnBus, fresh_epoch, run_device
-from retuner.drivers.virtual_device import VirtualDevice
+from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device
+from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.errors import UserError
+from retuner.session.assembly import link_settings, make_plant, virtual_device_settings
 from retuner.stopping import stoppable
 
 

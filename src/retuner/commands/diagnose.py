@@ -1,7 +1,7 @@
 """retuner diagnose: what is behind a loop's behaviour, with the evidence, and the settings that would cure it.
 
-Where the settings in force are not given they are read off the record (adaptive/settings_in_force.py): without them
-nothing can be said of the tuning.
+Where the settings in force are not given they are read off the record (adaptive/controller_settings/read_off.py):
+without them nothing can be said of the tuning.
 """
 
 import json
@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from retuner import api
+from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.indexes.screening import Screening, screen
-from retuner.adaptive.diagnosis.sufficiency import shortcomings
-from retuner.adaptive.noise import noise_sigma
-from retuner.adaptive.process import ProcessModel
-from retuner.adaptive.sample import Window
-from retuner.adaptive.settings_in_force import SettingsInForce, settings_in_force
+from retuner.adaptive.diagnosis.enough_data import shortcomings
+from retuner.adaptive.indexes.screening import Screening, screen
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
 from retuner.commands.tune import described as tuning_lines
-from retuner.drivers.recording import Recording
+from retuner.decision_page.evidence_words import evidence_lines
+from retuner.decision_page.explain import settings_text
+from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
-from retuner.evidence_words import evidence_lines
-from retuner.explain import settings_text
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
 
@@ -164,7 +164,7 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 
 def _picture(found: Finding, options: RecordOptions) -> bytes:
     """The record with what was found."""
-    from retuner.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415  slow to load
+    from retuner.report.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415  slow to load
 
     told, estimate = found.result.diagnosis, found.result.estimate
     lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]

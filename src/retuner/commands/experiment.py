@@ -10,11 +10,10 @@ from rich.console import Console
 from retuner.adaptive.experiments.plan import Kind
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.recorded_loop import renamed
-from retuner.drivers.recording import read_recording, require_excitation, require_setpoint
+from retuner.drivers.recorded.recording import read_recording, require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
-from retuner.experiment.describing import described, headline
 from retuner.experiment.drawing import experiment_png
-from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, evaluate
+from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, described, evaluate, headline
 from retuner.files import write_whole
 
 

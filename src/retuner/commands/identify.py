@@ -7,7 +7,7 @@ from pathlib import Path
 from retuner.api import Identification, identify_record
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
 from retuner.commands.tune import described as tuning_lines
-from retuner.drivers.recording import Recording, require_excitation
+from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import user_input
 from retuner.files import write_whole
 
@@ -66,8 +66,8 @@ def described(found: Identification) -> list[str]:
 
 def _picture(recording: Recording, found: Identification, options: RecordOptions) -> bytes:
     """The record with the model's pv."""
-    from retuner.adaptive.fitted import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
-    from retuner.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415
+    from retuner.adaptive.identification.fitted_curve import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.report.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415
 
     window, estimate = recording.window(), found.estimate
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from retuner.errors import UserError
 from retuner.ledger import LedgerReader
-from retuner.recorded_session import ledger_path
+from retuner.session.recorded_session import ledger_path
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
 

@@ -16,8 +16,8 @@ from rich.table import Table
 from retuner.errors import UserError
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
-from retuner.ledger_words import Told, told
-from retuner.recorded_session import ledger_path
+from retuner.report.ledger_words import Told, told
+from retuner.session.recorded_session import ledger_path
 
 COLUMNS = {
     "row": "row", "time [s]": "when_s", "what": "kind", "who": "who", "region": "region", "why": "why", "old": "old",

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from retuner.drivers.recording import ROLES, Recording, read_recording, require_setpoint
+from retuner.drivers.recorded.recording import ROLES, Recording, read_recording, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.schedule.forms import Form, from_form
 from retuner.schedule.gains import PidGains

@@ -5,9 +5,9 @@ import math
 import sys
 from dataclasses import dataclass
 
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.reduction import Leads, Reduction
-from retuner.adaptive.reduction import reduce as reduce_process
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.process.reduction import Leads, Reduction
+from retuner.adaptive.process.reduction import reduce as reduce_process
 from retuner.errors import UserError, user_input
 
 GAIN_UNIT = {ProcessType.INTEGRATING: "/s", ProcessType.INTEGRATING_LAG: "/s", ProcessType.DOUBLE_INTEGRATING: "/s2"}

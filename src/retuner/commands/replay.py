@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from retuner.errors import UserError
-from retuner.recorded_session import RecordedSession, read_session
-from retuner.replaying import Replay, Replayed
-from retuner.session_identity import differences
+from retuner.replay.replaying import Replay, Replayed
+from retuner.session.recorded_session import RecordedSession, read_session
+from retuner.session.session_identity import differences
 
 
 def replay(target: Path, *, config: Path | None, columns: str, as_json: bool) -> int:

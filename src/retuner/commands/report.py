@@ -6,21 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from retuner.assembly import make_plant
+from retuner.decision_page.decision_view import view_of, what_came_of
+from retuner.decision_page.page import page
+from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
 from retuner.errors import UserError, user_input
-from retuner.explained.page import page
-from retuner.explained.reading import Document, gains_of, number, part, parts, words
-from retuner.explained.views import view_of, what_came_of
 from retuner.files import write_whole
 from retuner.ledger import Row
-from retuner.outputs import GAINS, REPORT, SUMMARY
-from retuner.recorded_session import RecordedSession, read_session, without_place
-from retuner.recorded_trend import recorded_columns
-from retuner.report import ReportData, render
-from retuner.scenario import loads_at
+from retuner.replay.recorded_trend import recorded_columns
+from retuner.report.report import ReportData, render
+from retuner.report.scores import Columns, RegionScore, region_scores
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
-from retuner.scores import Columns, RegionScore, region_scores
+from retuner.session.assembly import make_plant
+from retuner.session.outputs import GAINS, REPORT, SUMMARY
+from retuner.session.recorded_session import RecordedSession, read_session, without_place
+from retuner.session.scenario import loads_at
 
 
 def report(session: Path, *, decision: int | None, out: Path | None, as_json: bool) -> int:

@@ -8,19 +8,23 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from retuner.adaptive.decision import Mode, gains_dict
-from retuner.adaptive.region_advice import AdviceSettings, RegionAdvice, region_advice
-from retuner.adaptive.sample import LoopSample
-from retuner.assembly import make_plant
+from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Mode, gains_dict
 from retuner.commands.check import summary
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
-from retuner.console import RunScreen, counted, scores_table, screen_console, told_values
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
 from retuner.ledger import Ledger
-from retuner.outputs import (
+from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.report.report import ReportData, render
+from retuner.report.scores import RegionScore, region_scores
+from retuner.report.trend import require_writer, write_trend
+from retuner.schedule.document import to_toml
+from retuner.session.assembly import make_plant
+from retuner.session.outputs import (
     BUS_LOG,
     CONFIG,
     GAINS,
@@ -33,16 +37,11 @@ from retuner.outputs import (
     give_back,
     write_json,
 )
-from retuner.real_time import real_time_speed
-from retuner.report import ReportData, render
-from retuner.running import Run, nothing
-from retuner.scenario import loads_at
-from retuner.schedule.document import to_toml
-from retuner.scores import RegionScore, region_scores
-from retuner.session import Recorder, Session
-from retuner.session_identity import file_sha256, session_identity
+from retuner.session.running import Run, nothing, real_time_speed
+from retuner.session.scenario import loads_at
+from retuner.session.session import Recorder, Session
+from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
-from retuner.trend import require_writer, write_trend
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.explanation import Explanation
 from retuner.errors import UserError, user_input
 from retuner.tuning import TuneResult

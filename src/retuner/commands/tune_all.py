@@ -5,7 +5,7 @@ import sys
 
 from retuner.commands.tune import Process, TuneOptions
 from retuner.errors import UserError, user_input
-from retuner.rule_comparison import Comparison, RuleRow, compare_rules
+from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 
 HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "Ms", "GM", "PM", "J", "IAE sp", "IAE load")
 

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from retuner.adaptive.performance import performance
-from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.loop.performance import performance
+from retuner.adaptive.process.model import ProcessModel
 from retuner.errors import UserError, user_input
-from retuner.rule_comparison import Comparison, RuleRow
+from retuner.report.rule_comparison import Comparison, RuleRow
+from retuner.report.tuning_plots import pareto_png, responses_png
 from retuner.tuning import TuneResult
-from retuner.tuning_plots import pareto_png, responses_png
 
 
 def draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> None:

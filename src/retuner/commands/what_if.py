@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from retuner.adaptive.decision import Decision, Mode, gains_dict
 from retuner.adaptive.guard import change_factor
-from retuner.adaptive.proposal import SAME_GAINS
-from retuner.adaptive.retuner import Retuner
-from retuner.assembly import make_retuner, schedule_inputs
+from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
+from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
+from retuner.adaptive.supervision.retuner import Retuner
 from retuner.commands.recorded_loop import renamed
 from retuner.config import Config, load_config
-from retuner.drivers.frame_log import is_frame_log
-from retuner.drivers.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
+from retuner.decision_page.explain import one_line
+from retuner.drivers.recorded.frame_log import is_frame_log
+from retuner.drivers.recorded.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
 from retuner.errors import UserError
-from retuner.explain import one_line
 from retuner.schedule.gains import PidGains
+from retuner.session.assembly import make_retuner, schedule_inputs
 
 IN_FORCE_SAMPLES = 10
 """Samples after a border within which recorded gains do not count as the new region's: a schedule writes these a few

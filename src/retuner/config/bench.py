@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from retuner.config.setting import Many, Problem, Section, setting
-from retuner.drivers.boiler_plant import BoilerSettings
-from retuner.drivers.oven_plant import OvenSettings
+from retuner.drivers.plants.boiler_plant import BoilerSettings
+from retuner.drivers.plants.oven_plant import OvenSettings
 
 OVEN, BOILER = OvenSettings(), BoilerSettings()  # the defaults of oven and boiler are the plants' own
 NODES = 63  # the identifier is node << 5 | command in 11 bits; node 0 is for all

@@ -1,20 +1,67 @@
 """Configuration file to Config, and every problem of a file as one line each: file:line key what, limit, what to do."""
 
+import json
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from retuner.config.bus_problems import bus_problems
 from retuner.config.messages import key_name, problems_of
 from retuner.config.model import SCHEMA, Config
+from retuner.config.schedule import AxisConfig
 from retuner.config.setting import Problem
-from retuner.config.signals import signal_problems
 from retuner.config.toml_lines import Path, toml_lines
+from retuner.drivers.bus.bus_opening import known_interfaces
+from retuner.drivers.host.key_file import KeyFileError, read_key
+from retuner.drivers.protocol.codec import DbcError
+from retuner.drivers.telemetry.signal_source import SignalSource, find_signal
 from retuner.errors import ConfigError, one_line
+from retuner.schedule.axis import CAN
+
+# What would keep a session from its bus and can be seen without opening it: the interface's name, the key file.
+
+
+def bus_problems(config: Config) -> Iterator[Problem]:
+    """What is wrong with the bus that a configuration names, on this machine."""
+    bus, known = config.bus, known_interfaces()
+    if bus.interface not in known:
+        message = f'= "{bus.interface}" is no interface of python-can; choose from {", ".join(known)}'
+        yield Problem(("bus", "interface"), message)
+    if bus.key_file:
+        try:
+            read_key(FilePath(bus.key_file))
+        except KeyFileError as error:
+            yield Problem(("bus", "key_file"), f"is refused: {error}")
+
+
+# The signals on the bus that a configuration names: found in their DBC files, or by line and key what is wrong.
+
+
+def signal_source(axis: AxisConfig, node: int) -> SignalSource | None:
+    """Where an axis' variable comes from; None when it comes with the samples.
+
+    Raises
+    ------
+    DbcError
+        The DBC cannot be read, or has no such message or signal.
+    """
+    if axis.variable != CAN:
+        return None
+    return find_signal(axis.dbc, axis.message, axis.signal, axis.stale_after_s, node)
+
+
+def signal_problems(config: Config) -> Iterator[Problem]:
+    """What is wrong with the signals that a configuration names."""
+    for i, axis in enumerate(config.schedule.axis):
+        try:
+            signal_source(axis, config.bus.node)
+        except DbcError as error:
+            key = "signal" if "has no signal" in str(error) else "message" if "no message" in str(error) else "dbc"
+            yield Problem(("schedule", "axis", i, key), f": {error}")
+
 
 LARGEST_FILE = 1 << 20  # bytes; a configuration of 64 regions and a thousand steps has a tenth of it
 PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
@@ -173,3 +220,62 @@ def _placed(problem: Problem, lines: dict[Path, int]) -> Finding:
     while path not in lines:
         path = path[:-1]
     return Finding(lines[path], key_name(problem.path), problem.message)
+
+
+# A configuration as it was run: the whole text, with what the command line changed written into it.
+#
+# The text stays as its author wrote it; only the lines that were overridden change, and say so. Where a setting cannot
+# be replaced on its line (an inline table, say), the settings in force are written out instead, without the comments.
+
+
+def text_as_run(text: str, config: Config, changes: Mapping[tuple[str, str], str | bool]) -> str:
+    """The text of a configuration with some settings changed.
+
+    Parameters
+    ----------
+    text : as it was read. config : as it is run, with the changes. changes : (section, key) to its value.
+    """
+    for (section, key), value in changes.items():
+        text = _with_setting(text, section, key, value)
+    try:
+        same = parse_config(text) == config
+    except UnusableError:
+        same = False
+    return text if same else written_out(config)
+
+
+def _with_setting(text: str, section: str, key: str, value: str | bool) -> str:
+    """The text with one setting replaced on its line, or put under its section's header, or at the end."""
+    places = toml_lines(text)
+    lines = text.split("\n")
+    setting = f"{key} = {json.dumps(value)}"
+    if (section, key) in places:
+        at = places[section, key] - 1
+        lines[at] = f"{setting}  # by the command line; the file says: {lines[at].strip()}"
+    elif (section,) in places and re.match(rf"\s*\[\s*{section}\s*\]", lines[places[(section,)] - 1]):
+        lines.insert(places[(section,)], f"{setting}  # by the command line")
+    else:
+        lines += [f"[{section}]", f"{setting}  # by the command line", ""]
+    return "\n".join(lines)
+
+
+def written_out(config: Config) -> str:
+    """All settings in force as TOML, a line each, tables inside a section inline."""
+    settings = config.model_dump(mode="json", by_alias=True, exclude_none=True)
+    plain = {name: value for name, value in settings.items() if not isinstance(value, dict)}
+    tables = {name: value for name, value in settings.items() if isinstance(value, dict)}
+    parts = ["\n".join(f"{name} = {_toml(value)}" for name, value in plain.items())]
+    parts += [
+        "\n".join((f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())))
+        for name, table in tables.items()
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _toml(value: object) -> str:
+    """A JSON value as TOML has it, on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value)

@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from retuner.assembly import device_settings, link_settings
 from retuner.config import Config
-from retuner.drivers.bus import CanLink
-from retuner.drivers.can_device import CanDevice
+from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
-from retuner.running import POLLS_PER_SAMPLE, virtual_bench
+from retuner.drivers.host.connection import CanDevice
+from retuner.session.assembly import device_settings, link_settings
+from retuner.session.running import POLLS_PER_SAMPLE, virtual_bench
 from retuner.stopping import unstoppable
 
 

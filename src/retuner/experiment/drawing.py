@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from retuner.adaptive.process import ProcessModel
-from retuner.adaptive.sample import FloatArray, Window
-from retuner.drivers.linear_plant import LinearPlant
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import Findings
-from retuner.plots import DPI, FIXED, MARK, PV, SP, time_axis
+from retuner.report.plots import DPI, FIXED, MARK, PV, SP, time_axis
 
 EVEN = 0.05
 """Sampling intervals that differ by more than this share of their median are not even enough to simulate over."""

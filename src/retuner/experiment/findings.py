@@ -8,16 +8,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
-from retuner.adaptive.experiments import asymmetric_relay, setpoint, step
+from retuner.adaptive.experiments import relay, setpoint, step
 from retuner.adaptive.experiments.plan import Kind
 from retuner.adaptive.experiments.relay import RelayCycle, relay_cycle
 from retuner.adaptive.experiments.sustained import swing
-from retuner.adaptive.margins import margins
-from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.loop.margins import margins
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.registry import rule_named
 from retuner.adaptive.rules.rule import Takes
-from retuner.adaptive.sample import Window
+from retuner.adaptive.signals.sample import Window
 from retuner.api import Identification, identify_record
+from retuner.commands.tune import described as tuning_lines
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult, tune
@@ -185,7 +186,7 @@ def _read_relay(found: Findings, window: Window, question: Question) -> None:
     found.cycle = cycle
     found.measured["ultimate"] = cycle.to_dict()
     pv_rest, co_rest = question.rest or (float(window.pv[0]), float(window.co[0]))
-    _try(found, "asymmetric", lambda: asymmetric_relay.first_order(cycle, pv_rest, co_rest))
+    _try(found, "asymmetric", lambda: relay.first_order(cycle, pv_rest, co_rest))
     _offer_ultimate(found, cycle.ku * cycle.direction, cycle.pu_s)
 
 
@@ -243,3 +244,43 @@ def _asked_for(found: Findings, question: Question) -> tuple[str, TuneResult | N
     if question.method == FIT and rule == "simc" and kind in {None, "pi"} and found.fit is not None:
         return name, found.fit.settings
     return name, tune(model, rule, kind=kind)
+
+
+# An experiment's findings in lines for a person.
+
+
+def headline(found: Findings) -> str:
+    """The result in a line."""
+    if found.model is not None:
+        return f"{model_text(found.model)} (fit)"
+    if found.ultimate is not None:
+        return f"Ku {found.ultimate[0]:.4g}, Pu {found.ultimate[1]:.4g} s"
+    return found.reason or found.refused.get(FIT, "")
+
+
+def model_text(model: ProcessModel) -> str:
+    """A model in a line; times that its structure does not have are left out."""
+    times = (("tau1", model.tau1_s), ("tau2", model.tau2_s))
+    shown = "".join(f"  {name} {value:.4g} s" for name, value in times if value)
+    return f"{model.type}  k {model.k:.4g}{shown}  theta {model.theta_s:.4g} s"
+
+
+def described(found: Findings, *, settings: bool = True) -> list[str]:
+    """Models by method, readings, and settings (unless they are not wanted) in lines."""
+    width = max((len(name) for name in (*found.models, *found.refused)), default=0)
+    lines = [f"{name:<{width}}  {model_text(model)}" for name, model in found.models.items()]
+    lines += [f"{name:<{width}}  - {reason}" for name, reason in found.refused.items()]
+    if FIT in found.models and found.fit is not None:
+        std = ", ".join(f"{name} {value:.2g}" for name, value in found.fit.estimate.log.std().items())
+        lines.append(f"{'':<{width}}  {found.fit.estimate.reason}; standard deviations: {std}")
+    for name, values in found.measured.items():
+        text = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
+        lines.append(f"{name}: {text}")
+    if not settings:
+        return lines
+    if found.chosen is None:
+        return [*lines, f"no settings: {found.reason}"]
+    for name, offer in found.offers.items():
+        head = "settings" if offer is found.chosen else "beside them"
+        lines += [f"{head}, {name}:", *(f"  {line}" for line in tuning_lines(offer))]
+    return lines

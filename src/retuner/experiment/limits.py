@@ -2,7 +2,7 @@
 
 from retuner.adaptive.experiments.phases import Cause
 from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest
-from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.experiment.target import CO_SHOWN, Helm, Target
 
 LIMITED_MOST = 2

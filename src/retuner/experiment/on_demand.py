@@ -11,19 +11,18 @@ import typer
 
 from retuner.adaptive.experiments.phases import Cause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
-from retuner.adaptive.sample import LoopSample, Window
+from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.commands.check import summary
 from retuner.config import Config
-from retuner.console import RunScreen
 from retuner.errors import UserError
 from retuner.experiment.bench import Bench
-from retuner.experiment.conductor import Conductor
-from retuner.experiment.describing import described
-from retuner.experiment.findings import Findings, Question, evaluate
-from retuner.experiment.outcome import RECORD, Outcome
+from retuner.experiment.findings import Findings, Question, described, evaluate
+from retuner.experiment.result import RECORD, Outcome
+from retuner.experiment.runner import Conductor
+from retuner.experiment.settings_writer import GainWriter
 from retuner.experiment.target import p_only
-from retuner.experiment.writing import GainWriter
 from retuner.ledger import Ledger
+from retuner.report.console import RunScreen
 from retuner.stopping import unstoppable
 
 INTERRUPTED = 130

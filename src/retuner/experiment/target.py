@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from retuner.adaptive.decision import gains_dict
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest, relay_output
 from retuner.adaptive.guard import change_factor
-from retuner.adaptive.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.decision import gains_dict
 from retuner.drivers.device import Device, WriteRefusedError
 from retuner.schedule.gains import PidGains
 
@@ -159,3 +159,14 @@ class Helm:
         if change_factor(running.gains, wanted.gains) > SAME_GAINS and now_s >= self._write_s:
             self._write_s = now_s + self._again_s
             self._device.begin_write(wanted.gains, now_s)
+
+
+# What an experiment on demand does unless it is told otherwise.
+
+
+DEFAULT_SHARE = 0.05
+"""Amplitude as a share of the range of co (step, relay) or pv (setpoint) unless it is given."""
+DEFAULT_DEVIATION = 0.2
+"""pv may go this share of its range away from rest unless another deviation is given."""
+DEFAULT_SAMPLES, REST_WAIT_SAMPLES = 2000, 300
+"""Time limits of the excitation and of the wait for rest, in samples, unless they are given."""

@@ -9,8 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import ChangeRequest, Evidence, GuardSettings, Locks, Ruling, Support, Verdict, prove
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.gains import PidGains
 
 PATTERN = Evidence(records=0, support=Support.PATTERN)

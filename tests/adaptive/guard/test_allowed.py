@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from guard_cases import MODEL, SETTINGS
 
-from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import allowed
-from retuner.adaptive.guard.allowed import MOST_LOG_STEP, sampled
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.guard.model_set import MOST_LOG_STEP, sampled
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.structure import parameters_of
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 
 RECORD = replace(MODEL, k=2.2)
 MORE_GAIN = replace(MODEL, k=2.2 * 1.1)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.guard import Border, GuardSettings, Ruling, borders_of, prove
 from retuner.adaptive.guard.border import at_border, between_models
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup

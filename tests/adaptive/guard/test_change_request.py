@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from guard_cases import BEST, GAINS, MODEL, times
 
-from retuner.adaptive.belief import Belief, Known
-from retuner.adaptive.change_request import change_request, unproved_request
-from retuner.adaptive.estimate import LogModel
-from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, Support, allowed, prove
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.tracker import predicted
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.structure import parameters_of
+from retuner.adaptive.region_model.region_model import Belief, Known
+from retuner.adaptive.region_model.update import predicted
+from retuner.adaptive.supervision.guard_request import change_request, unproved_request
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 

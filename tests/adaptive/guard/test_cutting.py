@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
-from retuner.adaptive.guard.cutting import Goal, goals
-from retuner.adaptive.rules.tuning import Tuning
+from retuner.adaptive.guard.limits import Goal, goals
+from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.forms import IdealGains
 from retuner.schedule.gains import PidGains
 

@@ -8,9 +8,9 @@ from guard_cases import GAINS, MODEL, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.guard.loops import Loops
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.guard.proof import Loops
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
 

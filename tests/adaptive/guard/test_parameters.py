@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
-from retuner.adaptive.guard.parameters import Parameter, extent, less_of_everything, logs, step_limit, within_factor
 from retuner.adaptive.guard.settings import RANGES
+from retuner.adaptive.guard.step_size import Parameter, extent, less_of_everything, logs, step_limit, within_factor
 from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()

@@ -23,11 +23,11 @@ from retuner.adaptive.guard import (
     prove,
 )
 from retuner.adaptive.guard.ruling import ACCEPTING
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel, ProcessType
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.gains import PidGains
 
 

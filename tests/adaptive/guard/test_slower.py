@@ -6,11 +6,10 @@ import pytest
 from guard_cases import BEST, GAINS, SAMPLED, SETTINGS, known, request, times
 
 from retuner.adaptive.guard import GuardSettings, prove
-from retuner.adaptive.guard.slower import STEPS, slower_settings
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.guard.proof import STEPS, slower_settings
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.rule import ControllerKind, Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.rules.tuning import Tuning
 
 
 def test_equal_ratios_up_to_the_largest_tau_c() -> None:

@@ -9,9 +9,9 @@ from guard_cases import MODEL
 
 from retuner.adaptive.guard import borders_of
 from retuner.adaptive.guard.border import at_border, between_models
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.axis import Axis
 from retuner.schedule.gains import PidGains

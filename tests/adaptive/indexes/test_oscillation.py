@@ -7,11 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis.indexes.autocovariance import autocovariance, decay_ratio, regularity, running_mean
-from retuner.adaptive.diagnosis.indexes.crossings import crossings, detrended
-from retuner.adaptive.diagnosis.indexes.idle import idle_index
-from retuner.adaptive.diagnosis.indexes.oscillation import iae_detection
-from retuner.adaptive.diagnosis.indexes.setpoint_responses import setpoint_responses
+from retuner.adaptive.indexes.autocovariance import (
+    autocovariance,
+    crossings,
+    decay_ratio,
+    detrended,
+    iae_detection,
+    regularity,
+    running_mean,
+)
+from retuner.adaptive.indexes.setpoint_responses import idle_index, setpoint_responses
 
 
 @given(st.integers(1, 2000), st.floats(0.01, 0.99), st.floats(0, 0.5))

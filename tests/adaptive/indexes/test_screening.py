@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis.indexes.condition import Condition, record_condition, still_stretches
-from retuner.adaptive.diagnosis.indexes.glossary import GLOSSARY
-from retuner.adaptive.diagnosis.indexes.limits import at_limits
-from retuner.adaptive.diagnosis.indexes.recording_quality import quantum, recording_quality
-from retuner.adaptive.diagnosis.indexes.screening import screen
-from retuner.adaptive.sample import Window
+from retuner.adaptive.indexes.condition import Condition, record_condition, still_stretches
+from retuner.adaptive.indexes.glossary import GLOSSARY
+from retuner.adaptive.indexes.limits import at_limits
+from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
+from retuner.adaptive.indexes.screening import screen
+from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 T = np.arange(1000.0)

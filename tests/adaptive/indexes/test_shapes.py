@@ -5,13 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.diagnosis.indexes.bicoherence import bicoherence, thinned
-from retuner.adaptive.diagnosis.indexes.cross_correlation import cross_correlation
-from retuner.adaptive.diagnosis.indexes.distribution import kurtosis
-from retuner.adaptive.diagnosis.indexes.half_wave import half_wave_shape
-from retuner.adaptive.diagnosis.indexes.harmonics import phase_deg, refined_frequency, tones
-from retuner.adaptive.diagnosis.indexes.jumps import flat_share, jump_share
-from retuner.adaptive.diagnosis.indexes.pv_co_shape import ellipse, yamashita
+from retuner.adaptive.indexes.bicoherence import bicoherence, thinned
+from retuner.adaptive.indexes.half_wave import half_wave_shape
+from retuner.adaptive.indexes.harmonics import phase_deg, refined_frequency, tones
+from retuner.adaptive.indexes.jumps import flat_share, jump_share
+from retuner.adaptive.indexes.shapes import cross_correlation, ellipse, kurtosis, yamashita
 
 PERIOD = 40.0
 T = np.arange(1000.0)

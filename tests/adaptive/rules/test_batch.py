@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.optimum import optimal_pi, references
-from retuner.adaptive.performance import performance, weighted_cost
-from retuner.adaptive.reduction import half_rule
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.optimum import optimal_pi, references
+from retuner.adaptive.loop.performance import performance, weighted_cost
+from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.rules.simc import simc
 
 BATCH = runpy.run_path(str(Path(__file__).parents[3] / "benchmarks" / "rules.py"))["batch"]()

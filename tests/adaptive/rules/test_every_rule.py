@@ -8,13 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.rules.kinds import ControllerKind
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import RULES
 from retuner.adaptive.rules.registry import settings as rule_settings
-from retuner.adaptive.rules.rule import Rule, Takes, Wishes
+from retuner.adaptive.rules.rule import ControllerKind, Rule, Takes, Tuning, Wishes
 from retuner.adaptive.rules.simc import derivative_pays
-from retuner.adaptive.rules.tuning import Tuning
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 from retuner.tuning import tune

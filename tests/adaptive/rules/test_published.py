@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from retuner.adaptive.margins import margins
-from retuner.adaptive.optimum import Aim, optimal_pi
-from retuner.adaptive.performance import performance, weighted_cost
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.ultimate import ultimate
+from retuner.adaptive.loop.margins import margins, ultimate
+from retuner.adaptive.loop.optimum import Aim, optimal_pi
+from retuner.adaptive.loop.performance import performance, weighted_cost
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.schedule.forms import SeriesGains
 from retuner.schedule.gains import PidGains
 from retuner.tuning import tune

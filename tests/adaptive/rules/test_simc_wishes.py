@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.margins import margins, sensitivity_peak
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.loop.margins import margins, sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.slow_oscillation import damping, slow_oscillation
 from retuner.adaptive.rules.visual import (
     OscillationCause,

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import ProcessModel, ProcessType
-from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.judge import Seen
-from retuner.adaptive.trial.promise import promise
-from retuner.adaptive.watcher import Completed, Watcher
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

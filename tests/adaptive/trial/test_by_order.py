@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig
 
-from retuner.adaptive.by_order import accept, approve, revert, unlock
-from retuner.adaptive.case import Outcome
-from retuner.adaptive.decision import Action, Decision, Mode
-from retuner.adaptive.proposal import Proposal, Standing
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
+from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
+from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

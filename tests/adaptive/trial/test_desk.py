@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig, responses
 
-from retuner.adaptive.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.desk import WITH_GAINS, TrialDesk
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.judge import Finding
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
-from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.supervisor import WITH_GAINS, TrialDesk
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent

@@ -8,19 +8,19 @@ from typing import Any
 import pytest
 from rig import BAD, GOOD, MODEL, Rig, responses
 
-from retuner.adaptive import retuner as retuner_module
-from retuner.adaptive.case import Outcome
-from retuner.adaptive.decision import Action, Mode
-from retuner.adaptive.margins import sensitivity_peak
-from retuner.adaptive.on_trial import seen_of
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.tracker import Surprise
-from retuner.adaptive.trial.hindsight import Hindsight, against, hindsight, in_favour
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.supervision import retuner as retuner_module
+from retuner.adaptive.supervision.decision import Action, Mode
+from retuner.adaptive.supervision.on_trial import seen_of
+from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import Promise, Spread, promise
 from retuner.adaptive.trial.judge import Finding, Seen, judge
-from retuner.adaptive.trial.promise import Promise, Spread, promise
-from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.trial.posterior_check import Hindsight, against, hindsight, in_favour
+from retuner.adaptive.trial.settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable

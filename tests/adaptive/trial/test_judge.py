@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 from rig import BAD, GOOD, MODEL, PROMISE, Rig, responses
 
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.response import Ending, Peak, Response
-from retuner.adaptive.sample import Window
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.trial.expectation import decay_seen, promise
 from retuner.adaptive.trial.judge import Finding, Judgement, Seen, judge
-from retuner.adaptive.trial.promise import decay_seen, promise
-from retuner.adaptive.trial.shape import swing
-from retuner.adaptive.trial.trial_settings import TrialSettings
+from retuner.adaptive.trial.response_numbers import swing
+from retuner.adaptive.trial.settings import TrialSettings
 from retuner.schedule.gains import PidGains
 
 S = TrialSettings()

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.performance import performance
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.process import LinearProcess, ProcessModel, ProcessType
-from retuner.adaptive.response import Ending, Peak, Response
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.performance import performance
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.trial.closed_responses import Loop, Upset, traces
-from retuner.adaptive.trial.promise import Promise, Spread, promise, promise_without_model
-from retuner.adaptive.trial.shape import peaks_of, shape_of, swing
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
+from retuner.adaptive.trial.expectation import Promise, Spread, promise, promise_without_model
+from retuner.adaptive.trial.response_numbers import peaks_of, shape_of, swing
 from retuner.schedule.gains import PidGains
 
 FOPDT = ProcessModel(ProcessType.FOPDT, 2.0, 50.0, 0.0, 5.0)

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 import pytest
 from rig import BAD, GOOD, PROMISE, Rig
 
-from retuner.adaptive.belief import Belief
-from retuner.adaptive.case import Outcome
-from retuner.adaptive.decision import Action, Decision, Mode
-from retuner.adaptive.memory import remember, restore
-from retuner.adaptive.retuner import Retuner
-from retuner.adaptive.retuner_settings import RetunerSettings
-from retuner.adaptive.sample import LoopMode
-from retuner.adaptive.tracker import Surprise
+from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.signals.sample import LoopMode
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from rig import BAD, GOOD, MODEL, PROMISE, Rig
 
-from retuner.adaptive.plausible import Plausible
-from retuner.adaptive.sample import LoopSample
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import TrialEvent
-from retuner.adaptive.trial.promise import promise
-from retuner.adaptive.trial.trial_settings import TrialSettings
-from retuner.adaptive.trial.watch import WatchLaw, law_of, watch, watch_begin
+from retuner.adaptive.trial.runaway import WatchLaw, law_of, watch, watch_begin
+from retuner.adaptive.trial.settings import TrialSettings
 
 S = TrialSettings()
 LAW = law_of(PROMISE, S, 60.0)

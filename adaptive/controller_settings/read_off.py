@@ -1,0 +1,267 @@
+"""The PI or PID settings in force, recovered from a closed-loop record that does not come with them.
+
+The law is linear in its gains, so each structure (law_regression.py) is a least-squares fit of the movements of co:
+with and without integral and derivative, derivative on pv or on the error, its filter, a filter on pv, computed from
+this or the last sample; law_search.py chooses. Left out are samples with co at a limit, long stretches of constant co
+(manual) and moves that no law made (bumpless transfers, a person's hand).
+
+What a record cannot show, and is not told: whether the controller is built in series, ideal or parallel form (the same
+controller exists in all three, unless tau_I < 4 tau_D, which series lacks); and whether it integrates the last sample,
+this one or their mean, which moves kp by ki dt in all: the mean is told, the rest is part of the standard deviation.
+"""
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.controller_settings.regression import BoolArray, Regression, Structure, by_levels
+from retuner.adaptive.controller_settings.search import (
+    SIGNIFICANT,
+    best_structure,
+    fit_on,
+    signs_agree,
+    usable_increments,
+)
+from retuner.adaptive.indexes.condition import Condition, record_condition
+from retuner.adaptive.indexes.limits import at_limits
+from retuner.adaptive.indexes.recording_quality import recording_quality
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.forms import Form, in_form
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class LawSettings:
+    """Settings of the recovery.
+
+    fewest_samples : usable samples needed; 20 to 1000, default 50.
+    most_samples : of a longer record the stretch of so many samples is taken in which the error moves most; 1000 to
+        100000, default 4000 (a quarter of a second, and settings do not last for ever).
+    explained_limit : smallest share of co's movement that the law must explain; 0.5 to 0.99, default 0.8.
+    std_limit : largest standard deviation of kp (of ki without P) as a share of it; 0.01 to 0.5, default 0.15.
+    disagreement : largest ratio of a gain in the two halves of the record; 1.05 to 2, default 1.25.
+    slow_disagreement : the same of kp in fast and slow movements, where only another law makes one; default 1.15.
+    compression_limit : largest compression of pv or co by a recorder; 1.5 to 10, default 3 (Thornhill et al. 2004).
+    largest_lag : samples from pv to co that are tried; 0 to 3, default 1.
+    """
+
+    fewest_samples: int = 50
+    most_samples: int = 4000
+    explained_limit: float = 0.8
+    std_limit: float = 0.15
+    disagreement: float = 1.25
+    slow_disagreement: float = 1.15
+    compression_limit: float = 3.0
+    largest_lag: int = 1
+
+
+SLOW, FEWEST_SLOW = 5, 60
+"""Samples averaged to see slow movements, and how many such means are needed."""
+ALL_EXPLAINED = 0.9999
+"""Share of co's movement from which slow movements can say nothing new."""
+DIRECTION_EXPLAINED = 0.3
+"""Share of co's movement from which the direction of the controller is told, if nothing else."""
+BEST_STD = 1e-3
+"""No record shows a gain better than to this share of it: clocks and converters are not better."""
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsInForce:
+    """Settings recovered from a record, or why there are none.
+
+    gains : in parallel form, co units of the record; None when the record does not show them.
+    std : standard deviations of kp, ki, kd. b : setpoint weight of P, None when no setpoint change shows it.
+    structure : what else was found (derivative on pv or error, filters, lag).
+    explained : share of the movement of co that the law explains. samples : increments used.
+    reason : one sentence. direction : sign of the controller's gain, told also where its size is not; None where not
+        even that shows.
+    """
+
+    gains: PidGains | None
+    std: dict[str, float]
+    b: float | None
+    structure: Structure | None
+    explained: float
+    samples: int
+    reason: str
+    direction: int | None = None
+
+    @property
+    def confident(self) -> bool:
+        """Whether the record shows the settings."""
+        return self.gains is not None
+
+    def forms(self) -> dict[str, dict[str, float | None]]:
+        """The settings in each form in which this controller exists: kc, tau_i, tau_d by form."""
+        found: dict[str, dict[str, float | None]] = {}
+        if self.gains is not None and self.gains.kp:
+            for form in Form:
+                with suppress(ValueError):  # no series form with tau_I < 4 tau_D
+                    found[str(form)] = in_form(self.gains, form)
+        return found
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys parallel {kp, ki, kd}, std, forms, direction, b, derivative_on, tau_f, pv_filter, lag, explained,
+        samples, reason; times in seconds, lag in samples.
+        """
+        g, s = self.gains, self.structure
+        return {
+            "parallel": {"kp": g.kp, "ki": g.ki, "kd": g.kd} if g else None,
+            "std": self.std, "forms": self.forms(), "direction": self.direction, "b": self.b,
+            "derivative_on": s.derivative or None if s else None, "tau_f": s.tau_f_s if s else None,
+            "pv_filter": s.pv_filter_s if s else None, "lag": s.lag if s else None,
+            "explained": self.explained, "samples": self.samples, "reason": self.reason,
+        }  # fmt: skip
+
+
+def settings_in_force(
+    window: Window, co_min: float | None = None, co_max: float | None = None, settings: LawSettings | None = None
+) -> SettingsInForce:
+    """Recover the settings of the controller that made a record.
+
+    Parameters
+    ----------
+    window : closed-loop record. co_min, co_max : limits of co where known; else recognised when co stands at them.
+    settings : see LawSettings.
+    """
+    settings = settings or LawSettings()
+    window = _busiest(window, settings.most_samples)
+    limits = at_limits(window.co, co_min, co_max)
+    state = record_condition(window, limits.low + limits.high)
+    if state.condition in {Condition.DEAD_PV, Condition.DEAD_CO, Condition.MANUAL}:
+        return _refused(state.sentence)
+    usable = usable_increments(window, co_min, co_max)
+    count = int(np.sum(usable))
+    if count < settings.fewest_samples:
+        return _refused(f"only {count} samples have co moving inside its limits; {settings.fewest_samples} are needed")
+    lost = _compressed(window, usable, settings)
+    if lost:
+        return _refused(lost)
+    best = best_structure(window, usable, settings.largest_lag)
+    return _judged(best, window, settings)
+
+
+def _compressed(window: Window, usable: BoolArray, settings: LawSettings) -> str:
+    """Whether a recorder left out the movements of pv or co: the sentence, or nothing."""
+    for name, values in (("pv", window.pv), ("co", window.co[1:][usable])):
+        quality = recording_quality(values)
+        if quality is not None and quality.compression > settings.compression_limit:
+            return f"{name} was compressed {quality.compression:.0f} times by its recorder: its movements are lost"
+    return ""
+
+
+def _busiest(window: Window, most: int) -> Window:
+    """The stretch of `most` samples in which the control error varies most; the window itself when it is no longer."""
+    n = len(window.t_s)
+    if n <= most:
+        return window
+    e = window.sp - window.pv
+    starts = [*range(0, n - most, most // 4), n - most]
+    start = max(starts, key=lambda i: float(np.std(e[i : i + most])))
+    part = slice(start, start + most)
+    return Window(window.t_s[part], window.sp[part], window.pv[part], window.co[part])
+
+
+def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:
+    """No settings, with what was seen."""
+    if found is None:
+        return SettingsInForce(None, {}, None, None, 0.0, 0, reason)
+    kept = int(np.sum(found.kept))
+    sure = found.spread(found.main) < 1 / SIGNIFICANT and found.explained > DIRECTION_EXPLAINED
+    direction = int(math.copysign(1, found.values[found.main])) if sure and signs_agree(found.values) else None
+    return SettingsInForce(None, {}, None, found.structure, max(found.explained, 0.0), kept, reason, direction)
+
+
+def _judged(found: Regression, window: Window, settings: LawSettings) -> SettingsInForce:
+    """Settings, or the sentence that says why not."""
+    percent = f"{max(found.explained, 0.0):.1%}"
+    if found.explained < settings.explained_limit:
+        limit = f"{settings.explained_limit:.0%}"
+        why = "the controller has other inputs, or it saw another pv than the recorded one (filtered, compressed)"
+        return _refused(f"sp and pv explain {percent} of the movement of co, {limit} are needed: {why}", found)
+    if not signs_agree(found.values):
+        return _refused("the terms that explain co act in opposite directions: this is no PID law", found)
+    values, std = _gains(found, window)
+    for name, widest in ((found.main, settings.std_limit), ("ki", 2 * settings.std_limit)):
+        wide = math.hypot(found.spread(name), found.unexplained) if values[name] else 0.0
+        if wide > widest:
+            return _refused(f"{name} is only known to +-{wide:.0%}: the record moves too little", found)
+    reason = _disagreement(found, window, settings)
+    if reason:
+        return _refused(reason, found)
+    seen = found.std.get("b_kp", math.inf) < settings.std_limit * abs(values["kp"])
+    weight = found.values["b_kp"] / found.values["kp"] if seen else None
+    count = int(np.sum(found.kept))
+    told = f"the law explains {percent} of the movement of co in {count} samples"
+    gains = PidGains(**values)
+    return SettingsInForce(gains, std, weight, found.structure, found.explained, count, told, gains.direction)
+
+
+def _gains(found: Regression, window: Window) -> tuple[dict[str, float], dict[str, float]]:
+    """Gains with their standard deviations: of the fit, of what it leaves, and of what the record cannot show.
+
+    What it leaves counts as sqrt(1 - explained) of each gain: records of filtered, compressed or otherwise sampled
+    signals have errors of about that size, which scatter alone does not show.
+    """
+    values = {name: found.values.get(name, 0.0) for name in ("kp", "ki", "kd")}
+    doubt = math.hypot(math.sqrt(max(1 - found.explained, 0.0)), BEST_STD)
+    std = {name: math.hypot(found.std.get(name, 0.0), doubt * abs(v)) for name, v in values.items()}
+    within = values["ki"] * window.sample_time_s
+    if values["kp"] * (values["kp"] - within / 2) > 0:
+        values["kp"] -= within / 2
+        std["kp"] = math.hypot(std["kp"], within / math.sqrt(12.0))
+    return values, std
+
+
+def _disagreement(found: Regression, window: Window, settings: LawSettings) -> str:
+    """Whether parts of the record show different settings: the sentence, or nothing."""
+    middle = int(np.flatnonzero(found.kept)[int(np.sum(found.kept)) // 2])
+    place = np.arange(len(found.kept))
+    first, second = (fit_on(window, found.structure, found.kept & part, levels=found.levels)
+                     for part in (place < middle, place >= middle))  # fmt: skip
+    for name in ("kp", "ki"):
+        if _differ(name, first, second, settings):
+            a, b = first.values[name], second.values[name]
+            return (f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second: the settings were "
+                    "changed, or they hang on something else")  # fmt: skip
+    slow = _slow(found, window)
+    if slow is None:
+        return ""
+    pair = [_central_kp(f, dt) for f, dt in ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))]
+    if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
+        return (f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones: the record is too coarse for "
+                "this controller's derivative, or it saw another pv")  # fmt: skip
+    return ""
+
+
+def _central_kp(found: Regression, dt_s: float) -> float:
+    """kp of a controller that integrates the mean of two samples."""
+    return found.values["kp"] - found.values.get("ki", 0.0) * dt_s / 2
+
+
+def _differ(name: str, a: Regression, b: Regression, settings: LawSettings) -> bool:
+    """Whether two fits disagree about a gain."""
+    spread = math.hypot(*(f.std.get(name, 0.0) for f in (a, b)))
+    return _apart([f.values.get(name, 0.0) for f in (a, b)], spread, settings.disagreement)
+
+
+def _apart(values: list[float], std: float, ratio: float) -> bool:
+    """Whether two values differ by more than chance and by more than matters."""
+    least = (ratio - 1) * max(map(abs, values))
+    return abs(values[0] - values[1]) > max(SIGNIFICANT * std, least)
+
+
+def _slow(found: Regression, window: Window) -> Regression | None:
+    """The same structure on means of a few samples; None where the record is too short, or all is explained."""
+    n = len(window.t_s) // SLOW
+    if n < FEWEST_SLOW or not found.structure.proportional or found.explained > ALL_EXPLAINED:
+        return None
+    means = Window(
+        *(x[: n * SLOW].reshape(n, SLOW).mean(axis=1) for x in (window.t_s, window.sp, window.pv, window.co))
+    )
+    whole: BoolArray = np.asarray(
+        np.all(np.concatenate([found.kept, [True]])[: n * SLOW].reshape(n, SLOW)[:, :-1], axis=1)
+    )
+    return by_levels(means, found.structure, np.asarray(whole[1:] & whole[:-1], dtype=np.bool_))

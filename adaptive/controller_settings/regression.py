@@ -1,0 +1,230 @@
+"""The PID law as a linear regression: which columns a controller of some structure makes, and the fit with its spread.
+
+    increments   d co = kp (b d sp - d pv) + ki (sp - pv)' dt - kd d r              (' one sample ago)
+    levels       the same summed up, with a constant for each stretch
+
+    r = (tau_f r' + d pv) / (tau_f + dt)                                             the law of schedule/pid.py
+
+Increments need no bias and forget at once what limits and manual moves did. But rounding of co, and pv and co that were
+not read at the same instant, enter two increments with opposite signs; levels suffer once. Which equation is the better
+one the standard deviations say. The law acts on pv with its noise and has none of its own, so ordinary least squares is
+consistent in closed loop, where noise on pv would bias a process model.
+
+Standard deviations are from sums over blocks of consecutive samples (Liang & Zeger 1986, clustered scores): remainders
+of a law that is nearly right are neither white nor of even size.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+BLOCKS = 30
+"""Blocks of consecutive samples whose scores count as independent."""
+STRETCH = 0.1
+"""Length of a stretch with its own constant in the level equation, as a share of the record."""
+SHORTEST_STRETCH = 64
+"""The same in samples, at least."""
+MAD_TO_SIGMA = 1.4826
+OUTLIER = 6.0
+"""Remainders beyond so many (robust) standard deviations are moves that no law made."""
+ROUNDS = 6
+"""Rounds of leaving out outliers."""
+FILTER_STEP = 1e-3
+"""Step of the derivative by the filter time, as a share of it."""
+EXACT = 1e-9
+"""Remainders under this share of the movement are rounding of doubles."""
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """What a controller may look like.
+
+    integral, proportional : whether it has them. derivative : "" for none, "pv" or "error" for what it acts on.
+    lag : samples from pv to the co that it moves. tau_f_s : filter time of the derivative. pv_filter_s : filter time of
+    the pv that the whole controller sees. All in seconds.
+    """
+
+    proportional: bool = True
+    integral: bool = True
+    derivative: str = ""
+    lag: int = 0
+    tau_f_s: float = 0.0
+    pv_filter_s: float = 0.0
+
+    @property
+    def filter_s(self) -> float:
+        """The filter time that is there: of the derivative where there is one, else of pv."""
+        return self.tau_f_s if self.derivative else self.pv_filter_s
+
+    def filtering(self, tau_s: float) -> "Structure":
+        """The same with another filter time."""
+        return replace(self, tau_f_s=tau_s) if self.derivative else replace(self, pv_filter_s=tau_s)
+
+    @property
+    def unknowns(self) -> int:
+        """Numbers to be found, for information criteria."""
+        filters = int(bool(self.derivative)) + int(self.pv_filter_s > 0)
+        return int(self.proportional) + int(self.integral) + int(bool(self.derivative)) + filters
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """A fit. values, std : by name (kp, ki, kd, b_kp). remainder : of every sample, co units, NaN-free, shape (n - 1,).
+
+    kept : samples used. rms, rho : of the equation's remainder, and its correlation from one sample to the next.
+    explained : share of co's movement. levels : the level equation was used.
+    """
+
+    structure: Structure
+    values: dict[str, float]
+    std: dict[str, float]
+    remainder: FloatArray
+    kept: BoolArray
+    rms: float
+    rho: float
+    explained: float
+    levels: bool
+
+    @property
+    def main(self) -> str:
+        """The gain that matters most: kp, or ki of a controller without."""
+        return "kp" if self.structure.proportional else "ki"
+
+    def spread(self, name: str) -> float:
+        """Standard deviation of a gain as a share of it, infinite for a gain that is not there."""
+        value = abs(self.values.get(name, 0.0))
+        return self.std[name] / value if value > 0 else math.inf
+
+    @property
+    def unexplained(self) -> float:
+        """What of a gain may be wrong because co is not all explained, as a standard deviation and a share of it.
+
+        Where pv was recorded with errors that the controller did not see, gains come out too small by up to the share
+        that is not explained; the standard deviation of an even distribution over that.
+        """
+        return max(1 - self.explained, 0.0) / math.sqrt(3.0)
+
+
+def filtered(x: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
+    """First-order filter by backward difference, at rest before the first sample; shape (n,)."""
+    if tau_s <= 0:
+        return x
+    a = tau_s / (tau_s + dt_s)
+    followed: FloatArray = np.asarray(lfilter([1 - a], [1, -a], x - x[0]), dtype=np.float64) + x[0]
+    return followed
+
+
+def columns(window: Window, structure: Structure, at: dict[str, float] | None = None) -> tuple[list[str], FloatArray]:
+    """Names and columns of the increment equation, shape (n - 1, number of names).
+
+    at : gains at which the equation is linearised in the filter time as well; then "tau" is one of the names, and its
+        value is the Gauss-Newton step of the filter time.
+    """
+    if at is not None:
+        names, x = columns(window, structure)
+        step = FILTER_STEP * max(structure.filter_s, window.sample_time_s)
+        further = columns(window, structure.filtering(structure.filter_s + step))[1]
+        bend = (further - x) @ np.array([at[name] for name in names]) / step
+        return [*names, "tau"], np.column_stack([x, bend])
+    dt, lag = np.diff(window.t_s), structure.lag
+    typical = float(np.median(dt))
+    pv, sp = _late(filtered(window.pv, structure.pv_filter_s, typical), lag), _late(window.sp, lag)
+    e = sp - pv
+    named: dict[str, FloatArray] = {}
+    if structure.proportional:
+        named["kp"] = -np.diff(pv)
+        if np.ptp(sp) > 0:
+            named["b_kp"] = np.diff(sp)
+    if structure.integral:
+        named["ki"] = e[:-1] * dt
+    if structure.derivative:
+        slope = np.concatenate([[0.0], np.diff(e if structure.derivative == "error" else -pv) / dt])
+        named["kd"] = np.diff(filtered(slope, structure.tau_f_s, typical))
+    if structure.derivative or structure.pv_filter_s > 0:  # the filter was not at rest before the record
+        a = structure.filter_s / (structure.filter_s + typical)
+        named["start"] = np.asarray((a - 1) * a ** np.arange(len(dt)), dtype=np.float64)
+    return list(named), np.stack(list(named.values()), axis=1)
+
+
+def _late(x: FloatArray, lag: int) -> FloatArray:
+    """The signal so many samples later."""
+    late: FloatArray = np.concatenate([np.full(lag, x[0]), x[: len(x) - lag]])
+    return late
+
+
+def by_increments(
+    window: Window, structure: Structure, usable: BoolArray, at: dict[str, float] | None = None, *, trim: bool = True
+) -> Regression:
+    """Least squares on increments; with trim, moves that no law made are left out.
+
+    usable : increments that the law made, shape (n - 1,). at : see columns.
+    """
+    names, x = columns(window, structure, at)
+    y = np.diff(window.co)
+    kept = usable.copy()
+    values = _solve(x[kept], y[kept])
+    remainder = y - x @ values
+    for _ in range(ROUNDS if trim else 0):
+        size = np.abs(remainder)
+        sigma = max(MAD_TO_SIGMA * float(np.median(size[kept])), float(np.quantile(size[kept], 0.95)) / 1.96)
+        fresh = usable & (size <= OUTLIER * sigma + EXACT * float(np.max(np.abs(y))))
+        if np.array_equal(fresh, kept):
+            break
+        kept = fresh
+        values = _solve(x[kept], y[kept])
+        remainder = y - x @ values
+    return _told(structure, names, values, (x[kept], y[kept]), (remainder, kept), levels=False)
+
+
+def by_levels(window: Window, structure: Structure, kept: BoolArray, at: dict[str, float] | None = None) -> Regression:
+    """Least squares on the summed equation, each stretch of kept increments with its own constant; at : see columns."""
+    names, x = columns(window, structure, at)
+    y = np.diff(window.co)
+    longest = max(round(STRETCH * len(y)), SHORTEST_STRETCH)
+    parts: list[tuple[FloatArray, FloatArray]] = []
+    for run in np.split(np.flatnonzero(kept), np.flatnonzero(np.diff(np.flatnonzero(kept)) != 1) + 1):
+        for part in np.array_split(run, -(-len(run) // longest)) if len(run) > x.shape[1] + 1 else []:
+            levels = np.cumsum(x[part], axis=0), np.cumsum(y[part])
+            parts.append((levels[0] - levels[0].mean(axis=0), levels[1] - levels[1].mean()))
+    if not parts:
+        return by_increments(window, structure, kept, at, trim=False)
+    xs, ys = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+    values = _solve(xs, ys)
+    return _told(structure, names, values, (xs, ys), (y - x @ values, kept), levels=True)
+
+
+def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Least squares with scaled columns; a column without content gets 0."""
+    scale = np.linalg.norm(x, axis=0)
+    scale[scale == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(x / scale, y, rcond=1e-9)[0] / scale, dtype=np.float64)
+
+
+def _told(
+    structure: Structure, names: list[str], values: FloatArray, equation: tuple[FloatArray, FloatArray],
+    per_sample: tuple[FloatArray, BoolArray], *, levels: bool,
+) -> Regression:  # fmt: skip
+    """Values with their standard deviations and the share explained."""
+    x, y = equation
+    r = y - x @ values
+    scale = np.linalg.norm(x, axis=0)
+    there = scale > 0
+    xs = x[:, there] / scale[there]
+    inverse = np.linalg.pinv(xs.T @ xs)
+    scores = [g.sum(axis=0) for g in np.array_split(xs * r[:, None], min(BLOCKS, len(r)))]
+    spread = np.stack(scores).T @ np.stack(scores) * len(scores) / max(len(scores) - xs.shape[1], 1)
+    std = np.full(len(names), np.inf)
+    std[there] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)) / scale[there]
+    power = float(np.mean(y * y))
+    rms = float(np.sqrt(np.mean(r * r)))
+    rho = float(r[1:] @ r[:-1]) / float(r @ r) if rms > 0 else 0.0
+    gains, spread_of = (dict(zip(names, numbers.tolist(), strict=True)) for numbers in (values, std))
+    explained = 1 - rms * rms / power if power > 0 else 0.0
+    return Regression(structure, gains, spread_of, per_sample[0], per_sample[1], rms, rho, explained, levels)

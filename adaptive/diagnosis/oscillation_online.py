@@ -1,0 +1,172 @@
+"""On line: is it the tuning at all? What swings, or what the loop by itself does not explain, is put to its rivals.
+
+    swings on without a setpoint step, too few cycles yet     wait: one and a half cycles fit anything
+    the oscillation that was explained before goes on         the same cause, without new fits
+    swings on, cycles enough                                  the whole diagnosis (diagnose.py) of the stretch
+    a response of which the linear fit leaves too much        rivals alone: stiction or a tone under the response
+    otherwise                                                 the model may learn, and its margins decide
+
+A response of three peaks is one and a half cycles; a stretch is everything since the gains last changed. Cause before
+cure: what a rival explains teaches the model nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
+from retuner.adaptive.diagnosis.rival_fits import linear
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.indexes.screening import screen
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class SwingSettings:
+    """Settings.
+
+    damping : (E3 - E2)/(E1 - E2) from which a load response of three peaks swings on; 0.3 to 0.9, default 0.5 (a
+        quarter of the amplitude after a period; what is left of a well-tuned loop is far less).
+    cycles : cycles of a swing that are waited for before anything is said; 3 to 10, default 4.
+    most_cycles : cycles of the stretch that are looked at; 5 to 30, default 12.
+    alike : periods within this factor are the same oscillation; 1.05 to 1.5, default 1.5.
+    remembered_cycles : cycles for which an explained oscillation need not be explained again; default 40.
+    unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
+        default 1.5.
+    lookback : lengths of a response that are looked at with it when its rivals are asked; default 3.
+    load_bands : noise bands that a load response must reach before gains change by it; 2 to 20, default 5 (coloured
+        noise wanders over three now and then).
+    fewest_loads : load responses that a change needs where no setpoint step was seen; 1 to 5, default 2.
+    same_gains : a stretch ends where other gains ran; False for interpolated tables, whose gains move with the loop.
+    restless : share of the samples before a setpoint step outside the noise band, from which the loop was not at rest;
+        0.02 to 0.5, default 0.1.
+    rest : share of a response's length for which the loop must have kept to its noise band to have been at rest; 0.05
+        to 1, default 0.25.
+    loads_beside : load steps that a clear setpoint response may need beside; 0 to 3, default 1.
+    grows : damping of a setpoint response, or overshoot of one of two peaks, from which the loop runs away; 1 to 1.5,
+        default 1.05.
+    growth_explained : share of pv's variance that the model must explain of it; 0.9 to 0.999, default 0.99.
+    calm : greatest error before a response over the last peak of its swing, up to which the swing began with it;
+        0.1 to 0.8, default 0.4.
+    beneath : the same over the first peak of a setpoint step, up to which an oscillation that was explained does not
+        matter to it; 0.05 to 0.4, default 0.15.
+    dwarfs : the same over the response's largest peak, from which earlier motion is left out of what is looked at;
+        2 to 20, default 5 (half a percent of it, which no model explains, would pass for a disturbance).
+    again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
+    unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
+    shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
+    sluggish_decay : ratio of successive peaks that a sluggish loop does not have; 0.15 to 0.5, default 0.25.
+    most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
+    """
+
+    damping: float = 0.5
+    cycles: float = 4.0
+    most_cycles: float = 12.0
+    alike: float = 1.5
+    remembered_cycles: float = 40.0
+    unexplained: float = 1.5
+    lookback: float = 3.0
+    load_bands: float = 5.0
+    fewest_loads: int = 2
+    same_gains: bool = True
+    restless: float = 0.1
+    rest: float = 0.25
+    loads_beside: int = 1
+    grows: float = 1.05
+    growth_explained: float = 0.99
+    calm: float = 0.4
+    beneath: float = 0.15
+    dwarfs: float = 5.0
+    again: float = 2.0
+    unseen_bands: float = 2.0
+    shown: float = 0.5
+    sluggish_decay: float = 0.25
+    most_lookback: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """An oscillation with a cause that is none of tuning: which, with what period, and when it was explained."""
+
+    cause: Cause
+    period_s: float
+    t_s: float
+    reason: str
+
+
+def swings(response: Response, settings: SwingSettings) -> bool:
+    """Whether a response that no setpoint step began hardly decays."""
+    damping = response.damping
+    return not response.sp_changed and damping is not None and damping > settings.damping
+
+
+def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = True) -> list[LoopSample]:
+    """The newest samples from a time on. same_gains : that ran the same set of gains."""
+    revision = samples[-1].revision
+    kept = []
+    for sample in reversed(samples):
+        if (same_gains and sample.revision != revision) or sample.t_s < from_s:
+            break
+        kept.append(sample)
+    return kept[::-1]
+
+
+def swing_cause(
+    samples: Sequence[LoopSample],
+    response: Response,
+    gains: PidGains,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> tuple[Diagnosis | None, Standing | None]:
+    """Why a loop swings on without a setpoint step: a cause that may not change gains, or None; and what to remember.
+
+    samples : kept, the newest last. response : it swings (see swings). gains : in force.
+    """
+    period_s, now_s = response.period_s, response.t_end_s
+    assert period_s is not None
+    seen = stretch(samples, now_s - swing.most_cycles * period_s, swing.same_gains)
+    cycles = (now_s - seen[0].t_s) / period_s
+    if cycles < swing.cycles:
+        reason = f"it swings on without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles seen that tell a cause"
+        return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason), None
+    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
+    if found.cause in TUNING_CAUSES or found.cause == Cause.OK:
+        return None, None
+    return found, Standing(found.cause, period_s, now_s, found.reason)
+
+
+def goes_on(response: Response, standing: Standing | None, settings: SwingSettings) -> Diagnosis | None:
+    """The cause that was found a short while ago, for a load response while that oscillation goes on; else None."""
+    if standing is None or response.sp_changed or not is_recent(response, standing, settings):
+        return None
+    ratio = (response.period_s or standing.period_s) / standing.period_s
+    if not 1 / settings.alike < ratio < settings.alike:
+        return None
+    again = f"the oscillation of {standing.period_s:.3g} s goes on: {standing.reason}"
+    return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, again)
+
+
+def is_recent(response: Response, standing: Standing, settings: SwingSettings) -> bool:
+    """Whether an oscillation was explained so short a while before a response that it need not be explained again."""
+    return response.t_end_s - standing.t_s <= settings.remembered_cycles * standing.period_s
+
+
+def hidden_cause(
+    samples: Sequence[LoopSample],
+    response: Response,
+    gains: PidGains,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> tuple[Diagnosis | None, Standing | None]:
+    """What hides under a response that the linear fit does not explain: stiction or a tone, or None."""
+    length_s = response.t_end_s - response.t_start_s
+    window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s, swing.same_gains))
+    found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
+    seen = screen(window, gains)
+    verdict = against_rivals(found[0], seen, settings).verdict
+    if verdict is None:
+        return None, None
+    period_s = seen.period_s or response.period_s or length_s
+    return verdict, Standing(verdict.cause, period_s, response.t_end_s, verdict.reason)

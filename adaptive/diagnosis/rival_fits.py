@@ -1,0 +1,338 @@
+"""Three explanations of one record, fitted with the same engine and compared by the same criterion.
+
+    linear     pv = G co + load steps + random walk                          the loop's own doing, and ordinary upsets
+    external   the same + a sinusoid with harmonics at a free frequency      an oscillation from outside
+    stuck      the same with co replaced by the output of a stuck valve      see sticking.py
+
+Harmonics belong to the second, because what comes from outside is often another loop's limit cycle, a triangle or a
+saw, which one sinusoid leaves to the valve. What is left counts as it is, not whitened: even one real pole takes an
+oscillation that is slow against the sampling for noise.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.dynamics import Dynamics
+from retuner.adaptive.identification.loads import improved
+from retuner.adaptive.identification.misfit import Misfit
+from retuner.adaptive.identification.record import Record
+from retuner.adaptive.identification.refine import Fit, refine
+from retuner.adaptive.identification.search import with_second_lag
+from retuner.adaptive.identification.structure import SLOPE
+from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+HARMONICS = 5
+"""Of an outside oscillation: a triangle or a saw is told from its first five to two percent."""
+WHITE = 0
+"""Order of the filter for what is left: a filter would whiten any slow oscillation without naming its cause."""
+WEAKENED = 3.0
+"""The process is also tried with a gain e^-3 of the linear one: next to a tone it may have no part at all."""
+
+
+def linear(window: Window, signs: tuple[int, ...], settings: ChoiceSettings, most_samples: int) -> list[Candidate]:
+    """The linear explanation in every structure, best first."""
+    return candidates(window, signs, settings, most_samples)
+
+
+def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candidate:
+    """The best explanation with a tone from outside.
+
+    fit : the linear one. frequencies : where to look, rad/s.
+    """
+    found = []
+    base = replace(fit.fit.misfit, harmonics=HARMONICS, ar=(), sigma=fit.fit.misfit.record.noise_std)
+    plain = replace(base, loads=0, rounded=False)
+    x = fit.fit.x
+    weak = x.copy()
+    weak[SLOPE] -= WEAKENED
+    for w in frequencies:
+        found.append(judged(refine(base, np.append(fit.fit.p, np.log(w)))))
+        found += [judged(refine(plain, np.append(start, np.log(w)))) for start in (x, weak)]
+    best = min(found, key=lambda c: c.criterion)
+    return improved(best, most_loads, Seen(found))
+
+
+# A valve that sticks: the two published two-parameter models, S the stick band, J the slip jump, in units of co.
+#
+#     f_s = (S + J)/2 static and f_d = (S - J)/2 kinetic friction
+#
+#     Kano et al. (2004)   at rest: stays until |u - y| > f_s; in motion: y = u - d f_d, and rests when u stops or turns
+#     He et al. (2007)     friction is overcome anew at every sample: y moves by the push less f_d whenever the push,
+#                          what was left plus the change of u, exceeds f_s
+#
+# After a reversal Kano's valve rests until co has travelled S, He's until S to S + J, then it jumps by J; going on in
+# one direction, Kano's follows and He's moves in steps of J. J = 0 is backlash. Real valves do either (Garcia 2008).
+
+
+class Family(StrEnum):
+    """Which of the two models."""
+
+    KANO = "kano"
+    HE = "he"
+
+
+@dataclass(frozen=True, slots=True)
+class StuckValve:
+    """A valve.
+
+    family : model. stick : S > 0. jump : J, 0 <= J <= 2 S (S at the most in He's model).
+    start : where the valve stands in its band when the record begins, -1 to 1 in units of f_s.
+
+    Raises
+    ------
+    ValueError
+        A number is outside its range.
+    """
+
+    family: Family
+    stick: float
+    jump: float
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        most = 2 * self.stick if self.family == Family.KANO else self.stick
+        if not (0 < self.stick < math.inf and 0 <= self.jump <= most * (1 + 1e-12)):
+            raise ValueError(f"stick band {self.stick}, jump {self.jump}: give a band above 0 and a jump up to {most}")
+        if not -1 <= self.start <= 1:
+            raise ValueError(f"start {self.start} is outside the band, -1 to 1")
+
+    def position(self, co: FloatArray) -> FloatArray:
+        """Position of the valve for the controller output co, shape (n,)."""
+        run = _kano if self.family == Family.KANO else _he
+        f_static, f_kinetic = (self.stick + self.jump) / 2, (self.stick - self.jump) / 2
+        return np.array(run(co.tolist(), f_static, f_kinetic, self.start * f_static))
+
+
+def _kano(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
+    y, direction, moving = co[0] + start, 0, False
+    found = [y]
+    for before, u in pairwise(co):
+        change = u - before
+        if moving and change * direction <= 0:
+            moving = False
+        if not moving and abs(u - y) > f_static:
+            moving, direction = True, 1 if u > y else -1
+        if moving:
+            y = u - direction * f_kinetic
+        found.append(y)
+    return found
+
+
+def _he(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
+    y, left = co[0] + start, -start
+    found = [y]
+    for before, u in pairwise(co):
+        push = left + u - before
+        if push > f_static or -push > f_static:
+            left = math.copysign(f_kinetic, push)
+            y += push - left
+        else:
+            left = push
+        found.append(y)
+    return found
+
+
+# The explanation of a record by a valve that sticks: which band, which jump, and which process behind it.
+#
+# The sum of squares has a valley in S that is narrower than 5 %, and many others. So bands, jumps and both valve models
+# are scanned with first-order dynamics on a grid first; the best few are refined with their process, scanned finely
+# round S, J and the place where the valve stood when the record began, and refined again with a second lag and loads.
+
+
+STICK_NODES = 45
+STICK_RANGE = (0.1, 1.2)
+"""Stick bands tried, as shares of the usual travel of co within a period."""
+JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
+"""Slip jumps tried, as shares of the stick band."""
+LAGS_PER_PERIOD = (0.02, 0.1, 0.4, 1.5, 20.0)
+THETAS_PER_PERIOD = (0.01, 0.06, 0.15, 0.3)
+"""Dynamics tried for every band, as shares of the period."""
+FINALISTS = 6
+"""Valves that are refined."""
+FINE = (0.85, 0.93, 0.97, 0.99, 1.01, 1.03, 1.07, 1.15)
+"""Factors of the fine scan."""
+STARTS = tuple(i / 10 for i in range(-10, 11))
+"""Places in the band tried for the beginning of the record."""
+POLISHED = 3
+"""Of the finalists, those that are scanned and refined until nothing helps."""
+ROUNDS = 8
+"""Rounds of fine scan and refinement at the most."""
+ENOUGH = 0.5
+"""A round must lower the criterion by this."""
+UNKNOWN_START = 0.6
+"""Periods after which a valve has slipped at least once, and where it stood first no longer matters."""
+MOST_ROWS = 500
+"""Rows of the coarse scan."""
+LEAST_TRAVEL = 0.05
+"""The usual travel of co counts as at least this share of its range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sticking:
+    """A stuck valve that explains a record, and the fit of the record with it."""
+
+    valve: StuckValve
+    fit: Candidate
+
+
+Node = tuple[float, float, Dynamics, FloatArray, FloatArray]
+Scanned = tuple[float, StuckValve, FloatArray]
+
+
+def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
+    """The best explanation with a stuck valve.
+
+    linear : the explanation without. period_s : of the oscillation, or a typical time of the record's movement.
+    """
+    record, sign = linear.fit.misfit.record, linear.fit.misfit.sign
+    ranked = sorted(_scanned(record, sign, period_s), key=lambda s: s[0])[:FINALISTS]
+    misfit = replace(linear.fit.misfit, type=ProcessType.FOPDT, loads=0, sigma=record.noise_std, ar=(), ramp=False,
+                     rounded=False, harmonics=0, most_order=WHITE)  # fmt: skip
+    firsts = [_with_lag(_fine(_refined(misfit, valve, x))) for _, valve, x in ranked]
+    closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
+    best = min((_settled(s) for s in closest), key=lambda s: s.fit.criterion)
+    return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
+
+
+def _settled(at: Sticking) -> Sticking:
+    """Fine scans and refinements in turn, until neither helps."""
+    for _ in range(ROUNDS):
+        after = _fine(at)
+        if after.fit.criterion >= at.fit.criterion - ENOUGH:
+            return _with_lag(at)
+        at = after
+    return _with_lag(at)
+
+
+def _scanned(record: Record, sign: int, period_s: float) -> list[Scanned]:
+    """Sum of squares, valve and x of first order, for everything on the grid."""
+    nodes = _nodes(record, period_s)
+    found = []
+    for valve in _grid(_travel(record, period_s)):
+        moved = valve.position(record.co)
+        if np.ptp(moved) > 0:
+            for left, gain, lag, theta in _through(record, moved - moved[0], nodes, period_s):
+                if gain * sign > 0:
+                    found.append((left, valve, np.log([abs(gain), theta, lag])))
+    if found:
+        return found
+    travel = _travel(record, period_s)
+    usual = np.log([record.pv_range / travel / period_s, nodes[0][1], nodes[0][0]])
+    return [(0.0, StuckValve(Family.KANO, STICK_RANGE[0] * travel, 0.0), usual)]
+
+
+def _grid(travel: float) -> Iterator[StuckValve]:
+    """Valves of both models."""
+    for stick in (np.geomspace(*STICK_RANGE, STICK_NODES) * travel).tolist():
+        for family, shares in JUMP_SHARES.items():
+            for share in shares:
+                yield StuckValve(family, stick, share * stick)
+
+
+def _travel(record: Record, period_s: float) -> float:
+    """Usual travel of co within a period."""
+    n = max(int(period_s / record.sample_time_s), 3)
+    pieces = [record.co[i : i + n] for i in range(0, max(len(record.co) - n, 1), n)]
+    return max(float(np.median([np.ptp(piece) for piece in pieces])), LEAST_TRAVEL * record.co_range)
+
+
+def _nodes(record: Record, period_s: float) -> list[Node]:
+    """Lag, dead time, dynamics, and the basis of bias, start and trend with pv free of it, on the thinned rows."""
+    keep = _rows(record, period_s)
+    t, pv = record.t_s[keep], record.pv[keep]
+    dt = record.sample_time_s
+    found = []
+    for lag in (max(share * period_s, dt) for share in LAGS_PER_PERIOD):
+        dynamics = Dynamics(0.0, 1 / lag)
+        start = dynamics.step(t - t[0] + dt)
+        q, _ = np.linalg.qr(np.stack([np.ones_like(t), start / start[-1], t / t[-1]], axis=1))
+        y = pv - q @ (q.T @ pv)
+        found += [(lag, max(share * period_s, dt / 2), dynamics, q, y) for share in THETAS_PER_PERIOD]
+    return found
+
+
+def _rows(record: Record, period_s: float) -> slice:
+    """The rows that the coarse scan looks at: thinned, and without the time in which the valve's start still tells."""
+    n = len(record.pv)
+    first = int(UNKNOWN_START * period_s / record.sample_time_s)
+    return slice(first if first < n // 3 else 0, None, -(-n // MOST_ROWS))
+
+
+def _through(
+    record: Record, moved: FloatArray, nodes: list[Node], period_s: float
+) -> Iterator[tuple[float, float, float, float]]:
+    """Sum of squares, slope gain, lag and dead time with the valve's position as input, for every node."""
+    keep = _rows(record, period_s)
+    for lag, theta, dynamics, q, y in nodes:
+        column = dynamics.held(record.clock, moved, theta)[keep]
+        c = column - q @ (q.T @ column)
+        size = float(c @ c)
+        gain = float(y @ c) / size if size > 0 else 0.0
+        yield float(y @ y) - gain**2 * size, gain, lag, theta
+
+
+def _moved(record: Record, valve: StuckValve) -> FloatArray:
+    """Position of the valve, counted from its first value."""
+    position = valve.position(record.co)
+    return np.asarray(position - position[0], dtype=np.float64)
+
+
+def _refined(misfit: Misfit, valve: StuckValve, x: FloatArray) -> Sticking:
+    """One valve with its process refined."""
+    return Sticking(valve, judged(refine(replace(misfit, co=_moved(misfit.record, valve)), x)))
+
+
+def _with_lag(at: Sticking) -> Sticking:
+    """The same with a second lag, where that pays."""
+    if at.fit.fit.misfit.type != ProcessType.FOPDT:
+        return at
+    richer = judged(with_second_lag(at.fit.fit, ProcessType.SOPDT, [], 1))
+    return replace(at, fit=richer) if richer.criterion < at.fit.criterion else at
+
+
+def _fine(at: Sticking) -> Sticking:
+    """Neighbouring bands, jumps and starts with the process held, then refined from the best of them."""
+    fit: Fit = at.fit.fit
+    best, cost = at.valve, _cost(fit.misfit, fit.p)
+    for around in (_starts, _bands, _jumps, _sticks):
+        for valve in around(best):
+            tried = _cost(replace(fit.misfit, co=_moved(fit.misfit.record, valve)), fit.p)
+            if tried < cost:
+                best, cost = valve, tried
+    if best is at.valve:
+        return at
+    return _refined(fit.misfit, best, fit.p)
+
+
+def _cost(misfit: Misfit, p: FloatArray) -> float:
+    """Sum of squares with lags and dead time held, and the gain, which another band changes, free as well."""
+    columns, _ = misfit.columns(p)
+    q, _ = np.linalg.qr(np.column_stack([columns, misfit.moved(p)]))
+    left = misfit.record.pv - q @ (q.T @ misfit.record.pv)
+    return float(left @ left)
+
+
+def _starts(valve: StuckValve) -> list[StuckValve]:
+    return [replace(valve, start=start) for start in STARTS if start != valve.start]
+
+
+def _bands(valve: StuckValve) -> list[StuckValve]:
+    return [replace(valve, stick=valve.stick * f, jump=valve.jump * f) for f in FINE]
+
+
+def _sticks(valve: StuckValve) -> list[StuckValve]:
+    most = 2.0 if valve.family == Family.KANO else 1.0
+    return [replace(valve, stick=valve.stick * f) for f in FINE if valve.jump <= most * valve.stick * f]
+
+
+def _jumps(valve: StuckValve) -> list[StuckValve]:
+    most = 2.0 if valve.family == Family.KANO else 1.0
+    return [replace(valve, jump=min(max(valve.jump, 0.05 * valve.stick) * f, most * valve.stick)) for f in FINE]

@@ -1,0 +1,211 @@
+"""Before a change: is the response a clear case, or must the whole diagnosis confirm that it is the tuning?
+
+    clear        a setpoint step excited a loop that was at rest, and the loop by itself explains the response with at
+                 most one load step; or the change makes a loop safer that is over its limit, a setpoint step is
+                 among what the model rests on, and this response swings and agrees with it, or the loop runs away at
+                 such a step, or it swings at its own crossover between the output's limits (limit_swing.py)
+    known        a clear case before this response already called for a change that its model proves (the rest of a
+                 limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away
+    not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
+                 stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
+                 load responses at the earliest. When it does not, nothing is learned from loads until there were twice
+                 as many.
+
+What an outside sinusoid or a valve does to a loop looks like a load response for the first cycles (measured: without
+this stage 6 of 10 loops with good gains were changed).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.oscillation_online import Standing, SwingSettings, is_recent, stretch
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.guard import Ruling
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.schedule.gains import PidGains
+
+SWING_PEAKS = 2
+"""Peaks that a swing shows at least."""
+TOWARDS_SAFETY = frozenset({Ruling.SAFER, Ruling.URGENT})
+"""Rulings of the guard that make a loop over its limit safer."""
+SWINGING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
+"""Causes of tuning by which a loop swings; by the other it is slow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """How many responses of each kind the model of a region rests on.
+
+    asked : of the load responses, how many there were when the diagnosis last did not name the tuning; 0 for never.
+    clear : of the setpoint responses, how many were clear (see is_clear). rival : the same of what contradicted it
+    last.
+    """
+
+    setpoints: int = 0
+    loads: int = 0
+    asked: int = 0
+    clear: int = 0
+    rival: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("setpoints", "loads", "asked", "clear", "rival"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
+
+    def with_response(self, response: Response, *, clear: bool = False) -> "Excitation":
+        """One more."""
+        setpoint = bool(response.sp_changed)
+        return replace(
+            self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint), clear=self.clear + clear
+        )
+
+    def of_rival(self) -> "Excitation":
+        """Of the model that contradicted this one, when it takes over."""
+        return Excitation(setpoints=self.rival, clear=self.rival)
+
+
+def is_clear(
+    samples: Sequence[LoopSample], response: Response, left: float, loads: int, settings: SwingSettings
+) -> bool:
+    """Whether a response needs no confirmation.
+
+    samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
+    that it needed.
+    """
+    explained = left <= settings.unexplained and loads <= settings.loads_beside
+    return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
+
+
+def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool, peaks: int) -> bool:
+    """Whether a change towards safety may be believed as it is.
+
+    agrees : this response agrees with what was known. excitation : what that rested on. calm : see calm_before; a step
+    on top of a swing that was there before it proves nothing. peaks : of this response; a swing has two at least.
+    """
+    return ruling in TOWARDS_SAFETY and agrees and excitation.setpoints > 0 and calm and peaks >= SWING_PEAKS
+
+
+def runs_away(samples: Sequence[LoopSample], response: Response, explained: float, settings: SwingSettings) -> bool:
+    """Whether a setpoint step was answered by a swing that grows, and the loop by itself explains it: no rest needed.
+
+    An unstable loop is never at rest, there is no time to wait for it, and its own swing looks like loads to a fit.
+    explained : share of pv's variance that the model explains.
+    """
+    growth = response.overshoot if response.damping is None else response.damping  # of two peaks, or of three
+    grows = bool(response.sp_changed) and growth is not None and growth > settings.grows
+    return grows and explained >= settings.growth_explained and calm_before(samples, response, settings)
+
+
+def calm_before(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
+    """Whether the error moved little before a response, against the swing in it (its last peak)."""
+    swing = abs(response.peaks[-1].e) if response.peaks else 0.0
+    before = _moved_before(samples, response, response.t_end_s - response.t_start_s)
+    return before <= max(settings.calm * swing, response.band)
+
+
+def _moved_before(samples: Sequence[LoopSample], response: Response, length_s: float) -> float:
+    """Largest error in so long a time before a response."""
+    since = response.t_start_s - length_s
+    return max((abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s), default=0.0)
+
+
+def on_top(
+    samples: Sequence[LoopSample], response: Response, standing: Standing | None, settings: SwingSettings
+) -> Diagnosis | None:
+    """A setpoint step on top of an oscillation that was explained, unless it is small against the step; else None."""
+    if standing is None or not response.sp_changed or not is_recent(response, standing, settings):
+        return None
+    step = max((abs(peak.e) for peak in response.peaks), default=0.0)
+    if _moved_before(samples, response, standing.period_s) <= max(settings.beneath * step, response.band):
+        return None
+    reason = f"the setpoint step came on top of an oscillation of {standing.period_s:.3g} s: {standing.reason}"
+    return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, reason)
+
+
+def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
+    """Whether the error kept to its noise band before a response, for as long as the response took or as is known."""
+    since = response.t_start_s - (response.t_end_s - response.t_start_s)
+    before = [s for s in samples if since <= s.t_s < response.t_start_s]
+    outside = sum(1 for s in before if abs(s.sp - s.pv) > response.band)
+    return outside <= settings.restless * len(before)
+
+
+def thinned(response: Response, excitation: Excitation, settings: SwingSettings) -> Diagnosis | None:
+    """Why a load response need not be looked at: the diagnosis did not name the tuning a short while ago."""
+    due = settings.again * excitation.asked
+    if response.sp_changed or excitation.loads + 1 >= due:
+        return None
+    reason = (
+        f"the diagnosis after {excitation.asked} load responses did not name the tuning; it is asked again after "
+        f"{due:.0f}, or at a setpoint step"
+    )
+    return _unknown(reason, excitation)
+
+
+def unconfirmed(
+    samples: Sequence[LoopSample],
+    response: Response,
+    gains: PidGains,
+    excitation: Excitation,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+    wanted: Cause | None = None,
+) -> tuple[Diagnosis | None, Excitation]:
+    """Why a case that is not clear may not change gains, None when the whole diagnosis names the tuning; what is known.
+
+    samples : kept, the newest last. gains : in force. excitation : this response included. wanted : cause for which
+    they would be changed, None where no model named one.
+    """
+    if not excitation.setpoints and excitation.loads < swing.fewest_loads:
+        reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
+        return _unknown(reason, excitation), excitation
+    peak = max((abs(p.e) for p in response.peaks), default=0.0)
+    if not excitation.setpoints and peak < swing.load_bands * response.band:
+        reason = (
+            f"a load response of {peak / response.band:.1f} noise bands is too small to change gains by; "
+            f"{swing.load_bands:g} are needed, or a setpoint step"
+        )
+        return _unknown(reason, excitation), excitation
+    length_s = response.t_end_s - response.t_start_s
+    seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
+    found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
+    if found.retune and _other_way(found.cause, wanted):
+        reason = f"the model of this region says {wanted}, and the stretch by itself {found.cause}: {found.reason}"
+        found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
+    return (None, excitation) if found.retune else (found, replace(excitation, asked=excitation.loads))
+
+
+def _other_way(found: Cause, wanted: Cause | None) -> bool:
+    """Whether two causes of tuning ask for opposite changes."""
+    return wanted is not None and (found in SWINGING) != (wanted in SWINGING)
+
+
+def from_rest(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:
+    """Without the motion with which a stretch begins: its cause lies before it, so nothing in it explains the motion.
+
+    samples : a stretch that holds the response. When the loop never was at rest before the response, all since the
+    last motion that dwarfs it.
+    """
+    needed_s = settings.rest * (response.t_end_s - response.t_start_s)
+    most = settings.dwarfs * max((abs(peak.e) for peak in response.peaks), default=math.inf)
+    since = dwarfed = 0
+    for i, sample in enumerate(samples):
+        if sample.t_s >= response.t_start_s:
+            break
+        if abs(sample.sp - sample.pv) > most:
+            dwarfed = i + 1
+        if abs(sample.sp - sample.pv) > response.band:
+            since = i + 1
+        elif sample.t_s - samples[since].t_s >= needed_s:
+            return samples[since:]
+    return samples[dwarfed:]
+
+
+def _unknown(reason: str, excitation: Excitation) -> Diagnosis:
+    """The diagnosis of too little."""
+    evidence = {"setpoint_responses": float(excitation.setpoints), "load_responses": float(excitation.loads)}
+    return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)

@@ -1,0 +1,67 @@
+"""Settings of diagnosis."""
+
+from dataclasses import dataclass, field
+
+from retuner.adaptive.diagnosis.cause import CauseSettings
+from retuner.adaptive.diagnosis.rival_fits import WHITE
+from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.identification.robust_simc import RobustSettings
+from retuner.adaptive.identification.structure_choice import ChoiceSettings
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisSettings:
+    """Settings.
+
+    saturated_share : share of samples at a limit of co from which saturation is the cause; 0.1 to 0.8, default 0.25.
+    least_lead : by how much the criterion of an external tone or a stuck valve must be the smaller one;
+        5 to 100, default 20 (odds of e^10). lead_per_sample : and by so much per sample; default 0.02.
+    tone_explains : a tone that leaves no more than this many times the noise has explained the record, and a valve
+        must do better; 1.05 to 1.5, default 1.15 (no limit cycle is as regular).
+    stuck_handicap : where it leaves more, a valve may leave so many times as much: its band differs from stop to stop,
+        and the scan may miss it; 1 to 2.5, default 1.6.
+    stuck_handicap_triangle : the same where the half waves of co are triangles, which only what moves in jumps makes
+        of them; 1 to 5, default 3.
+    jump_share : share of pv's travel in its largest jumps beyond co's, from which an irregular valve is told where no
+        single band explains the record; 0.02 to 0.3, default 0.04 (real flow loops 0.05 to 0.21, levels below 0.02).
+    stuck_helps : a valve must leave less than this share of what the loop by itself leaves; 0.5 to 1, default 0.87.
+    rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
+    oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
+        rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
+    explained : a change of gains needs a remainder within this many times the noise; 1.1 to 3, default 1.5.
+    explained_steps : the same where several setpoint steps agree; 1.5 to 10, default 3.
+    tone_as_good : a change of gains needs that a tone leaves no less than this share of what the loop by itself
+        leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
+        tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 30 (odds of e^15 against it:
+        the eleven parameters of a tone leave 2 % less of any record).
+    many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
+        many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
+    spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
+        identification alone would not give settings; 0.2 to 1, default 0.5.
+    majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
+    """
+
+    saturated_share: float = 0.25
+    least_lead: float = 20.0
+    lead_per_sample: float = 0.02
+    tone_explains: float = 1.15
+    stuck_handicap: float = 1.6
+    stuck_handicap_triangle: float = 3.0
+    jump_share: float = 0.04
+    stuck_helps: float = 0.87
+    rival_explains: float = 2.0
+    oscillating_residual: float = 1.12
+    explained: float = 1.5
+    explained_steps: float = 3.0
+    tone_as_good: float = 0.95
+    tone_as_good_loads: float = 0.98
+    tone_odds: float = 30.0
+    many_loads: int = 5
+    many_loads_beside: int = 4
+    spread_limit: float = 0.5
+    majority: float = 0.75
+    fit: FitSettings = field(
+        default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=1000)
+    )
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.75, weak=4.0))
+    robust: RobustSettings = field(default_factory=RobustSettings)

@@ -1,0 +1,135 @@
+"""A swing that the output's limits hold up: an unstable loop in a limit cycle, not a disturbance from outside.
+
+A linear loop that is unstable swings ever wider until the output reaches a limit. The limit is a gain that falls with
+the amplitude and turns no phase, so the cycle settles where the phase of L is -180 degrees (describing function of a
+saturation, Gelb & Vander Velde 1968, section 2.3):
+
+    co touches a limit in every cycle,   gain margin < 1,   period = 2 pi / w180
+
+A tone from outside has no reason to lie at w180. To the fits the two look alike: both are regular.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
+from retuner.adaptive.loop.margins import margins
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.signals.response import Ending, Response
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
+from retuner.adaptive.trial.response_numbers import peaks_of, swing
+from retuner.schedule.gains import PidGains
+
+MOST_HALVINGS = 8
+"""Halvings of the gain that are tried for a stable loop."""
+FOREIGN_SWINGS = frozenset({Cause.EXTERNAL, Cause.SATURATION, Cause.UNKNOWN})
+"""Verdicts on a swing that do not count when it is held up by the output's limits; a stuck valve does."""
+
+
+@dataclass(frozen=True, slots=True)
+class LimitSwingSettings:
+    """Settings.
+
+    cycles : cycles of the swing that are looked at; 1 to 5, default 2.
+    touched : share of them in which co stood at a limit; 0.5 to 1, default 1.
+    gm_most : gain margin up to which the loop may be the cause; 0.8 to 1.5, default 1.2 (the model is not exact).
+    off_crossover : |ln| of the period over 2 pi / w180 up to which the two agree; 0.05 to 0.5, default 0.25.
+    """
+
+    cycles: int = 2
+    touched: float = 1.0
+    gm_most: float = 1.2
+    off_crossover: float = 0.25
+
+
+def touches_limits(samples: Sequence[LoopSample], response: Response, settings: LimitSwingSettings) -> bool:
+    """Whether the output reached a limit in every cycle of a swing. samples : kept, the newest last."""
+    period_s = response.period_s
+    if period_s is None:
+        return False
+    end_s = samples[-1].t_s
+    touched = [False] * settings.cycles
+    for sample in reversed(samples):
+        cycle = int((end_s - sample.t_s) / period_s)
+        if cycle >= settings.cycles:
+            break
+        touched[cycle] = touched[cycle] or bool(sample.limited)
+    return sum(touched) >= settings.touched * settings.cycles
+
+
+def at_own_crossover(response: Response, model: ProcessModel, gains: PidGains, settings: LimitSwingSettings) -> bool:
+    """Whether a swing is the one that the loop would make by itself: no gain margin, and the period of w180.
+
+    model : the process, sampling included. gains : in force.
+    """
+    gm, w180 = _crossover(model, gains)
+    if response.period_s is None or not gm <= settings.gm_most or not math.isfinite(w180):
+        return False
+    return abs(math.log(response.period_s * w180 / (2 * math.pi))) <= settings.off_crossover
+
+
+def _crossover(model: ProcessModel, gains: PidGains) -> tuple[float, float]:
+    """Gain margin (below 1 for an unstable loop) and w180, read where less gain makes the loop stable."""
+    for halvings in range(MOST_HALVINGS):
+        share = 0.5**halvings
+        found = margins(model.linear(), PidGains(gains.kp * share, gains.ki * share, gains.kd * share))
+        if found.stable:
+            return found.gm * share, found.w180
+    return 0.0, math.inf
+
+
+# Does a response show the swing that a model says the loop has, and none that it does not have?
+#
+# A loop that came to rest is not unstable, and one that swings is not sluggish.
+#
+#     e1, e2, e3    peaks of the model's response under the gains in force, in units of the first
+#     refuted       the error came to rest, and no third peak was seen that should have stood out of the noise
+#                   three peaks were seen, and the last is far smaller than the model's
+#     not sluggish  successive peaks in a ratio of more than `sluggish_decay` (trial/shape.py)
+#
+# An upset of unknown shape on top of a step is fitted best by a process that all but swings: with two loads beside it,
+# such a process explains any response to the noise. What it says of the loop itself can be looked at.
+
+
+THIRD = 3
+"""Peaks that tell a swing."""
+
+
+def not_seen(
+    response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float, settings: SwingSettings
+) -> str:
+    """Why a response refutes a model that says the loop swings, empty when it does not.
+
+    Parameters
+    ----------
+    model : of the process, with the dead time of sampling. in_force : gains of the response. b, tau_f_s : weight of the
+        setpoint and filter of the derivative, s.
+    """
+    seen = [abs(peak.e) for peak in response.peaks]
+    upset = Upset(setpoint=1.0) if response.sp_changed else Upset(load_step=1.0)
+    said = [abs(e) for e in peaks_of(traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0].e)]
+    if not seen or len(said) < THIRD or not said[0]:
+        return ""
+    third = said[2] / said[0] * seen[0]
+    least = settings.unseen_bands * response.band
+    if len(seen) < THIRD:
+        missing = response.ending == Ending.QUIET and third > least
+        return f"{_says(third)}, and the error came to rest after {len(seen)}" if missing else ""
+    if seen[2] + least > settings.shown * third:
+        return ""
+    return f"{_says(third)}, and it was {seen[2]:.3g}"
+
+
+def swings_anyway(response: Response, settings: SwingSettings) -> str:
+    """Why a response is not that of a sluggish loop, empty when it may be."""
+    decay = swing([peak.e for peak in response.peaks], response.band)[2]
+    if decay <= settings.sluggish_decay:
+        return ""
+    return f"by the model that fits, the loop is sluggish, and its successive peaks are in the ratio {decay:.2f}"
+
+
+def _says(third: float) -> str:
+    return f"by the model that fits, the loop swings: the third peak would be {third:.3g}"

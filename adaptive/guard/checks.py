@@ -1,0 +1,176 @@
+"""What is asked of every change, each with value, limit and answer.
+
+What exceeds its limit already may stay there or come nearer; the words of such a check say that it passed on these
+terms, and what is in force.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from retuner.adaptive.guard.request import ChangeRequest
+from retuner.adaptive.guard.ruling import Check, Ruling, text
+from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
+from retuner.schedule.gains import PidGains
+
+ROUNDING = 1e-9
+"""A factor that meets its limit may exceed it by rounding."""
+
+
+def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bool = False) -> list[Check]:
+    """Count, age, innovation, and whether they settle the process; nothing for a proposal by the pattern alone.
+
+    less : the change is less of everything for a loop over its limit, which needs no evidence.
+    """
+    if not request.models:
+        return []
+    e, s = request.evidence, settings
+    source = "records behind the model" + (" of the neighbouring region" if e.borrowed else "")
+    found = (
+        Check("records", source, float(e.records), float(s.records_min), e.records >= s.records_min),
+        Check("age", "age of the last record, s", e.age_s, s.age_max_s, e.age_s <= s.age_max_s),
+        Check("innovation", "innovation of the last record", e.innovation, e.gate, e.innovation <= e.gate),
+        Check("settled", "the process known well enough for settings, 1 for yes", float(e.settled), 1.0, e.settled),
+    )
+    return [_on_terms(check, less, "or only less of everything") for check in found]
+
+
+def _on_terms(check: Check, met: bool, terms: str) -> Check:
+    """The check, passed on other terms where these are met."""
+    if check.passed or not met:
+        return check
+    return replace(check, passed=True, words=f"{check.words} ({terms})")
+
+
+def no_worse(check: Check, in_force: float, terms: str = "no farther than") -> Check:
+    """The check of a largest value, which passes where the value in force is as large."""
+    met = check.value <= in_force * (1 + ROUNDING)
+    return _on_terms(check, met, f"{terms} in force, {text(check.name, in_force)}")
+
+
+def no_less(check: Check, in_force: float) -> Check:
+    """The check of a least value, which passes where the value in force is as small."""
+    met = check.value * (1 + ROUNDING) >= in_force
+    return _on_terms(check, met, f"no farther than in force, {text(check.name, in_force)}")
+
+
+def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, dict[str, float]] | None:
+    """The first of them that failed, as a ruling."""
+    rulings = {"records": (Ruling.TOO_FEW_RECORDS, "records"), "age": (Ruling.TOO_OLD, "age_s"),
+               "innovation": (Ruling.CONTRADICTED, "innovation"),
+               "settled": (Ruling.NOT_SETTLED, "settled")}  # fmt: skip
+    for check in evidence_checks(request, settings):
+        if not check.passed:
+            ruling, name = rulings[check.name]
+            return ruling, {name: check.value, "limit": check.limit}
+    return None
+
+
+def limit_checks(
+    request: ChangeRequest, gains: PidGains, settings: GuardSettings, *, over_limit: bool = False,
+    urgent: bool = False, factor: float | None = None,
+) -> list[Check]:  # fmt: skip
+    """Size of the step, ratio to the commissioned set, absolute limits, sampling time.
+
+    over_limit : the loop in force is over its Ms limit: the commissioned set does not hold it up from below.
+    urgent : no limit per change towards less action, nor on tau_I. factor : one limit per change for all, in place of
+        the settings'.
+    """
+    return [
+        *_steps(request.in_force, gains, settings, urgent, factor),
+        *_totals(request, gains, settings, over_limit),
+        *_absolute(request, gains, settings),
+    ]
+
+
+def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor: float | None) -> list[Check]:
+    """One change."""
+    found = []
+    before, after = logs(old), logs(new)
+    for parameter in Parameter:
+        if parameter not in before or parameter not in after:
+            continue
+        way = after[parameter] - before[parameter]
+        more = (way > 0) == MORE_WHEN_LARGER[parameter]
+        limit = step_limit(parameter, more=more, settings=s) if factor is None else factor
+        limit = math.inf if urgent and (not more or parameter is Parameter.TAU_I) else limit
+        value = math.exp(abs(way))
+        words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} action"
+        found.append(Check(f"step_{parameter.name.lower()}", words, value, limit, value <= limit * (1 + ROUNDING)))
+    return found
+
+
+def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit: bool) -> list[Check]:
+    """Against the commissioned set."""
+    found = []
+    before, now, after = logs(request.commissioned), logs(request.in_force), logs(new)
+    floor = min(s.tau_i_samples * request.sample_time_s, math.exp(now.get(Parameter.TAU_I, math.inf)))
+    absolute = {Parameter.KC: (s.kc_min, s.kc_max), Parameter.TAU_I: (max(s.tau_i_min_s, floor), s.tau_i_max_s),
+                Parameter.TAU_D: (0.0, s.tau_d_max_s)}  # fmt: skip
+    for parameter, (least, most) in absolute.items():
+        if parameter in before and parameter in after:
+            way, start = after[parameter] - before[parameter], math.exp(before[parameter])
+            less = (way > 0) != MORE_WHEN_LARGER[parameter]
+            value, limit = math.exp(abs(way)), math.inf if over_limit and less else s.total_ratio_max
+            forced = least / start if way > 0 else start / most
+            words = f"factor of {parameter} against the commissioned set"
+            name, limit = f"total_{parameter.name.lower()}", max(limit, forced)
+            check = Check(name, words, value, limit, value <= limit * (1 + ROUNDING))
+            gone = now.get(parameter, before[parameter]) - before[parameter]
+            found.append(no_worse(check, math.exp(math.copysign(1.0, way) * gone)))
+    return found
+
+
+def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> list[Check]:
+    """Limits that somebody set, and the sampling time."""
+    old, found = request.in_force, []
+    if s.kc_min > 0:
+        found.append(_least("kc_min", "kc, not less than kc_min", abs(new.kp), s.kc_min, abs(old.kp)))
+    if s.kc_max < math.inf:
+        found.append(_most("kc_max", "kc, not more than kc_max", abs(new.kp), s.kc_max, abs(old.kp)))
+    if new.kp and new.ki:
+        tau_i, now = new.kp / new.ki, old.kp / old.ki if old.kp and old.ki else math.nan
+        least = max(s.tau_i_min_s, s.tau_i_samples * request.sample_time_s)
+        found.append(_least("tau_i_min", "tau_I, s, not shorter than its limit", tau_i, least, now))
+        if s.tau_i_max_s < math.inf:
+            found.append(_most("tau_i_max", "tau_I, s, not longer than its limit", tau_i, s.tau_i_max_s, now))
+    if new.kp and new.kd:
+        tau_d, now = new.kd / new.kp, old.kd / old.kp if old.kp and old.kd else math.nan
+        least = s.tau_d_samples * request.sample_time_s
+        found.append(_least("tau_d_min", "tau_D, s, not shorter than its limit", tau_d, least, now))
+        if s.tau_d_max_s < math.inf:
+            found.append(_most("tau_d_max", "tau_D, s, not longer than its limit", tau_d, s.tau_d_max_s, now))
+    return found
+
+
+def _most(name: str, words: str, value: float, limit: float, in_force: float) -> Check:
+    """A largest value; in_force : NaN where there is none."""
+    return no_worse(Check(name, words, value, limit, value <= limit * (1 + ROUNDING)), in_force)
+
+
+def _least(name: str, words: str, value: float, limit: float, in_force: float) -> Check:
+    """A least value; in_force : NaN where there is none."""
+    return no_less(Check(name, words, value, limit, value * (1 + ROUNDING) >= limit), in_force)
+
+
+def robustness_checks(ms: tuple[float, float], in_force: tuple[float, float], settings: GuardSettings) -> list[Check]:
+    """Ms on the process and on the worst model, each of the new gains and of those in force."""
+    asked = (("ms_nominal", "Ms on the process", settings.ms_nominal),
+             ("ms_worst", "Ms on the worst model that the records allow", settings.ms_worst))  # fmt: skip
+    return [no_worse(Check(name, words, now, limit, now <= limit), before, "no worse than")
+            for (name, words, limit), now, before in zip(asked, ms, in_force, strict=True)]  # fmt: skip
+
+
+def failed_checks(ruling: Ruling, numbers: dict[str, float]) -> Iterator[Check]:
+    """What was asked of the gentlest candidate and failed."""
+    if ruling == Ruling.NOT_ROBUST:
+        for name, words, value, limit in (
+            ("ms_nominal", "Ms on the process, at the gentlest step", "ms_tried", "ms_limit"),
+            ("ms_worst", "Ms on the worst model, at the gentlest step", "ms_tried_worst", "ms_worst_limit"),
+        ):
+            yield Check(name, words, numbers[value], numbers[limit], numbers[value] <= numbers[limit])
+    elif ruling == Ruling.NOT_ROBUST_AT_BORDER:
+        yield Check("ms_border", "Ms towards a neighbouring region", numbers["ms_tried"], numbers["ms_limit"], False)
+    elif {"wanted", "limit"} <= numbers.keys():
+        yield Check("limit", "what was wanted against its limit", numbers["wanted"], numbers["limit"], False)

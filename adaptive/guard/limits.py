@@ -1,0 +1,205 @@
+"""A goal cut to what the limits leave: locks, absolute limits, the commissioned set, the sampling time.
+
+Only the parameter that exceeds its limit is cut. A cut kc or tau_I changes the integral action kc/tau_I unless the
+other one goes with it; which of the two is better depends on the process (an integral that must stay on a
+delay-dominant one, a gain that must stay on an integrating one), so both are goals, and the proof decides. A limit that
+would push a parameter, or the integral action, the other way than was wanted leaves no room: that goal is refused.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+from retuner.adaptive.guard.request import ChangeRequest
+from retuner.adaptive.guard.ruling import Ruling, text
+from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.guard.step_size import change_factor
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """Gains to go to. wanted : before they were cut, locks apart.
+
+    notes : what was cut. cut_by, numbers : the first limit that cut it. no_room : that limit turned it back.
+    """
+
+    gains: PidGains
+    wanted: PidGains
+    tau_c_s: float
+    notes: tuple[str, ...] = ()
+    cut_by: Ruling | None = None
+    numbers: dict[str, float] = field(default_factory=dict)
+    no_room: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A limit of a parameter: value, what it comes from, and the ruling when it leaves no room (None: never)."""
+
+    value: float
+    name: str
+    ruling: Ruling | None
+
+
+def goals(
+    wanted: PidGains, tau_c_s: float, request: ChangeRequest, settings: GuardSettings, *, over_limit: bool
+) -> list[Goal]:
+    """The wanted gains within the limits: one goal, or two where kc or tau_I was cut.
+
+    over_limit : the loop in force is over its Ms limit, so that the commissioned set does not hold it up from below.
+    """
+    unlocked = _locked(wanted, request)
+    if unlocked.kp == 0.0 or wanted.kp == 0.0:
+        return [Goal(unlocked, unlocked, tau_c_s)]
+    limits = _Limits(request, settings, over_limit)
+    kc, tau_i = abs(unlocked.kp), unlocked.kp / unlocked.ki if unlocked.ki else math.inf
+    tau_d = unlocked.kd / unlocked.kp
+    locks = request.locks
+    kc_cut, kc_by = _cut(kc, *limits.kc()) if not locks.kc else (kc, None)
+    tau_i_cut, tau_i_by = _cut(tau_i, *limits.tau_i()) if unlocked.ki and not locks.tau_i else (tau_i, None)
+    tau_d_cut, tau_d_by = limits.cut_tau_d(tau_d)
+    cuts = [("kc", kc, kc_cut, kc_by), ("tau_I", tau_i, tau_i_cut, tau_i_by), ("tau_D", tau_d, tau_d_cut, tau_d_by)]
+    notes = tuple(_note(name, was, now, by) for name, was, now, by in cuts if by is not None)
+    turned, cut_by, numbers = _limiting(cuts, request)
+    made = _made(wanted.direction, kc_cut, tau_i_cut, tau_d_cut)
+    first = Goal(made, unlocked, tau_c_s, notes, cut_by, numbers, turned)
+    found = [first]
+    if turned:
+        return found
+    if tau_i_by is not None and not locks.kc:
+        kept, _ = _cut(kc * tau_i_cut / tau_i, *limits.kc())
+        made = _made(wanted.direction, kept, tau_i_cut, tau_d_cut)
+        second = replace(first, gains=made, notes=(*notes, "kc moved with tau_I"))
+        found = [second, first] if tau_i_by.ruling is None else [first, second]
+    elif kc_cut < kc and unlocked.ki and not locks.tau_i:
+        shorter, _ = _cut(tau_i * kc_cut / kc, *limits.tau_i())
+        made = _made(wanted.direction, kc_cut, shorter, tau_d_cut)
+        found.append(replace(first, gains=made, notes=(*notes, "tau_I moved with kc")))
+    return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
+
+
+def _integral_turned(goal: Goal, in_force: PidGains) -> Goal:
+    """No room for a goal whose cuts leave less integral action where more was wanted, or the other way round."""
+    wanted, left, now = (abs(gains.ki) for gains in (goal.wanted, goal.gains, in_force))
+    if goal.cut_by is None or not (wanted and left and now) or (wanted > now) == (left > now):
+        return goal
+    return replace(goal, no_room=goal.no_room or abs(math.log(left / now)) > SLACK)
+
+
+class _Limits:
+    """Lower and upper bounds of the parameters for one request."""
+
+    def __init__(self, request: ChangeRequest, settings: GuardSettings, over_limit: bool) -> None:
+        self._request, self._settings, self._over = request, settings, over_limit
+
+    def kc(self) -> tuple[Bound, Bound]:
+        s, start, now = self._settings, abs(self._request.commissioned.kp), abs(self._request.in_force.kp)
+        low = Bound(s.kc_min, "kc_min", Ruling.OUTSIDE_LIMITS)
+        high = Bound(s.kc_max, "kc_max", Ruling.OUTSIDE_LIMITS)
+        return self._with_total(low, high, (start, now), down=not self._over, up=True)
+
+    def tau_i(self) -> tuple[Bound, Bound]:
+        s = self._settings
+        start, now = (g.kp / g.ki if g.ki else 0.0 for g in (self._request.commissioned, self._request.in_force))
+        floor = min(s.tau_i_samples * self._request.sample_time_s, now or math.inf)
+        low = Bound(s.tau_i_min_s, "tau_i_min", Ruling.OUTSIDE_LIMITS)
+        if floor > low.value:
+            low = Bound(floor, "the sampling time", None)
+        high = Bound(s.tau_i_max_s, "tau_i_max", Ruling.OUTSIDE_LIMITS)
+        return self._with_total(low, high, (start, now), down=True, up=not self._over)
+
+    def cut_tau_d(self, tau_d: float) -> tuple[float, Bound | None]:
+        """A derivative shorter than its least share of the sampling time is left out."""
+        s = self._settings
+        if self._request.locks.tau_d or tau_d == 0.0:
+            return tau_d, None
+        least = s.tau_d_samples * self._request.sample_time_s
+        start, now = (g.kd / g.kp if g.kp else 0.0 for g in (self._request.commissioned, self._request.in_force))
+        high = Bound(s.tau_d_max_s, "tau_d_max", Ruling.OUTSIDE_LIMITS)
+        low = Bound(0.0, "nothing", None)
+        found, by = _cut(tau_d, *self._with_total(low, high, (start, now), down=not self._over, up=True))
+        return (0.0, by or Bound(least, "the sampling time", None)) if found < least else (found, by)
+
+    def _with_total(
+        self, low: Bound, high: Bound, values: tuple[float, float], *, down: bool, up: bool
+    ) -> tuple[Bound, Bound]:
+        """Narrowed by the ratio to the commissioned value, as far as the absolute limits leave room for that.
+
+        values : commissioned and in force. What is in force beyond the ratio may stay there, but go no farther.
+        """
+        start, now = values
+        ratio, name = self._settings.total_ratio_max, "the commissioned set"
+        most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
+        if start and up and most < high.value:
+            high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)
+        if start and down and low.value < least:
+            low = Bound(min(least, high.value), name, Ruling.OUTSIDE_TOTAL)
+        return low, high
+
+
+def _locked(wanted: PidGains, request: ChangeRequest) -> PidGains:
+    """The wanted gains with locked parameters as they are in force."""
+    locks, old = request.locks, request.in_force
+    if not (locks.kc or locks.tau_i or locks.tau_d):
+        return wanted
+    if 0.0 in {old.kp, wanted.kp}:  # without a proportional gain there are no times to hold
+        return old if locks.kc or locks.tau_i else PidGains(wanted.kp, wanted.ki, old.kd)
+    kc = old.kp if locks.kc else wanted.kp
+    per_tau_i = old.ki / old.kp if locks.tau_i else wanted.ki / wanted.kp
+    tau_d = old.kd / old.kp if locks.tau_d else wanted.kd / wanted.kp
+    return PidGains(kc, kc * per_tau_i, kc * tau_d)
+
+
+def without_short_derivative(gains: PidGains, request: ChangeRequest, settings: GuardSettings) -> PidGains:
+    """Gains on the way to a goal, without a derivative that is too short for the sampling time there."""
+    if request.locks.tau_d or not gains.kp or not gains.kd:
+        return gains
+    least = settings.tau_d_samples * request.sample_time_s * (1 - TOLERANCE)
+    return gains if gains.kd / gains.kp >= least else PidGains(gains.kp, gains.ki)
+
+
+def _cut(value: float, low: Bound, high: Bound) -> tuple[float, Bound | None]:
+    """The value within its bounds, and the bound that cut it."""
+    if value > high.value:
+        return high.value, high
+    return (low.value, low) if value < low.value else (value, None)
+
+
+def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
+    """Parallel gains."""
+    return PidGains(direction * kc, direction * kc / tau_i, direction * kc * tau_d)
+
+
+def _note(name: str, was: float, now: float, by: Bound) -> str:
+    """What was cut, in words."""
+    return f"{name} cut from {text(name, was)} to {text(name, now)} by {by.name}"
+
+
+def _limiting(
+    cuts: list[tuple[str, float, float, Bound | None]], request: ChangeRequest
+) -> tuple[bool, Ruling | None, dict[str, float]]:
+    """The bound that pushes a parameter away from where it was to go, or else the first that cuts one; and which."""
+    old = request.in_force
+    now = {"kc": abs(old.kp), "tau_I": old.kp / old.ki if old.kp and old.ki else 0.0,
+           "tau_D": old.kd / old.kp if old.kp else 0.0}  # fmt: skip
+    first: tuple[bool, Ruling | None, dict[str, float]] = (False, None, {})
+    for name, wanted, cut, by in cuts:
+        if by is None or by.ruling is None:
+            continue
+        start, numbers = now[name], {"wanted": wanted, "limit": by.value}
+        turned = start > 0 and (wanted > start) != (cut > start)
+        if turned and (not cut or abs(math.log(cut / start)) > SLACK):
+            return True, by.ruling, numbers
+        first = first if first[1] else (False, by.ruling, numbers)
+    return first
+
+
+TOLERANCE = 1e-9
+"""Rounding of a derivative that is as short as it may be."""
+SLACK = math.log(1.001)
+"""A limit that the parameter in force exceeds by no more than rounding on the controller's side is not exceeded."""
+
+
+def nothing_left(goal: Goal, in_force: PidGains) -> bool:
+    """Whether what is left of the goal is what is in force already."""
+    return change_factor(in_force, goal.gains) < math.exp(SLACK)

@@ -1,0 +1,106 @@
+"""A fit with what it leaves and its criterion, and the list of all that were tried."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.identification.misfit import Colour, colour, criterion
+from retuner.adaptive.identification.refine import EXACT, Fit, Prior, refine
+from retuner.adaptive.identification.structure import SIZE
+from retuner.adaptive.process.model import ProcessType
+
+MODEL_ERROR = 0.005
+"""What a second-order model leaves of a real response (order, nonlinearity): rms as a share of pv's range."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A fit with the colour of what it leaves and its criterion (smaller is better)."""
+
+    fit: Fit
+    colour: Colour
+    criterion: float
+
+    @property
+    def whitened(self) -> bool:
+        """Whether it was fitted with the filter that its remainder asks for."""
+        return self.fit.misfit.ar == self.colour.ar
+
+
+def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
+    """What a fit leaves, and its criterion; a prior's share of the misfit belongs to it."""
+    record = fit.misfit.record
+    left = colour(record.pv - fit.at.explained, record.resolution, fit.misfit.most_order)
+    known = 0.0 if prior is None else float(np.sum(prior.residuals(fit.x) ** 2))
+    return Candidate(
+        fit, left, criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range) + known
+    )
+
+
+class Seen:
+    """All candidates that were tried."""
+
+    def __init__(self, rivals: list[Candidate]) -> None:
+        self._all = list(rivals)
+
+    def add(self, candidate: Candidate) -> None:
+        """Take note of one."""
+        self._all.append(candidate)
+
+    def best(self, type_: ProcessType | None = None, sign: int | None = None) -> Candidate:
+        """The best, of a structure and sign if given."""
+        return min(
+            (c for c in self._all if type_ in {None, c.fit.misfit.type} and sign in {None, c.fit.misfit.sign}),
+            key=lambda c: c.criterion,
+        )
+
+    def ranked(self, close: float) -> list[Candidate]:
+        """The best of every structure in order, then all others within `close` of the winner."""
+        order = sorted(self._all, key=lambda c: c.criterion)
+        firsts, others = [], []
+        types: set[ProcessType] = set()
+        for c in order:
+            if c.fit.misfit.sign == order[0].fit.misfit.sign and c.fit.misfit.type not in types:
+                types.add(c.fit.misfit.type)
+                firsts.append(c)
+            elif c.criterion < order[0].criterion + close:
+                others.append(c)
+        return [*firsts, *others]
+
+
+# A fit repeated with what is known already as a prior: the iterated extended Kalman update (Bell & Cathey 1993).
+#
+#     minimise  |r(p)|^2 + |root x - target|^2
+#
+# The configuration (loads, drift, whitening) is that of the record's own fit. With the prior in it from the beginning,
+# a record of another process would have its misfit whitened away instead of being found odd.
+
+
+Priors = Mapping[ProcessType, Prior]
+
+
+def with_priors(
+    found: list[Candidate], priors: Priors, inflation: Callable[[Fit], float] | None = None
+) -> list[Candidate]:
+    """The candidates of structures with a prior, refitted with it, best first.
+
+    inflation : factor by which a fit's residuals count for less than their number (correlated, or unexplained): what a
+        structure does not explain must not outvote what is known.
+    """
+    return sorted(
+        (
+            with_prior(c, priors[c.fit.misfit.type], 1.0 if inflation is None else inflation(c.fit))
+            for c in found
+            if c.fit.misfit.type in priors
+        ),
+        key=lambda c: c.criterion,
+    )
+
+
+def with_prior(alone: Candidate, prior: Prior, inflation: float = 1.0) -> Candidate:
+    """One fit, started from its own optimum and from the prior's."""
+    misfit, p = replace(alone.fit.misfit, sigma=alone.fit.misfit.sigma * inflation), alone.fit.p
+    starts = (p, np.concatenate([prior.mean, p[SIZE[misfit.type] :]]))
+    fits = [refine(misfit, start, prior, enough=EXACT) for start in starts]
+    return judged(min(fits, key=lambda fit: fit.deviance), prior)

@@ -1,0 +1,173 @@
+"""Exact responses of the one family of processes that every fit works with.
+
+    G(s) = k' e^(-theta s) / (c2 s^2 + s + c0),    k' the slope gain, T = 1/c0 the sum of the lags, c2 = tau1 tau2 / T
+
+first order (c2 = 0), second order with real or complex poles, integrating (c0 = 0) and integrating with lag are all in
+it, so that one fit can go from one to the other without a jump. In partial fractions, with D = 1 - 4 c2 c0,
+
+    1/(c2 s^2 + s + c0) = (1/(s + s1) - 1/(s + s2)) / sqrt(D),  s1 = 2 c0/(1 + sqrt D),  s2 = (1 + sqrt D)/(2 c2)
+
+two first-order modes, real or complex, and the response of a mode to a held input is exact at and between the samples.
+So the dead time only moves the instants at which the modes are read, and may be any real number.
+"""
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from retuner.adaptive.signals.sample import FloatArray
+
+Array = npt.NDArray[Any]
+"""Real or complex, shape (n,): a mode is either."""
+
+EVEN = 1e-6
+"""Sampling intervals that differ by less than this fraction of the interval count as equal (the fast path)."""
+LEAST_DISCRIMINANT = 1e-8
+"""Equal lags are told apart by this much, or the partial fractions would cancel; the response changes by 1e-9."""
+SERIES = 1e-4
+"""Below this s t the integral of a mode is computed from its series; the next term is (s t)^2 / 12."""
+LEAST_APART = 1e-5
+"""The same for a load's lag that equals one of the process."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Sampling instants with what the fast path needs to know of them.
+
+    t_s : shape (n,). dt_s : the common interval where the sampling is even, else None.
+    """
+
+    t_s: FloatArray
+    dt_s: float | None
+
+    @classmethod
+    def of(cls, t_s: FloatArray) -> "Clock":
+        """Look at the intervals once."""
+        dt = np.diff(t_s)
+        mean = float((t_s[-1] - t_s[0]) / len(dt))
+        grid = t_s[0] + mean * np.arange(len(t_s))
+        return cls(t_s, mean if float(np.max(np.abs(grid - t_s))) <= EVEN * mean * math.sqrt(len(dt)) else None)
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """The delay-free part 1 / (c2 s^2 + s + c0): unit slope at first.
+
+    c2_s : second lag tau1 tau2 / (tau1 + tau2) in seconds, >= 0. c0_per_s : 1 / (tau1 + tau2), >= 0.
+    """
+
+    c2_s: float
+    c0_per_s: float
+
+    def modes(self) -> tuple[tuple[complex, complex], ...]:
+        """(rate s_j, weight) of the modes; one for first order and integrating."""
+        if self.c2_s == 0:
+            return ((complex(self.c0_per_s), 1.0 + 0j),)
+        d = 1 - 4 * self.c2_s * self.c0_per_s
+        if abs(d) < LEAST_DISCRIMINANT:
+            d = math.copysign(LEAST_DISCRIMINANT, d)
+        root = cmath.sqrt(d)
+        s1, s2 = 2 * self.c0_per_s / (1 + root), (1 + root) / (2 * self.c2_s)
+        weight = 1 / (self.c2_s * (s2 - s1))  # 1/root, and still right where the discriminant was moved
+        return (s1, weight), (s2, -weight)
+
+    def step(self, since_s: FloatArray) -> FloatArray:
+        """Unit step response at the times since the step (zero before it); any shape."""
+        t = np.maximum(since_s, 0.0)
+        return _summed([w * _held(s, t) for s, w in self.modes()])
+
+    def ramp(self, since_s: FloatArray) -> FloatArray:
+        """Response to a unit ramp: the integral of the step response; any shape."""
+        t = np.maximum(since_s, 0.0)
+        return _summed([w * _held_twice(s, t) for s, w in self.modes()])
+
+    def rounded_step(self, since_s: FloatArray, lag_s: float) -> FloatArray:
+        """Response to a unit step that comes through a lag of its own; any shape."""
+        t = np.maximum(since_s, 0.0)
+        rate = 1 / lag_s
+        slow = _held(complex(rate), t)
+        found = []
+        for s, w in self.modes():
+            apart = rate - s if abs(rate - s) >= LEAST_APART * rate else complex(LEAST_APART * rate)
+            found.append(w * rate * (_held(rate - apart, t) - slow) / apart)
+        return _summed(found)
+
+    def impulse(self, since_s: FloatArray) -> FloatArray:
+        """Response to a unit impulse: the derivative of the step response; any shape."""
+        t = np.maximum(since_s, 0.0)
+        inside = _summed([w * np.exp(-s * t) for s, w in self.modes()])
+        return np.where(since_s >= 0, inside, 0.0)
+
+    def held(self, clock: Clock, u: FloatArray, theta_s: float) -> FloatArray:
+        """Response to the input u, held between samples, after the dead time; zero input before the first sample.
+
+        theta_s : dead time in seconds, >= 0, any real number.
+        """
+        if self.c2_s and 4 * self.c2_s * self.c0_per_s > 1:
+            (s, w), _ = self.modes()  # the second mode is the conjugate of the first
+            return 2 * np.real(w * _mode(clock, u, s, theta_s))
+        return _summed([w.real * _mode(clock, u, s.real, theta_s) for s, w in self.modes()])
+
+
+def _summed(modes: list[Array]) -> FloatArray:
+    """Real part of the sum: what is left imaginary is rounding, the conjugate mode takes it away."""
+    return np.asarray(np.real(modes[0] if len(modes) == 1 else modes[0] + modes[1]), dtype=np.float64)
+
+
+def _held(s: complex, t: FloatArray | np.float64) -> Array:
+    """Integral of exp(-s x) from 0 to t."""
+    rate = s.real if s.imag == 0 else s
+    if rate == 0:
+        return np.asarray(t)
+    return np.asarray(-np.expm1(-rate * t) / rate)
+
+
+def _held_twice(s: complex, t: FloatArray) -> Array:
+    """Integral of _held from 0 to t; a series where the difference would cancel."""
+    small = np.abs(s) * t < SERIES
+    rate = s if s else 1.0 + 0j
+    return np.where(small, t**2 / 2 * (1 - s * t / 3), (t - _held(s, t)) / rate)
+
+
+def _mode(clock: Clock, u: FloatArray, s: complex, theta_s: float) -> Array:
+    """Response of 1/(s' + s) to the held input, read theta_s late."""
+    if clock.dt_s is None:
+        return _uneven(clock.t_s, u, s, theta_s)
+    dt, n = clock.dt_s, len(u)
+    x = _run_even(u, s, dt)
+    shift = math.ceil(theta_s / dt - 1e-12)
+    out = np.zeros(n, dtype=x.dtype)
+    if shift >= n:
+        return out
+    rest = np.float64(max(shift * dt - theta_s, 0.0))  # how far into the held interval the reading falls
+    kept = n - shift
+    out[shift:] = x[:kept] * np.exp(-s * rest) + u[:kept] * _held(s, rest)
+    return out
+
+
+def _run_even(u: FloatArray, s: complex, dt: float) -> Array:
+    """The mode at the samples without dead time, even sampling."""
+    a, b = np.exp(-s * dt), _held(s, np.float64(dt))
+    return np.asarray(lfilter(np.array([0.0, b]), np.array([1.0, -a]), u))
+
+
+def _uneven(t_s: FloatArray, u: FloatArray, s: complex, theta_s: float) -> Array:
+    """The same for uneven sampling."""
+    dt = np.diff(t_s)
+    decay, gain = np.exp(-s * dt), _held(s, dt)
+    x = np.empty(len(u), dtype=decay.dtype)
+    now = x[0] = 0.0
+    for i, (a, moved) in enumerate(zip(decay.tolist(), (gain * u[:-1]).tolist(), strict=True), 1):
+        now = a * now + moved
+        x[i] = now
+    read_at = t_s - theta_s
+    at = np.searchsorted(t_s, read_at, side="right") - 1
+    inside = at >= 0
+    at = np.maximum(at, 0)
+    since = np.maximum(read_at - t_s[at], 0.0)
+    return np.where(inside, x[at] * np.exp(-s * since) + u[at] * _held(s, since), 0.0)

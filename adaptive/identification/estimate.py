@@ -1,0 +1,204 @@
+"""What a fit knows of the process: log-parameters with their covariance, and the model they stand for."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.identification.candidate import MODEL_ERROR
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.structure import LAG, SIZE, model_at
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.signals.sample import FloatArray
+
+SMALLEST_VARIANCE = 1e-12
+"""Of a log-parameter: no record knows a process to a millionth, and rounding makes smaller ones negative."""
+LOG_STEP = 1e-4
+"""Step of the numerical derivatives by a log-parameter."""
+
+
+def proper_covariance(p: FloatArray) -> FloatArray:
+    """The nearest symmetric matrix whose eigenvalues are at least SMALLEST_VARIANCE; shapes (n, n)."""
+    values, vectors = np.linalg.eigh((p + p.T) / 2)
+    kept = (vectors * np.maximum(values, SMALLEST_VARIANCE)) @ vectors.T
+    return np.asarray((kept + kept.T) / 2, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class LogModel:
+    """A process of one of four structures in logarithms: see fit/structure.py for the order of x.
+
+    Parameters
+    ----------
+    x : mean, shape (d,): ln |k'|, ln theta, then ln T and ln c2 where the structure has them.
+    p : covariance, shape (d, d).
+    sign : sign of the gain.
+    type : structure.
+
+    Raises
+    ------
+    ValueError
+        A value is not finite, a shape does not fit the structure, or the covariance is not symmetric and positive.
+    """
+
+    x: FloatArray
+    p: FloatArray
+    sign: int
+    type: ProcessType = ProcessType.FOPDT
+
+    def __post_init__(self) -> None:
+        if self.type not in SIZE:
+            raise ValueError(f"type {self.type} is not one that a fit can have")
+        d = SIZE[self.type]
+        if self.x.shape != (d,) or self.p.shape != (d, d):
+            raise ValueError(f"shapes {self.x.shape}, {self.p.shape}; type {self.type} has ({d},), ({d}, {d})")
+        if not (np.all(np.isfinite(self.x)) and np.all(np.isfinite(self.p))):
+            raise ValueError("the estimate is not finite")
+        if np.min(np.linalg.eigvalsh((self.p + self.p.T) / 2)) < 0:
+            raise ValueError("the covariance has a negative eigenvalue")
+
+    def model(self) -> ProcessModel:
+        """The process model at the mean."""
+        return model_at(self.type, self.x, self.sign)
+
+    def std(self) -> dict[str, float]:
+        """Standard deviations of k, theta and the lags in their own units (first order in the logarithms)."""
+        at = _numbers(self.model())
+        slopes = {name: np.zeros(len(self.x)) for name in at}
+        for j in range(len(self.x)):
+            up, down = (_numbers(model_at(self.type, self._moved(j, h), self.sign)) for h in (LOG_STEP, -LOG_STEP))
+            for name in at:
+                slopes[name][j] = (up[name] - down[name]) / (2 * LOG_STEP)
+        return {name: math.sqrt(float(g @ self.p @ g)) for name, g in slopes.items()}
+
+    def gain_uncertainty(self, least_theta_s: float = 0.0) -> float:
+        """Standard deviation of ln |C(jw)|: of the SIMC controller that follows, at w = 1/theta where its loop lives.
+
+        A lag-dominant process decides it by k' theta, a delay-dominant one by k. least_theta_s : dead time that the
+        loop has besides the process (half a sampling interval); without any, a dead time near zero is never known.
+        """
+        at = without_second_lag(self.model()).theta_s + least_theta_s
+        slope = np.zeros(len(self.x))
+        for j in range(len(self.x)):
+            moved = (model_at(self.type, self._moved(j, h), self.sign) for h in (LOG_STEP, -LOG_STEP))
+            up, down = (log_controller(model, least_theta_s, at) for model in moved)
+            slope[j] = (up - down) / (2 * LOG_STEP)
+        return math.sqrt(max(float(slope @ self.p @ slope), 0.0))
+
+    def lag_uncertainty(self) -> float:
+        """Standard deviation of the logarithm of the (sum of the) lags; infinite for an integrating process."""
+        return math.sqrt(float(self.p[LAG[self.type], LAG[self.type]])) if self.type in LAG else math.inf
+
+    def _moved(self, j: int, h: float) -> FloatArray:
+        """x with one component moved."""
+        x = self.x.copy()
+        x[j] += h
+        return x
+
+
+def _numbers(model: ProcessModel) -> dict[str, float]:
+    """Those parameters that the structure has."""
+    found = {"k": model.k, "theta": model.theta_s}
+    if model.tau1_s:
+        found["tau1"] = model.tau1_s
+    if model.tau2_s:
+        found["tau2"] = model.tau2_s
+    return found
+
+
+def log_controller(model: ProcessModel, least_theta_s: float, at_s: float) -> float:
+    """ln |C(j / at)| of SIMC's PI controller for a model with so much more dead time."""
+    plain = without_second_lag(model)
+    gains = simc(replace(plain, theta_s=plain.theta_s + least_theta_s)).gains
+    return 0.5 * math.log(gains.kp**2 + (gains.ki * at_s) ** 2)
+
+
+def gain_spread(around: Sequence[Plausible], least_theta_s: float) -> float:
+    """Spread of ln |C(jw)| over the models that a record allows, as a standard deviation: weights exp(-excess / 2)."""
+    at = without_second_lag(around[0].model).theta_s + least_theta_s
+    values = np.array([log_controller(a.model, least_theta_s, at) for a in around])
+    weights = np.exp(-np.array([a.excess for a in around]) / 2)
+    mean = float(weights @ values / np.sum(weights))
+    return math.sqrt(float(weights @ (values - mean) ** 2 / np.sum(weights)))
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """What a record says when its process has one of the structures.
+
+    log : parameters and covariance, prior included where there was one.
+    evidence : n ln sigma^2 + what the load steps and the colour of the remainder cost (Schwarz 1978); without the cost
+        of the process parameters, which is paid once for all records of a process. Smaller is better.
+    information, score : the record's information linearised at the optimum, shapes (d, d) and (d,), as R and z of
+        R x = z + unit noise (compressed by QR), for the Kalman filter.
+    samples : n.
+    """
+
+    log: LogModel
+    evidence: float
+    information: FloatArray
+    score: FloatArray
+    samples: int
+
+    @property
+    def criterion(self) -> float:
+        """The evidence with the cost of the process parameters."""
+        return self.evidence + len(self.log.x) * math.log(self.samples)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelEstimate:
+    """The outcome of identification of one record.
+
+    identifiable : whether the settings that follow are known well enough; reason says why or why not.
+    load_times_s : when load steps entered. residual_std, noise_std : of the fit, and of the noise by itself, pv units.
+    alternatives : the structures, best first. coloured : order of the whitening filter that the remainder asked for.
+    plausible : models that the record (and the prior) still allow, the best first.
+    explained : share of pv's variance that the model explains.
+    """
+
+    identifiable: bool
+    reason: str
+    load_times_s: tuple[float, ...]
+    residual_std: float
+    noise_std: float
+    alternatives: tuple[Alternative, ...]
+    coloured: int = 0
+    plausible: tuple[Plausible, ...] = ()
+    explained: float = 1.0
+
+    @property
+    def best(self) -> Alternative:
+        """The structure that was chosen."""
+        return self.alternatives[0]
+
+    @property
+    def log(self) -> LogModel:
+        """Its parameters."""
+        return self.best.log
+
+    def unexplained(self, pv_range: float) -> float:
+        """What the fit leaves over the noise, or over how inexact any model is where that is larger.
+
+        pv_range : of the record, pv units.
+        """
+        return self.residual_std / max(self.noise_std, MODEL_ERROR * pv_range)
+
+    def of(self, type_: ProcessType) -> Alternative:
+        """A structure by name."""
+        return next(a for a in self.alternatives if a.log.type == type_)
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys identifiable, model, std, reason, loads, residual, noise, coloured."""
+        return {
+            "identifiable": self.identifiable,
+            "model": self.log.model().to_dict(),
+            "std": self.log.std(),
+            "reason": self.reason,
+            "loads": list(self.load_times_s),
+            "residual": self.residual_std,
+            "noise": self.noise_std,
+            "coloured": self.coloured,
+        }

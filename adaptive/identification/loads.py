@@ -1,0 +1,150 @@
+"""From a good fit to the best of its neighbours, move by move, each kept when the criterion says that it pays.
+
+    whiten        refit with the remainder's colour taken out
+    ramp          a drift of pv along the record
+    load          one more load step, where the remainder asks for it most
+    without       one load step less
+    round         the loads come through a lag of their own (no real load steps, and a load record is mostly its shape)
+
+Loads found greedily before anything else are often a cover for drift or for a missing lag, so every load must survive
+being left out after the rest has been refined.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.misfit import LOAD_COST, Misfit
+from retuner.adaptive.identification.refine import refine
+from retuner.adaptive.identification.structure import SIZE, dynamics_at
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+SCAN = 80
+"""Instants tried for one more load step."""
+MOST_MOVES = 14
+"""Moves tried from one seed at the most."""
+MOVE_EVALUATIONS = 25
+"""Evaluations of the misfit in one move; a move that needs more is no small one."""
+LEAST_GAIN = 1e-3
+"""A move must lower the criterion by this."""
+START_ROUNDING = 3.0
+"""First guess of a load's own lag, in sampling intervals."""
+PROMISING = 0.3
+"""A move is refined only when its linear part alone brings this share of what it costs."""
+INDISPENSABLE = 15.0
+"""A load that brings this many times what it costs is not tried without."""
+UNIQUE = 1e-9
+"""A step whose share of a column that nothing else explains is below this is no new load."""
+INTEGRATING = frozenset({ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG})
+
+Proposal = tuple[Misfit, FloatArray]
+Move = Callable[[Candidate], Proposal | None]
+
+
+def improved(seed: Candidate, most_loads: int, seen: Seen, most: int = MOST_MOVES) -> Candidate:
+    """The best that can be reached by single moves; everything tried is noted in `seen`."""
+    best, tried, fruitless = seed, 0, 0
+    moves: list[Move] = []
+    while tried < most:
+        moves = moves or _moves(best, most_loads)
+        if fruitless >= len(_moves(best, most_loads)):
+            break
+        proposal = moves.pop(0)(best)
+        fruitless += 1
+        if proposal is None:
+            continue
+        tried += 1
+        found = judged(refine(*proposal, evaluations=MOVE_EVALUATIONS))
+        seen.add(found)
+        if found.criterion < best.criterion - LEAST_GAIN:
+            best, fruitless = found, 0
+    return best
+
+
+def _moves(at: Candidate, most_loads: int) -> list[Move]:
+    """The moves in order; each is asked where the walk stands by then."""
+    dropped = [partial(_without_load, which=j) for j in reversed(range(at.fit.misfit.loads))]
+    return [_whitened, _with_ramp, *dropped, partial(_with_load, most=most_loads), _with_rounding]
+
+
+def _whitened(at: Candidate) -> Proposal | None:
+    """The same with the filter and the noise that its remainder asks for."""
+    if at.whitened:
+        return None
+    return replace(at.fit.misfit, ar=at.colour.ar, sigma=at.colour.std), at.fit.p
+
+
+def _with_ramp(at: Candidate) -> Proposal | None:
+    """With a ramp; an integrating process has one already."""
+    misfit = at.fit.misfit
+    if misfit.ramp or misfit.type in INTEGRATING:
+        return None
+    t = misfit.record.t_s
+    if _gains(at, t[:, None])[0] < PROMISING * math.log(len(t)):
+        return None
+    return replace(misfit, ramp=True), at.fit.p
+
+
+def _with_rounding(at: Candidate) -> Proposal | None:
+    """With loads that come through a lag."""
+    misfit, p = at.fit.misfit, at.fit.p
+    if misfit.rounded or not misfit.loads:
+        return None
+    after = SIZE[misfit.type] + misfit.loads
+    lag = np.log(START_ROUNDING * misfit.record.sample_time_s)
+    return replace(misfit, rounded=True), np.concatenate([p[:after], [lag], p[after:]])
+
+
+def _without_load(at: Candidate, which: int) -> Proposal | None:
+    """One load step less."""
+    misfit, d = at.fit.misfit, SIZE[at.fit.misfit.type]
+    if which >= misfit.loads or _worth(at, which) > INDISPENSABLE * LOAD_COST * math.log(len(misfit.record.pv)):
+        return None
+    p = np.delete(at.fit.p, d + which)
+    if misfit.loads == 1 and misfit.rounded:
+        return replace(misfit, loads=0, rounded=False), np.delete(p, d)
+    return replace(misfit, loads=misfit.loads - 1), p
+
+
+def _with_load(at: Candidate, most: int) -> Proposal | None:
+    """One load step more, at the instant where it would take away most of the remainder."""
+    misfit, p = at.fit.misfit, at.fit.p
+    if misfit.loads >= most:
+        return None
+    after = SIZE[misfit.type] + misfit.loads
+    instants = np.linspace(0.0, misfit.record.span_s, SCAN + 2)[1:-1]
+    steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - instants[None, :])
+    gains = _gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
+    best = int(np.argmax(gains))
+    if gains[best] < PROMISING * LOAD_COST * math.log(len(misfit.record.pv)):
+        return None
+    return replace(misfit, loads=misfit.loads + 1), np.concatenate([p[:after], [instants[best]], p[after:]])
+
+
+def _gains(at: Candidate, columns: FloatArray) -> FloatArray:
+    """How much each further column by itself would lower n ln sigma^2, everything nonlinear held, shape (columns,)."""
+    misfit, n = at.fit.misfit, len(at.fit.misfit.record.pv)
+    solved = at.fit.at
+    whitened, q, r = misfit.whitened(columns), solved.q[:n], solved.r[:n]
+    free = whitened - q @ (q.T @ whitened)
+    size = np.einsum("ij,ij->j", free, free)
+    usable = size > UNIQUE * n
+    taken = np.where(usable, (r @ free) ** 2 / np.where(usable, size, 1.0), 0.0)
+    return np.asarray(-n * np.log(np.maximum(1 - taken / float(r @ r), np.finfo(np.float64).tiny)), dtype=np.float64)
+
+
+def _worth(at: Candidate, which: int) -> float:
+    """How much leaving out a load would raise n ln sigma^2, everything nonlinear held: at most that much."""
+    misfit, solved = at.fit.misfit, at.fit.at
+    n, column = len(misfit.record.pv), solved.priors + which
+    diagonal = np.abs(np.diag(solved.triangle))
+    if np.min(diagonal) <= UNIQUE * np.max(diagonal):
+        return 0.0
+    inverse = np.linalg.inv(solved.triangle)
+    rise = (float(solved.c[column]) / misfit.sigma) ** 2 / float(inverse[column] @ inverse[column])
+    return n * math.log1p(rise / float(solved.r[:n] @ solved.r[:n]))

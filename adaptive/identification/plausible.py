@@ -1,0 +1,137 @@
+"""The models that a record still allows, by likelihood.
+
+    axes     x +- s 2 sqrt(lambda_i) v_i      along the axes of the covariance, s <= 1 as far as the record believes
+    valley   theta held at other values, everything else fitted anew: one way along the flattest of all valleys, the
+             trade of dead time against lags, where the covariance at a boundary (theta -> 0) is nonsense
+    rivals   other structures, or other loads, that explain the record nearly as well
+
+Each comes with its excess, the rise of the deviance (or of the criterion) over the best. Gaussian samples of the
+posterior did harm in the estimation study. The points are deterministic, so that replay decides alike.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.identification.candidate import Candidate, Priors
+from retuner.adaptive.identification.misfit import Misfit
+from retuner.adaptive.identification.refine import Fit, Prior, bounds, pinned, refine
+from retuner.adaptive.identification.search import long_lag
+from retuner.adaptive.identification.structure import SECOND, SIZE, THETA, model_at
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+OUT = 2.0
+"""How many standard deviations out the points on the axes lie where the Gaussian is right."""
+MOST_EXCESS = 6.0
+"""A model whose deviance is larger by this is no longer believed (2.4 standard deviations of one parameter)."""
+HALVINGS = 4
+"""A point that the record does not believe is taken back to 2^-4 of the way at the most."""
+STRIDE = 1.6
+"""Factor of theta from one point of the valley to the next."""
+FIRST_SHARE = 0.2
+"""The first point up the valley has at least this share of theta + c2 as its dead time."""
+MOST_STEPS = 6
+"""Points of the valley in each direction."""
+VALLEY_EVALUATIONS = 15
+"""Evaluations of the misfit at one point of the valley."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plausible:
+    """A model and how much less the record believes it than the best: excess >= 0 of the deviance."""
+
+    model: ProcessModel
+    excess: float
+
+
+def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) -> tuple[Plausible, ...]:
+    """Models round the winner of `found` (best first), the winner itself first."""
+    fit = found[0].fit
+    prior = priors.get(fit.misfit.type)
+    at = _deviance(fit.misfit, fit.p, prior)
+    points = [(fit.x, 0.0), *_axes(fit, covariance, prior, at)]
+    own = [Plausible(model_at(fit.misfit.type, x, fit.misfit.sign), max(e, 0.0)) for x, e in points]
+    return (*own, *_valley(_opened(fit, priors), priors, at), *_rivals(found))
+
+
+def _rivals(found: list[Candidate]) -> list[Plausible]:
+    """The other candidates that came close."""
+    best = found[0].criterion
+    return [
+        Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), c.criterion - best)
+        for c in found[1:]
+        if c.criterion - best < MOST_EXCESS
+    ]
+
+
+def _axes(fit: Fit, covariance: FloatArray, prior: Prior | None, at: float) -> list[tuple[FloatArray, float]]:
+    """Both ways along every axis of the covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    jacobian = fit.misfit.jacobian(fit.at)
+    limits = bounds(fit.misfit)
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        for side in (1.0, -1.0):
+            step = _with_loads(jacobian, side * OUT * math.sqrt(max(float(value), 0.0)) * vector)
+            for halving in range(HALVINGS + 1):
+                p = np.clip(fit.p + step / 2**halving, *limits)
+                excess = _deviance(fit.misfit, p, prior) - at
+                if excess <= MOST_EXCESS:
+                    found.append((p[: SIZE[fit.misfit.type]], excess))
+                    break
+    return found
+
+
+def _opened(fit: Fit, priors: Priors) -> Fit:
+    """An integrating process as one with a lag that is long: with more dead time, the lag may turn out short."""
+    misfit = fit.misfit
+    type_ = {ProcessType.INTEGRATING: ProcessType.FOPDT, ProcessType.INTEGRATING_LAG: ProcessType.SOPDT}.get(
+        misfit.type
+    )
+    if type_ is None:
+        return fit
+    return refine(replace(misfit, type=type_), long_lag(fit, type_), priors.get(type_), VALLEY_EVALUATIONS)
+
+
+def _valley(fit: Fit, priors: Priors, at: float) -> list[Plausible]:
+    """Shorter and longer dead times with everything else fitted anew, as far as the record believes."""
+    type_, sign = fit.misfit.type, fit.misfit.sign
+    d, prior = SIZE[type_], priors.get(type_)
+    theta = math.exp(fit.p[THETA])
+    whole = theta + (math.exp(fit.p[SECOND[fit.misfit.type]]) if fit.misfit.type in SECOND else 0.0)
+    low, high = bounds(fit.misfit)
+    found: list[Plausible] = []
+    for factor, first in ((STRIDE, max(STRIDE * theta, FIRST_SHARE * whole)), (1 / STRIDE, theta / STRIDE)):
+        p = fit.p
+        for step in range(MOST_STEPS):
+            value = first * factor**step
+            if not low[THETA] < math.log(value) < high[THETA] or value < FIRST_SHARE * whole / STRIDE:
+                break
+            start = p.copy()
+            start[THETA] = math.log(value)
+            held = pinned(d, THETA, math.log(value), prior)
+            p = refine(fit.misfit, start, held, VALLEY_EVALUATIONS).p
+            excess = _deviance(fit.misfit, p, prior) - at
+            if excess > MOST_EXCESS:
+                break
+            found.append(Plausible(model_at(type_, p[:d], sign), max(excess, 0.0)))
+    return found
+
+
+def _with_loads(jacobian: FloatArray, step: FloatArray) -> FloatArray:
+    """A step of x, with the step of the load times that keeps the misfit smallest."""
+    d = len(step)
+    loads = jacobian[:, d:]
+    if not loads.shape[1]:
+        return step
+    follow = np.linalg.lstsq(loads, -jacobian[:, :d] @ step, rcond=None)[0]
+    return np.concatenate([step, follow])
+
+
+def _deviance(misfit: Misfit, p: FloatArray, prior: Prior | None) -> float:
+    """Misfit squared with the prior's share."""
+    r = misfit.residuals(p)
+    known = prior.residuals(p[: SIZE[misfit.type]]) if prior is not None else np.zeros(0)
+    return float(r @ r + known @ known)

@@ -1,0 +1,116 @@
+"""SIMC settings for what a record leaves open: the smallest tau_c that is robust on every model still allowed.
+
+    tau_c >= theta,   Ms(best model) <= nominal limit,   Ms(every plausible model) <= worst limit
+
+The first remedy for doubt is a larger tau_c (by at most so much); what is still not robust then is for the guard, or
+for the user, to judge by the Ms that comes with the settings. Half a sampling interval counts as dead time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.simc import simc, without_second_lag
+
+BISECTIONS = 8
+"""Of tau_c between its limits: to a few thousandths."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustSettings:
+    """Settings.
+
+    ms_nominal : largest Ms on the best model; 1.5 to 2, default 1.68 (SIMC's own is 1.59 to 1.70).
+    ms_worst : largest Ms on a plausible model; 1.6 to 2.5, default 1.95.
+    ms_third : largest Ms on the best model when a third lag hides in it, see third_lag; 1.6 to 2.5, default 1.8.
+    hidden_share : that lag, as a share of c2; 0 to 1, default 0.25 (processes of order three to eight).
+    believed : excess up to which a model counts as plausible here; default 4.
+    tau_c_most : largest tau_c over theta for the sake of the best model; default 3 (a process that swings needs it).
+    tau_c_doubt : the same for the sake of the others; default 1.8.
+    """
+
+    ms_nominal: float = 1.68
+    ms_worst: float = 1.95
+    ms_third: float = 1.8
+    hidden_share: float = 0.25
+    believed: float = 4.0
+    tau_c_most: float = 3.0
+    tau_c_doubt: float = 1.8
+
+
+@dataclass(frozen=True, slots=True)
+class RobustTuning:
+    """Settings with the Ms that they have on the best and on the worst plausible model, sampling included."""
+
+    tuning: Tuning
+    ms_nominal: float
+    ms_worst: float
+
+
+def robust_simc(estimate: ModelEstimate, sample_time_s: float, settings: RobustSettings) -> RobustTuning:
+    """PI settings for an estimate."""
+    return robust_simc_on(estimate.log.model(), estimate.plausible, sample_time_s, settings)
+
+
+def robust_simc_on(
+    process: ProcessModel, allowed: Sequence[Plausible], sample_time_s: float, settings: RobustSettings
+) -> RobustTuning:
+    """PI settings for the most likely model and all that are still allowed."""
+    half = sample_time_s / 2
+    model = later(process, half)
+    theta = without_second_lag(model).theta_s
+    others = [later(p.model, half) for p in believed(allowed, settings.believed)]
+
+    third = third_lag(model, settings.hidden_share)
+
+    def at(ratio: float) -> RobustTuning:
+        tuning = simc(model, ratio * theta)
+        ms = sensitivity_peak(model.linear(), tuning.gains)
+        worst = max([ms, *(sensitivity_peak(m.linear(), tuning.gains) for m in others)])
+        return RobustTuning(tuning, ms, worst)
+
+    def proper(found: RobustTuning, ratio: float) -> bool:
+        if third is not None and sensitivity_peak(third.linear(), found.tuning.gains) > settings.ms_third:
+            return False
+        doubt = found.ms_worst <= settings.ms_worst or ratio >= settings.tau_c_doubt
+        return found.ms_nominal <= settings.ms_nominal and doubt
+
+    tightest = at(1.0)
+    if proper(tightest, 1.0):
+        return tightest
+    low, high = 1.0, settings.tau_c_most
+    best = at(high)
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        found = at(middle)
+        if proper(found, middle):
+            high, best = middle, found
+        else:
+            low = middle
+    return best
+
+
+def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
+    """The model with a dead time of at least a share of its second lag, None where it has that already.
+
+    A fit of two lags to a process of higher order often ends at no dead time at all: what is left then lacks the phase
+    of the lags that it cannot see, just where the loop crosses over.
+    """
+    if not model.tau2_s:
+        return None
+    hidden = share * (model.tau2_s / (2 * model.zeta) if model.zeta < 1 else model.tau2_s)
+    return replace(model, theta_s=hidden) if model.theta_s < hidden else None
+
+
+def later(model: ProcessModel, delay_s: float) -> ProcessModel:
+    """The model with so much more dead time."""
+    return replace(model, theta_s=model.theta_s + delay_s)
+
+
+def believed(around: Sequence[Plausible], excess: float) -> list[Plausible]:
+    """Those that the record believes to within an excess."""
+    return [p for p in around if p.excess <= excess]

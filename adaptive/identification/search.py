@@ -1,0 +1,161 @@
+"""Where to start: a coarse search over lag, dead time and load times.
+
+All lasting failures of output-error fits are local optima, so the starts cover the plane of (T, theta) on a grid, the
+integrating process at its edge included; at every node the gain and the other linear unknowns are solved for, and load
+steps are added one by one where they take away most of the misfit. The best nodes become starts of the refinement.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from retuner.adaptive.identification.dynamics import Clock, Dynamics
+from retuner.adaptive.identification.misfit import Misfit
+from retuner.adaptive.identification.refine import LEAST_TIME, Fit, refine
+from retuner.adaptive.identification.structure import LAG, SECOND, SIZE, THETA
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+LAG_NODES = 9
+THETA_NODES = 9
+LOAD_NODES = 48
+"""Candidates for lag, dead time and the time of a load step."""
+MOST_ROWS = 400
+"""The search looks at no more samples than this; the refinement uses all."""
+LAG_RANGE = (1.5, 3.0)
+"""Lags searched: from this many sampling intervals to this many record lengths."""
+THETA_RANGE = (0.3, 0.3)
+"""Dead times searched: from this many sampling intervals to this share of the record."""
+LOAD_GAIN = 10.0
+"""A load step must lower the misfit (in units of the noise) by this and more to be a candidate at all."""
+
+
+def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatArray]]:
+    """The best `count` starting points p for each number of load steps from 0 to most_loads.
+
+    misfit : its type says which structure: first order, or integrating.
+    """
+    t, u, pv = _thinned(misfit)
+    record = misfit.record
+    lags = np.geomspace(LAG_RANGE[0] * record.sample_time_s, LAG_RANGE[1] * record.span_s, LAG_NODES)
+    if misfit.type == ProcessType.INTEGRATING:
+        lags = np.array([math.inf])
+    longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
+    thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
+    at = np.linspace(0.0, record.span_s, LOAD_NODES + 2)[1:-1]
+    ranked: dict[int, list[tuple[float, FloatArray]]] = {m: [] for m in range(most_loads + 1)}
+    clock = Clock.of(t)
+    for lag in lags:
+        dynamics = Dynamics(0.0, 1.0 / float(lag))
+        steps = dynamics.step(t[:, None] - at[None, :])
+        steps /= np.maximum(np.max(np.abs(steps), axis=0), 1e-300)
+        rest = np.stack([np.ones_like(t), dynamics.step(t) / max(float(dynamics.step(t)[-1]), 1e-300)], axis=1)
+        for theta in thetas:
+            x = dynamics.held(clock, u, float(theta))
+            for deviance, slope, loads in _node(pv, x, rest, steps, at, misfit.sigma, most_loads):
+                signed = max(slope * misfit.sign, 1e-3 * abs(slope) + 1e-300)  # a wrong sign starts near zero
+                p = [math.log(signed), math.log(theta), *([math.log(lag)] if math.isfinite(lag) else []), *loads]
+                ranked[len(loads)].append((deviance, np.array(p)))
+    return {m: [p for _, p in sorted(found, key=lambda f: f[0])[:count]] for m, found in ranked.items()}
+
+
+def _thinned(misfit: Misfit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """t, co, pv of at most MOST_ROWS samples; co averaged over what is left out."""
+    record = misfit.record
+    u = record.co if misfit.co is None else misfit.co
+    n = -(-len(u) // MOST_ROWS)
+    if n == 1:
+        return record.t_s, u, record.pv
+    first = np.arange(0, len(u), n)
+    held = np.diff(record.t_s, append=2 * record.t_s[-1] - record.t_s[-2])
+    averaged = np.add.reduceat(u * held, first) / np.add.reduceat(held, first)
+    return record.t_s[first], np.asarray(averaged, dtype=np.float64), record.pv[first]
+
+
+def _node(
+    pv: FloatArray, x: FloatArray, rest: FloatArray, steps: FloatArray, at: FloatArray, sigma: float, most: int
+) -> list[tuple[float, float, list[float]]]:
+    """Misfit, slope gain and load times at one node, with 0, 1, ... load steps."""
+    chosen: list[int] = []
+    found = []
+    scale = max(float(np.max(np.abs(x))), 1e-300)
+    while True:
+        columns = np.concatenate([x[:, None] / scale, rest, steps[:, chosen]], axis=1)
+        q, triangle = np.linalg.qr(columns)
+        remainder = pv - q @ (q.T @ pv)
+        c = np.linalg.lstsq(triangle, q.T @ pv, rcond=1e-12)[0]
+        found.append((float(remainder @ remainder), float(c[0]) / scale, sorted(float(at[j]) for j in chosen)))
+        if len(chosen) == most:
+            return found
+        free = steps - q @ (q.T @ steps)
+        size = np.einsum("ij,ij->j", free, free)
+        taken = np.where(size > 1e-9 * len(x), (remainder @ free) ** 2 / np.maximum(size, 1e-300), 0.0)
+        best = int(np.argmax(taken))
+        if taken[best] < LOAD_GAIN * sigma**2:
+            return found
+        chosen.append(best)
+
+
+# Starts for the bigger structure from the optimum of the smaller one, so that its cost is never the larger of the two.
+#
+# Splits the dead time between theta and the second lag, and lets an integrator become a long lag. All lasting failures
+# of the estimation study were local optima of the bigger structure, not statistics.
+
+
+SHARES = (0.3, 0.6, 0.95)
+"""Shares of the dead time that become the second lag."""
+SWING = (0.25, 1.0)
+"""c2 over T of equal lags and of a process that swings (zeta 0.5)."""
+LONG = 30.0
+"""An integrator as a lag: this many record lengths."""
+WORSE = 1.001
+"""The bigger structure's deviance may exceed the smaller one's by this factor (rounding, its own prior)."""
+
+
+def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: int = 2) -> Fit:
+    """The structure with a second lag, refined from splits of the smaller one's optimum and from `others`.
+
+    smaller : optimum of the structure without it, same record and loads. others : optima of other structures whose
+    second lag is a start (integrating with lag for second order). count : refinements.
+    """
+    misfit = replace(smaller.misfit, type=type_)
+    nested = _insert(smaller, type_, smaller.x, LEAST_TIME * 2 * misfit.record.sample_time_s)
+    points = [nested, *_splits(smaller, type_), *(long_lag(o, type_) for o in others)]
+    ranked = sorted(points, key=lambda p: float(np.sum(misfit.residuals(p) ** 2)))
+    found = min((refine(misfit, p) for p in ranked[:count]), key=lambda f: f.deviance)
+    if found.deviance > smaller.deviance * WORSE:
+        found = min(found, refine(misfit, nested), key=lambda f: f.deviance)
+    return found
+
+
+def _insert(smaller: Fit, type_: ProcessType, x: FloatArray, c2: float) -> FloatArray:
+    """p of the bigger structure from x of the smaller one and a second lag."""
+    rest = smaller.p[SIZE[smaller.misfit.type] :]
+    return np.concatenate([x[: SECOND[type_]], [math.log(c2)], rest])
+
+
+def _splits(smaller: Fit, type_: ProcessType) -> list[FloatArray]:
+    """The dead time shared out, and pairs of equal lags or swinging poles."""
+    theta = math.exp(smaller.x[THETA])
+    found = []
+    for share in SHARES:
+        x = smaller.x.copy()
+        x[THETA] = math.log(theta * (1 - share))
+        found.append(_insert(smaller, type_, x, theta * share))
+    if type_ in LAG:
+        for ratio in SWING:
+            x = smaller.x.copy()
+            c2 = ratio * math.exp(x[LAG[type_]])
+            x[THETA] = math.log(max(theta - c2 / 2, theta / 10))
+            found.append(_insert(smaller, type_, x, c2))
+    return found
+
+
+def long_lag(integrating: Fit, type_: ProcessType) -> FloatArray:
+    """p of the structure with a lag T in place of the integrator."""
+    misfit = integrating.misfit
+    x = integrating.x
+    lag = [math.log(LONG * misfit.record.span_s)]
+    second = [float(x[SECOND[misfit.type]])] if misfit.type in SECOND and type_ in SECOND else []
+    return np.concatenate([x[: THETA + 1], lag, second, integrating.p[SIZE[misfit.type] :]])

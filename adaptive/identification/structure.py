@@ -1,0 +1,93 @@
+"""The four structures that a fit chooses between, as points of one family (dynamics.py).
+
+    x = (ln k', ln theta [, ln T] [, ln c2]),   T = tau1 + tau2, c2 = tau1 tau2 / (tau1 + tau2), both in seconds
+
+Logarithms, because time constants and gains are known to a factor, and because a scale of time or of units then only
+shifts x. Complex poles are in it (c2 > T/4): two lags fitted to a process that swings was the one lasting structural
+error of the estimation study.
+"""
+
+import math
+
+import numpy as np
+
+from retuner.adaptive.identification.dynamics import Dynamics
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+SLOPE, THETA = 0, 1
+"""Places of ln k' and ln theta in x."""
+LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2}
+"""Place of ln T, where the structure has it."""
+SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2}
+"""Place of ln c2, where the structure has it."""
+SIZE = {
+    ProcessType.FOPDT: 3,
+    ProcessType.SOPDT: 4,
+    ProcessType.INTEGRATING: 2,
+    ProcessType.INTEGRATING_LAG: 3,
+}
+"""Number of parameters."""
+LEAST_ZETA = 0.35
+"""Damping below which nothing is fitted: what rings that long is a disturbance or a loop, not a process with one."""
+
+
+def dynamics_at(type_: ProcessType, x: FloatArray) -> Dynamics:
+    """The delay-free dynamics at the parameters x, shape (SIZE,) or longer."""
+    c2 = math.exp(x[SECOND[type_]]) if type_ in SECOND else 0.0
+    c0 = math.exp(-x[LAG[type_]]) if type_ in LAG else 0.0
+    return Dynamics(c2, c0)
+
+
+def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
+    """The process model at the parameters x; sign is that of the gain."""
+    slope, theta = sign * math.exp(x[SLOPE]), math.exp(x[THETA])
+    if type_ == ProcessType.INTEGRATING:
+        return ProcessModel(type_, slope, theta_s=theta)
+    if type_ == ProcessType.INTEGRATING_LAG:
+        return ProcessModel(type_, slope, 0.0, math.exp(x[SECOND[type_]]), theta)
+    total = math.exp(x[LAG[type_]])
+    if type_ == ProcessType.FOPDT:
+        return ProcessModel(type_, slope * total, total, 0.0, theta)
+    c2 = math.exp(x[SECOND[type_]])
+    d = 1 - 4 * c2 / total
+    if d < 0:
+        tau = math.sqrt(c2 * total)
+        return ProcessModel(type_, slope * total, tau, tau, theta, min(total / (2 * tau), 1.0))
+    root = math.sqrt(d)
+    tau1 = total * (1 + root) / 2
+    return ProcessModel(type_, slope * total, tau1, min(2 * c2 / (1 + root), tau1), theta)
+
+
+def parameters_of(model: ProcessModel) -> FloatArray:
+    """x of a model of one of the four structures; the inverse of model_at.
+
+    Raises
+    ------
+    ValueError
+        The model has another structure, no dead time, or a second lag of zero where its structure has one.
+    """
+    if model.type not in SIZE:
+        raise ValueError(f"type {model.type} is not one that a fit can have")
+    if not model.theta_s > 0:
+        raise ValueError(f"theta_s = {model.theta_s}: a fit needs a dead time above zero")
+    pair = model.tau1_s * model.tau2_s
+    total = 2 * model.zeta * model.tau1_s if model.zeta < 1 else model.tau1_s + model.tau2_s
+    lags = {
+        ProcessType.FOPDT: (model.tau1_s,),
+        ProcessType.SOPDT: (total, pair / total if total else 0.0),
+        ProcessType.INTEGRATING: (),
+        ProcessType.INTEGRATING_LAG: (model.tau2_s,),
+    }[model.type]
+    if min(lags, default=1.0) <= 0:
+        raise ValueError(f"{model.type} with a lag of zero: give the simpler type")
+    slope = abs(model.k) / total if model.type in LAG else abs(model.k)
+    return np.asarray(np.log([slope, model.theta_s, *lags]), dtype=np.float64)
+
+
+def swing_excess(type_: ProcessType, x: FloatArray) -> float:
+    """How far ln(c2 / T) lies beyond the least damping; zero within it."""
+    if type_ != ProcessType.SOPDT:
+        return 0.0
+    most = -math.log(4 * LEAST_ZETA**2)
+    return max(0.0, float(x[SECOND[type_]] - x[LAG[type_]]) - most)

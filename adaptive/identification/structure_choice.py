@@ -1,0 +1,148 @@
+"""Which structure and how many load steps: rivals refined, each judged by what it leaves, and the best one polished.
+
+    criterion = n ln sigma_e^2 + (unknowns + order of the whitening filter) ln n        (Schwarz 1978)
+
+sigma_e is what remains after the remainder's colour is taken out (remainder.py), so a load step, a second lag and a
+drifting disturbance compete on the same footing: a structure that leaves a smooth remainder pays for the filter, and
+fake load steps gain little where a filter explains the same. The winner and its close rivals are refitted with the
+remainder whitened, which is what makes the estimate unbiased in closed loop and its standard deviations true.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.loads import improved
+from retuner.adaptive.identification.misfit import MOST_ORDER, Misfit
+from retuner.adaptive.identification.record import Record
+from retuner.adaptive.identification.refine import EXACT, Fit, refine
+from retuner.adaptive.identification.search import long_lag, starts, with_second_lag
+from retuner.adaptive.identification.structure import SIZE
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+FIRST, SECOND, INTEGRATING, INTEGRATING_LAG = (
+    ProcessType.FOPDT,
+    ProcessType.SOPDT,
+    ProcessType.INTEGRATING,
+    ProcessType.INTEGRATING_LAG,
+)
+ROUGH = 12
+"""Evaluations of a refinement that only ranks the starts."""
+RELATIVE_MOVES = 2
+"""Moves with which the other structures may still improve in the winner's clothes."""
+FAR = 1.3
+"""A remainder this many times the noise asks for a wider search."""
+CLOSE = 12.0
+"""Rivals within this of the best criterion are kept (a likelihood ratio of e^-6)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceSettings:
+    """Settings of the choice.
+
+    seeded_loads : load steps looked for by the coarse search; 0 to 3, default 2.
+    most_loads : load steps in all; 0 to 12, default 4.
+    most_samples : rivals are compared on at most this many samples; 300 to 3000, default 800.
+    starts : starts refined per structure and number of loads; 1 to 8, default 3 (nested local optima).
+    most_order : highest order of a whitening filter for what is left; 0 to 8, default 4.
+    start_spread : see Misfit; default 0.3, 0 for an experiment that is known to begin at rest.
+    """
+
+    seeded_loads: int = 2
+    most_loads: int = 4
+    most_samples: int = 800
+    starts: int = 3
+    most_order: int = MOST_ORDER
+    start_spread: float = 0.3
+
+
+def candidates(window: Window, signs: tuple[int, ...], settings: ChoiceSettings, most_samples: int) -> list[Candidate]:
+    """Every structure at its best, the winner first, with all further rivals that came close.
+
+    window : the record. signs : of the gain to try. most_samples : of the final fits.
+    """
+    record = Record.of(window, settings.most_samples)
+    fits = [fit for sign in signs for fit in _structures(record, sign, settings)]
+    rivals = sorted((judged(fit) for fit in fits), key=lambda c: c.criterion)
+    seen = Seen(rivals)
+    for seed in _seeds(rivals):
+        improved(seed, settings.most_loads, seen)
+    winner = seen.best()
+    for relative in _relatives(winner, seen):
+        seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
+    whole = Record.of(window, most_samples)
+    return Seen([_on(whole, c) for c in seen.ranked(CLOSE)]).ranked(CLOSE)
+
+
+def _on(record: Record, found: Candidate) -> Candidate:
+    """The same on all samples of the record, whitened, to the last digit."""
+    misfit, p, left = found.fit.misfit, found.fit.p, found.colour
+    if len(record.pv) > len(misfit.record.pv):
+        again = judged(refine(replace(misfit, record=record, ar=(), sigma=record.noise_std), p))
+        p, left = again.fit.p, again.colour
+    white = replace(misfit, record=record, ar=left.ar, sigma=left.std)
+    return judged(refine(white, p, enough=EXACT))
+
+
+def _seeds(rivals: list[Candidate]) -> list[Candidate]:
+    """Where the improvement starts: the best, the best of another structure, and the best without load steps.
+
+    Where even the best leaves more than noise, the best of every structure: the truth may need more loads than seeded.
+    """
+    best = rivals[0]
+    same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
+    by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
+    by_type.sort(key=lambda c: c.criterion)
+    far = best.colour.std > FAR * best.fit.misfit.record.noise_std
+    calm = [c for c in same if c.fit.misfit.loads == 0][:1]
+    return list(dict.fromkeys([*by_type[: None if far else 2], *calm]))
+
+
+def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit]:
+    """Every structure with 0, 1, ... seeded loads."""
+
+    def misfit(type_: ProcessType, loads: int) -> Misfit:
+        return Misfit(
+            record, type_, sign, loads, record.noise_std, settings.start_spread, most_order=settings.most_order
+        )
+
+    seeds = starts(misfit(FIRST, 0), settings.seeded_loads, settings.starts)
+    slopes = starts(misfit(INTEGRATING, 0), settings.seeded_loads, 1)
+    found: list[Fit] = []
+    for loads in range(settings.seeded_loads + 1):
+        if not seeds[loads] or not slopes[loads]:
+            break
+        integrating = refine(misfit(INTEGRATING, loads), slopes[loads][0])
+        points = [*seeds[loads][: settings.starts - (loads > 0)], long_lag(integrating, FIRST)]
+        first = _best(misfit(FIRST, loads), points)
+        with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
+        found += [integrating, first, with_lag]
+        found.append(with_second_lag(first, SECOND, [with_lag], 1 + (loads == 0)))
+    return found
+
+
+def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:
+    """The best optimum from several starts: roughly at first, then to the end from the best."""
+    rough = [refine(misfit, p, evaluations=ROUGH) for p in points]
+    best = min(rough, key=lambda fit: fit.deviance)
+    return refine(misfit, best.p)
+
+
+def _relatives(winner: Candidate, seen: Seen) -> list[Candidate]:
+    """The other structures of the winner's sign, each with the winner's loads, drift and whitening filter."""
+    fit = winner.fit
+    found = []
+    tail = fit.p[SIZE[fit.misfit.type] :]
+    for type_ in SIZE:
+        if type_ == fit.misfit.type:
+            continue
+        own = seen.best(type_, fit.misfit.sign)
+        best = refine(replace(fit.misfit, type=type_), np.concatenate([own.fit.x, tail]))
+        if type_ == SECOND and fit.misfit.type == FIRST:
+            best = min(best, with_second_lag(fit, SECOND, []), key=lambda f: f.deviance)
+        if type_ == INTEGRATING_LAG and fit.misfit.type == INTEGRATING:
+            best = min(best, with_second_lag(fit, type_, []), key=lambda f: f.deviance)
+        found.append(judged(best))
+    return found

@@ -1,0 +1,143 @@
+"""What a record is before anyone asks what is wrong with the loop: is there a loop at work in it at all?
+
+In this order, the first that applies:
+
+    dead pv, dead co      the signal does not change: a broken sensor, a closed line, a flat-lined tag
+    no response           co moves and pv does not follow: it stays within its noise, or on a few values of its grid
+    manual                co stands exactly still for most of the time although the error would move it
+    not controlling       the error stays far on one side and co is not at a limit: no integral action, or another
+                          controller has the valve
+    moving setpoint       the setpoint changes all the time: the inner loop of a cascade
+    quiet                 nothing happens beyond noise: no setpoint change, pv within its noise band
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from retuner.adaptive.indexes.autocovariance import running_mean
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+DEAD = 1e-9
+"""A signal that varies by less than this share of its magnitude is dead."""
+STILL_SHARE = 0.6
+"""Share of the record in long stretches of constant co from which it counts as manual."""
+STILL_STRETCH = 20
+"""Samples of constant co that make a long stretch, at least."""
+STILL_LENGTH = 0.1
+"""The same as a share of the record: a rounded co stands still for a while as well."""
+MOVING_SHARE = 0.3
+"""Share of samples with a setpoint change from which the setpoint moves all the time."""
+OFFSET_RATIO = 6.0
+"""Mean error over its standard deviation from which it stands far on one side."""
+NOISE_RATIO = 1.6
+"""Slow movement over what averaged noise would leave, from which a signal moves."""
+AVERAGED = 16
+"""Samples averaged to see slow movement."""
+
+
+class Condition(StrEnum):
+    """What the record shows before any diagnosis; the value is the word that people see."""
+
+    NORMAL = "normal"
+    DEAD_PV = "dead pv"
+    DEAD_CO = "dead co"
+    NO_RESPONSE = "no response"
+    MANUAL = "manual"
+    NOT_CONTROLLING = "not controlling"
+    MOVING_SETPOINT = "moving setpoint"
+    QUIET = "quiet"
+
+
+SENTENCES = {
+    Condition.NORMAL: "a loop at work",
+    Condition.DEAD_PV: "pv does not change in the whole record: a dead signal",
+    Condition.DEAD_CO: "co does not change in the whole record: manual, or a dead signal",
+    Condition.NO_RESPONSE: "co moves and pv does not respond to it",
+    Condition.MANUAL: "co stands still for most of the record: the loop is in manual",
+    Condition.NOT_CONTROLLING: "pv stays far from its setpoint with co inside its range: no integral action, or "
+    "another controller has the valve",
+    Condition.MOVING_SETPOINT: "the setpoint moves all the time: the inner loop of a cascade",
+    Condition.QUIET: "nothing happens in this record beyond noise",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordCondition:
+    """The condition and the numbers behind it.
+
+    still_share : share of samples in long stretches of constant co. sp_moving_share : share of samples with a new sp.
+    offset : |mean error| / standard deviation of the error.
+    """
+
+    condition: Condition
+    still_share: float
+    sp_moving_share: float
+    offset: float
+
+    @property
+    def sentence(self) -> str:
+        """The condition in a sentence."""
+        return SENTENCES[self.condition]
+
+
+def record_condition(window: Window, at_limit_share: float = 0.0, *, oscillates: bool = False) -> RecordCondition:
+    """Judge a record.
+
+    at_limit_share : share of samples with co at a limit: there an error may stand. oscillates : a lasting oscillation
+        was seen, which may be too fast for means of AVERAGED samples to show it.
+    """
+    e = window.sp - window.pv
+    spread = float(np.std(e))
+    offset = abs(float(np.mean(e))) / spread if spread > 0 else 0.0
+    still = sum(end - start for start, end in still_stretches(window.co)) / len(window.co)
+    moving = float(np.mean(np.diff(window.sp) != 0))
+    condition = _condition(window, still - at_limit_share, moving, offset, at_limit_share)
+    if oscillates and condition in {Condition.QUIET, Condition.NO_RESPONSE}:
+        condition = Condition.NORMAL
+    return RecordCondition(condition, still, moving, offset)
+
+
+def _condition(window: Window, still: float, moving: float, offset: float, at_limit: float) -> Condition:
+    """The first that applies, the most fundamental first."""
+    if _dead(window.pv):
+        return Condition.DEAD_PV
+    if _dead(window.co):
+        return Condition.DEAD_CO
+    if still > STILL_SHARE:
+        return Condition.MANUAL
+    pv_moves, co_moves = _slow_movement(window.pv), _slow_movement(window.co)
+    if not pv_moves and moving < MOVING_SHARE:
+        return Condition.NO_RESPONSE if co_moves and _escapes(window) else Condition.QUIET
+    if offset > OFFSET_RATIO and at_limit < STILL_SHARE:
+        return Condition.NOT_CONTROLLING
+    return Condition.MOVING_SETPOINT if moving > MOVING_SHARE else Condition.NORMAL
+
+
+def _dead(x: FloatArray) -> bool:
+    """Whether a signal is constant."""
+    return float(np.ptp(x)) <= DEAD * float(np.max(np.abs(x)))
+
+
+def still_stretches(co: FloatArray) -> list[tuple[int, int]]:
+    """Long stretches without any change of co: first sample, and sample after the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (np.diff(co) == 0).astype(np.int8), [0]])))
+    shortest = max(STILL_STRETCH, STILL_LENGTH * len(co))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= shortest]
+
+
+def _slow_movement(x: FloatArray) -> bool:
+    """Whether means over AVERAGED samples vary more than those of noise would."""
+    width = min(AVERAGED, max(len(x) // 8, 1))
+    means = running_mean(x, width)[width // 2 :: width]
+    noise = noise_sigma(x) / math.sqrt(width)
+    return float(np.std(means)) > NOISE_RATIO * noise
+
+
+def _escapes(window: Window) -> bool:
+    """Whether co travels far in one direction, as an integrator does whose pv does not answer."""
+    slow = running_mean(window.co, AVERAGED)
+    return 2 * abs(float(slow[-1] - slow[0])) > float(np.sum(np.abs(np.diff(slow))))

@@ -1,0 +1,68 @@
+"""What the recording has done to a signal: noise, quantisation, repeated values, compression.
+
+    noise share   sigma^2 / variance, sigma from second differences (noise.py)
+    quantum       the step of a grid on which (nearly) all values lie; 0 when there is none
+    repeated      share of samples equal to the one before
+    compression   n / (n - number of zero second differences)          Thornhill, Choudhury & Shah 2004, section 4
+
+Historians keep only the corners of a signal and draw straight lines between them (second difference zero), or hold the
+last value. Compression above 3 spoils indexes that look at shapes and at non-linearity (the same source). A quantised
+signal stands still as well; its compression cannot be told and counts as 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray
+
+STRAIGHT = 1e-6
+"""A second difference below this share of the signal's range is zero."""
+ON_GRID = 0.05
+"""How near to a whole number of quanta a value must be, in quanta."""
+GRID_SHARE = 0.99
+"""Share of values that must fit the grid."""
+FEWEST_LEVELS = 4
+"""Fewer values lie on many grids."""
+FEWER_LEVELS = 0.5
+"""A grid shows in repetition: there must be fewer distinct values than this share of the samples."""
+MOST_LEVELS = 1000
+"""More steps than these in the range of the record are the number format's, not the sensor's (10 bits)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingQuality:
+    """See the head of this file; noise_share and repeated 0 to 1, quantum in the signal's units, compression >= 1."""
+
+    noise_share: float
+    quantum: float
+    repeated: float
+    compression: float
+
+
+def recording_quality(x: FloatArray) -> RecordingQuality | None:
+    """Judge one signal, shape (n,); None for a constant one."""
+    span = float(np.ptp(x))
+    if span <= 0:
+        return None
+    steps = np.diff(x)
+    step = quantum(x)
+    straight = 0 if step else int(np.sum(np.abs(np.diff(steps)) <= STRAIGHT * span))
+    noise = min(noise_sigma(x) ** 2 / float(np.var(x)), 1.0)
+    return RecordingQuality(noise, step, float(np.mean(steps == 0)), len(x) / (len(x) - straight))
+
+
+def quantum(x: FloatArray) -> float:
+    """Step of the grid on which the values lie, in their units; 0 when they lie on none."""
+    values = np.unique(x)
+    if not FEWEST_LEVELS <= len(values) <= FEWER_LEVELS * len(x):
+        return 0.0
+    gaps, above = np.diff(values), values[1:] - values[0]
+    step = float(np.min(gaps[gaps > float(np.ptp(x)) / (2 * MOST_LEVELS)], initial=float(np.ptp(x))))
+    for reach in (3, 30, 2 * MOST_LEVELS):  # values are rounded: the further ones settle the last digits of the step
+        near = above < (reach + 0.5) * step
+        counts = np.round(above[near] / step)
+        step = float(counts @ above[near] / (counts @ counts)) if np.any(counts) else step
+    fits = np.abs(above / step - np.round(above / step)) <= ON_GRID
+    return step if float(np.mean(fits)) >= GRID_SHARE and float(np.ptp(x)) < MOST_LEVELS * step else 0.0

@@ -1,0 +1,117 @@
+"""Overshoot and damping of the responses to setpoint steps.
+
+    overshoot = -E2 / E1,   damping = (E3 - E2) / (E1 - E2)          as in response.py (Foxboro TI 039-200, 1995)
+
+with E1 the error right after the step and E2, E3 the next extremes on either side. Medians over the steps of a record
+are given. The relative damping of a second-order loop is zeta = -ln(o) / sqrt(pi^2 + ln(o)^2), o the overshoot.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.indexes.autocovariance import running_mean
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray
+
+STEP_BAND = 6.0
+"""A setpoint change counts as a step when it exceeds this many standard deviations of pv's noise."""
+PEAK_BAND = 3.0
+"""Extremes within this many standard deviations of noise are none."""
+FEWEST_SAMPLES = 8
+"""Samples that a response needs to have peaks."""
+AT_REST = 0.3
+"""The error before a step, as a share of the step, up to which the loop was at rest enough."""
+MOST_STEPS = 0.05
+"""When the setpoint changes in a larger share of the samples it moves all the time and has no steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointResponses:
+    """Medians over the setpoint responses of a record.
+
+    steps : how many could be read. overshoot : share of the step, 0 when none stands out of the noise.
+    damping : 0 dead-beat to 1 undamped; None where no response has a third peak out of the noise.
+    """
+
+    steps: int
+    overshoot: float
+    damping: float | None
+
+
+def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | None:
+    """Read the responses of a record, shapes (n,); None when there is no readable setpoint step."""
+    sigma = noise_sigma(pv)
+    changes = np.flatnonzero(np.diff(sp)) + 1
+    if not changes.size or changes.size > max(MOST_STEPS * len(sp), 1.0):
+        return None
+    read = []
+    for start, end in zip(changes, [*changes[1:], len(sp)], strict=True):
+        step = float(sp[start] - sp[start - 1])
+        rest = abs(float(sp[start - 1] - pv[start - 1])) - PEAK_BAND * sigma
+        if abs(step) > STEP_BAND * sigma and end - start >= FEWEST_SAMPLES and rest <= AT_REST * abs(step):
+            read.append(_response((sp[start:end] - pv[start:end]) / step, PEAK_BAND * sigma / abs(step)))
+    if not read:
+        return None
+    damped = [d for _, d in read if d is not None]
+    return SetpointResponses(len(read), float(np.median([o for o, _ in read])),
+                             float(np.median(damped)) if damped else None)  # fmt: skip
+
+
+def _response(e: FloatArray, band: float) -> tuple[float, float | None]:
+    """Overshoot and damping of one normalised error, 1 at the step."""
+    below = np.flatnonzero(e < 0)
+    if not below.size:
+        return 0.0, None
+    back = below[0] + np.flatnonzero(e[below[0] :] > band)
+    until = int(back[0]) if back.size else len(e)
+    second = int(below[0] + np.argmin(e[below[0] : until])) if until > below[0] else int(below[0])
+    e2 = float(e[second])
+    if -e2 <= band:
+        return 0.0, None
+    above = second + np.flatnonzero(e[second:] > band)
+    if not above.size:
+        return -e2, None
+    ends = above[0] + np.flatnonzero(e[above[0] :] < -band)
+    e3 = float(np.max(e[above[0] : int(ends[0]) if ends.size else len(e)]))
+    return -e2, (e3 - e2) / (1.0 - e2)
+
+
+# Idle index: does the controller wait for the process? (Hagglund 1999)
+#
+#     idle index: (t_pos - t_neg) / (t_pos + t_neg)
+#
+# t_pos is the time during which the increments of co and pv have the same sign, t_neg that of opposite signs, for a
+# process of positive gain. After a load disturbance a sluggish loop moves co and pv together for a long time (near 1);
+# a well tuned one is around -0.5 to 0; an oscillating one is near -1 to 0. So a low value does not praise a loop. As in
+# Kuehl & Horch (2005) the signals are smoothed, and increments within the noise count for neither side.
+
+
+NOISE_BAND = 3.0
+"""Standard deviations of noise within which an increment has no sign."""
+FEWEST_INCREMENTS = 10
+"""Increments with a sign that are needed."""
+
+
+def idle_index(pv: FloatArray, co: FloatArray, direction: int, width: int) -> float | None:
+    """Idle index, -1 to 1; None when fewer than ten increments stand out of the noise.
+
+    Parameters
+    ----------
+    pv, co : process value and controller output, shape (n,), setpoint constant. direction : sign of the process gain.
+    width : samples over which is smoothed and over which increments are taken; about a twentieth of the loop's period.
+
+    Source: Hagglund (1999), Control Engineering Practice 7, 1505-1511.
+    """
+    d_pv, d_co = (_increments(x, width) for x in (pv, co))
+    sign = np.sign(d_pv * d_co) * direction
+    counted = sign[(d_pv != 0) & (d_co != 0)]
+    return float(np.mean(counted)) if counted.size >= FEWEST_INCREMENTS else None
+
+
+def _increments(x: FloatArray, width: int) -> FloatArray:
+    """Increments of the smoothed signal over width samples; those within the noise are zero."""
+    smooth = running_mean(x, width)
+    step = smooth[width:] - smooth[:-width]
+    band = NOISE_BAND * noise_sigma(x) * (2.0 / width) ** 0.5
+    return np.where(np.abs(step) > band, step, 0.0)

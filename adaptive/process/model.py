@@ -1,0 +1,145 @@
+"""Process models: the few-parameter models that rules tune for, and the general linear process behind them.
+
+    G(s) = k  prod(1 + lead_i s) / (s^n prod(1 + lag_i s) prod(1 + c1_i s + c2_i s^2))  e^(-theta s)
+
+k is the steady-state gain; for integrating types it is the slope gain k' per second (k'' per second squared).
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.signals.sample import FloatArray
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+class ProcessType(StrEnum):
+    """The six structures of Skogestad (2003), under the names that the command line uses."""
+
+    FOPDT = "fopdt"
+    SOPDT = "sopdt"
+    INTEGRATING = "integrating"
+    INTEGRATING_LAG = "integrating-lag"
+    DOUBLE_INTEGRATING = "double-integrating"
+    DELAY = "delay"
+
+
+@dataclass(frozen=True, slots=True)
+class LinearProcess:
+    """A linear process of any order with dead time: what a plant truly is at one operating point.
+
+    Parameters
+    ----------
+    k : gain (see the head of this file).
+    lags_s, leads_s : time constants of poles and zeros in seconds; a negative lead is an inverse response.
+    theta_s : dead time in seconds.
+    integrators : number of pure integrators.
+    quadratics : pairs (c1_s, c2_s2) of factors 1 + c1 s + c2 s^2 of the denominator: pairs of poles, complex ones too.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, k is zero, a lag, theta or a coefficient of a pair is negative.
+    """
+
+    k: float
+    lags_s: tuple[float, ...] = ()
+    leads_s: tuple[float, ...] = ()
+    theta_s: float = 0.0
+    integrators: int = 0
+    quadratics: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, value in (
+            ("k", self.k),
+            ("theta_s", self.theta_s),
+            *(("lags_s", x) for x in self.lags_s),
+            *(("leads_s", x) for x in self.leads_s),
+            *(("quadratics", x) for pair in self.quadratics for x in pair),
+        ):
+            if not math.isfinite(value):
+                raise ValueError(f"{name} = {value} is not a finite number")
+        if self.k == 0:
+            raise ValueError("k = 0: the controller output does not move this process")
+        if min((self.theta_s, *self.lags_s)) < 0:
+            raise ValueError(f"theta_s = {self.theta_s}, lags_s = {self.lags_s}: times must not be negative")
+        if any(c1 < 0 or c2 < 0 for c1, c2 in self.quadratics):
+            raise ValueError(f"quadratics = {self.quadratics}: a negative coefficient makes the process unstable")
+
+    def response(self, w: FloatArray) -> ComplexArray:
+        """G(jw) at the frequencies w in rad/s, shape (n,)."""
+        s = 1j * np.asarray(w, dtype=np.float64)
+        g = self.k * np.exp(-self.theta_s * s) / s**self.integrators
+        for lead in self.leads_s:
+            g = g * (1 + lead * s)
+        for lag in self.lags_s:
+            g = g / (1 + lag * s)
+        for c1, c2 in self.quadratics:
+            g = g / (1 + c1 * s + c2 * s * s)
+        return np.asarray(g, dtype=np.complex128)
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessModel:
+    """A model that a tuning rule takes: one of six structures.
+
+    Parameters
+    ----------
+    type : structure.
+    k : steady-state gain, or k', k'' for one or two integrators.
+    tau1_s, tau2_s : lags, tau1_s >= tau2_s; 0 where the structure has none. For integrating-lag the lag is tau2_s.
+    theta_s : (effective) dead time.
+    zeta : damping of a second-order process that swings, 0 < zeta <= 1: its denominator is
+        1 + 2 zeta tau s + tau^2 s^2 with tau = tau1_s = tau2_s. 1 for two real lags and for all other structures.
+
+    Raises
+    ------
+    ValueError
+        A value is not finite, of the wrong sign, or the structure has no place for it.
+    """
+
+    type: ProcessType
+    k: float
+    tau1_s: float = 0.0
+    tau2_s: float = 0.0
+    theta_s: float = 0.0
+    zeta: float = 1.0
+
+    def __post_init__(self) -> None:
+        LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
+        has_tau1 = self.type in {ProcessType.FOPDT, ProcessType.SOPDT}
+        has_tau2 = self.type in {ProcessType.SOPDT, ProcessType.INTEGRATING_LAG}
+        if has_tau1 != (self.tau1_s > 0):
+            raise ValueError(f"tau1_s = {self.tau1_s}: type {self.type} {'needs' if has_tau1 else 'has no'} tau1")
+        if self.tau2_s > 0 and not has_tau2:
+            raise ValueError(f"tau2_s = {self.tau2_s}: type {self.type} has no tau2")
+        if has_tau1 and self.tau2_s > self.tau1_s:
+            raise ValueError(f"tau2_s = {self.tau2_s} is larger than tau1_s = {self.tau1_s}; exchange them")
+        if not 0 < self.zeta <= 1:
+            raise ValueError(f"zeta = {self.zeta} is outside 0 to 1; two real lags have zeta = 1")
+        if self.zeta < 1 and not (self.type == ProcessType.SOPDT and self.tau1_s == self.tau2_s):
+            raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
+
+    @property
+    def slope(self) -> float:
+        """Initial slope gain k' = k / tau1 per second (k itself for the other structures)."""
+        return self.k / self.tau1_s if self.tau1_s > 0 else self.k
+
+    def linear(self) -> LinearProcess:
+        """The same as a general linear process."""
+        integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
+        if self.zeta < 1:
+            pair = (2 * self.zeta * self.tau1_s, self.tau1_s**2)
+            return LinearProcess(self.k, (), (), self.theta_s, 0, (pair,))
+        lags = tuple(lag for lag in (self.tau1_s, self.tau2_s) if lag > 0)
+        return LinearProcess(self.k, lags, (), self.theta_s, integrators.get(self.type, 0))
+
+    def to_dict(self) -> dict[str, float | str]:
+        """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings."""
+        swings = {"zeta": self.zeta} if self.zeta < 1 else {}
+        return {"type": str(self.type), "k": self.k, "tau1": self.tau1_s, "tau2": self.tau2_s, "theta": self.theta_s,
+                **swings}  # fmt: skip

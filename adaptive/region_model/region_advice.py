@@ -1,0 +1,317 @@
+"""What the records say of the regions themselves: one that holds two processes should be split, equal ones merged.
+
+Both questions are put to what the models ask of their controller, z = (ln |Kc|, ln tau_I) with covariance C
+(settings_features.py): regions exist for the sake of settings.
+
+Split. One region: the records by themselves, z_i at (x_i, t_i), scatter about a common mean, z_i ~ N(m, C_i + s^2 I)
+with the scatter s between records that a region may have. Two: a border between two x, a mean on either side. With
+chi2 = sum (z_i - m)' (C_i + s^2 I)^-1 (z_i - m) at the best m, the logarithm of the likelihood ratio is
+(chi2_one - chi2_two)/2, and twice of it is chi-square with two degrees of freedom where there is one process (Wilks
+1938): exceeded with probability alpha at -2 ln(alpha/n), n being the number of borders that were tried (Bonferroni). A
+border is proposed when it passes that, when it leaves no contradiction behind, when it explains better than the same
+split in time (a process that changed is no second region), and when the settings on its two sides differ by enough.
+
+Merge. Neighbours whose settings agree: the means of their records must place the ratio, with its uncertainty, within a
+factor at which nobody would keep two sets. What is not known does not agree. The uncertainty of a mean is widened by
+what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On a map of
+two axes a border runs through all rows or columns, and so does the proposal.
+
+Pure: beliefs in, advice out; nothing is changed.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from retuner.adaptive.identification.estimate import LOG_STEP, LogModel, proper_covariance
+from retuner.adaptive.identification.structure import model_at
+from retuner.adaptive.region_model.region_model import Belief, RecordPoint
+from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.forms import to_ideal
+from retuner.schedule.regions import Regions
+
+# What a model asks of its controller, as two numbers with their covariance: (ln |Kc|, ln tau_I) of SIMC.
+#
+# Models of different structures cannot be compared by their parameters; the settings that follow from them can, and
+# they are what a gain table is about. SIMC (Skogestad 2003, section 4) with tau_c = theta gives both; half a sampling
+# interval is added to the delay, as everywhere on line. The covariance is that of the log-parameters, taken across by
+# the derivatives (first order, central differences).
+
+
+SIZE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """z : (ln |Kc|, ln tau_I in s), shape (2,). p : its covariance, shape (2, 2)."""
+
+    z: FloatArray
+    p: FloatArray
+
+
+def features(log: LogModel, half_sample_s: float) -> Features:
+    """The two numbers of an estimate. half_sample_s : half the controller's sampling interval, s."""
+    jacobian = np.zeros((SIZE, len(log.x)))
+    for j in range(len(log.x)):
+        step = np.zeros(len(log.x))
+        step[j] = LOG_STEP
+        up, down = (_asked(log, log.x + way * step, half_sample_s) for way in (1.0, -1.0))
+        jacobian[:, j] = (up - down) / (2 * LOG_STEP)
+    return Features(_asked(log, log.x, half_sample_s), proper_covariance(jacobian @ log.p @ jacobian.T))
+
+
+def _asked(log: LogModel, x: FloatArray, half_sample_s: float) -> FloatArray:
+    """(ln |Kc|, ln tau_I) at a point; the gain is that of the ideal form, kp."""
+    found = model_at(log.type, x, log.sign)
+    model = without_second_lag(replace(found, theta_s=found.theta_s + half_sample_s))
+    ideal = to_ideal(simc(model, model.theta_s).gains)
+    assert ideal.tau_i_s is not None
+    return np.array([math.log(abs(ideal.kc)), math.log(ideal.tau_i_s)])
+
+
+class AdviceKind(StrEnum):
+    """What is proposed."""
+
+    SPLIT = "split"
+    MERGE = "merge"
+
+
+@dataclass(frozen=True, slots=True)
+class AdviceSettings:
+    """Settings.
+
+    alpha : probability at which one process is taken for two; 1e-6 to 0.05, default 0.001 (a person looks at it).
+    scatter : how much ln Kc and ln tau_I differ from record to record within a region, one standard deviation;
+        default 0.12 (12 %, as the tracker has it).
+    against_time : by how much, in 2 ln of the likelihood, a border must explain better than a change in time; default 6
+        (20 to 1).
+    least_records : on each side of a border, and in each of two equal regions; default 3.
+    split_factor : least factor between the settings of the two sides; default 1.5.
+    merge_factor : largest factor between the settings of equal regions, its uncertainty included; default 1.25.
+    bound_std : how many standard deviations that uncertainty counts; default 1.96 (95 %).
+    """
+
+    alpha: float = 0.001
+    scatter: float = 0.12
+    against_time: float = 6.0
+    least_records: int = 3
+    split_factor: float = 1.5
+    merge_factor: float = 1.25
+    bound_std: float = 1.96
+
+    def __post_init__(self) -> None:
+        if not 1e-6 <= self.alpha <= 0.05:
+            raise ValueError(f"alpha = {self.alpha}; give 1e-6 to 0.05")
+        if not (self.scatter > 0 and self.against_time >= 0 and self.least_records >= 2 and self.bound_std > 0):
+            raise ValueError("scatter and bound_std must be positive, against_time 0 or more, least_records 2 or more")
+        if not (1 < self.split_factor < math.inf and 1 < self.merge_factor < math.inf):
+            raise ValueError("split_factor and merge_factor must be finite and more than 1")
+
+
+@dataclass(frozen=True, slots=True)
+class RegionAdvice:
+    """One proposal with its evidence.
+
+    regions : names: the one to split, or all that become fewer. axis : label of the axis, with its unit. border : where
+    on it. kc_factor, tau_i_factor : settings above the border over those below it. records : below, above.
+    statistic, limit : twice the logarithm of the likelihood ratio of a border against none, and what it had to pass;
+    of a merge the largest factor with its uncertainty, and its limit. against_time : the same against a change in time.
+    """
+
+    kind: AdviceKind
+    regions: tuple[str, ...]
+    axis: str
+    unit: str
+    border: float
+    kc_factor: float
+    tau_i_factor: float
+    records: tuple[int, int]
+    statistic: float
+    limit: float
+    against_time: float = 0.0
+
+    @property
+    def sentence(self) -> str:
+        """The proposal in a sentence or two."""
+        factors = f"Kc x {self.kc_factor:.2f}, tau_I x {self.tau_i_factor:.2f}"
+        where = f"{self.axis} = {self.border:.4g} {self.unit}".rstrip()
+        if self.kind is AdviceKind.MERGE:
+            named = " and ".join(self.regions) if len(self.regions) == 2 else ", ".join(self.regions)
+            return (f"The border at {where} may go: the records ask for the same settings on both sides of it in "
+                    f"{named} ({factors}; at most a factor of {self.statistic:.2f} with its uncertainty, "
+                    f"{self.limit:g} allowed).")  # fmt: skip
+        likelier, needed, later = (v / 2 / math.log(10) for v in (self.statistic, self.limit, self.against_time))
+        return (f"Region {self.regions[0]} holds two processes: a border at {where} explains its records "
+                f"10^{likelier:.1f} times better than one process (10^{needed:.1f} needed), and 10^{later:.1f} times "
+                f"better than a change in time. Above it the records ask for {factors} "
+                f"({self.records[0]} records below, {self.records[1]} above).")  # fmt: skip
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        return {**asdict(self), "kind": str(self.kind), "regions": list(self.regions), "records": list(self.records),
+                "sentence": self.sentence}  # fmt: skip
+
+
+def region_advice(
+    regions: Regions, beliefs: Mapping[int, Belief], sample_time_s: float, settings: AdviceSettings
+) -> tuple[RegionAdvice, ...]:
+    """All proposals: splits in the order of the regions, then merges in the order of the borders.
+
+    Parameters
+    ----------
+    regions : as they are. beliefs : what is known, by region. sample_time_s : of the controller.
+    """
+    half = sample_time_s / 2
+    splits = (_split(regions, i, beliefs[i].points, half, settings) for i in sorted(beliefs))
+    return (*(advice for advice in splits if advice is not None), *_merges(regions, beliefs, half, settings))
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """Records explained by one mean: their number, the mean with its covariance, what it leaves (chi-square)."""
+
+    count: int
+    mean: FloatArray
+    p: FloatArray
+    left: float
+
+
+_Weighted = tuple[FloatArray, FloatArray]
+"""z of a record, and its weight matrix."""
+
+
+def _side(points: Sequence[_Weighted]) -> _Side:
+    """The best common mean of (z, weight matrix)."""
+    total = np.sum([w for _, w in points], axis=0)
+    mean = np.linalg.solve(total, np.sum([w @ z for z, w in points], axis=0))
+    left = sum(float((z - mean) @ w @ (z - mean)) for z, w in points)
+    spread = max(left / (SIZE * max(len(points) - 1, 1)), 1.0)
+    return _Side(len(points), mean, np.asarray(np.linalg.inv(total) * spread, dtype=np.float64), left)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """Records parted at a place on an axis: the best of those that were tried."""
+
+    border: float
+    below: _Side
+    above: _Side
+    tried: int
+
+    @property
+    def left(self) -> float:
+        """What both means together leave."""
+        return self.below.left + self.above.left
+
+
+def _weighted(points: Sequence[RecordPoint], half_sample_s: float, scatter: float) -> list[_Weighted]:
+    """Each record's z, and the inverse of its covariance with the scatter."""
+    found = [features(point.log, half_sample_s) for point in points]
+    return [(f.z, np.asarray(np.linalg.inv(f.p + scatter**2 * np.eye(SIZE)), dtype=np.float64)) for f in found]
+
+
+def _best_cut(points: Sequence[_Weighted], places: Sequence[float], least: int) -> _Cut | None:
+    """The cut of ordered places that explains best; None where there is none with enough records on both sides."""
+    order = np.argsort(places, kind="stable").tolist()
+    cuts = []
+    for n in range(least, len(order) - least + 1):
+        low, high = places[order[n - 1]], places[order[n]]
+        if low < high:
+            below, above = _side([points[i] for i in order[:n]]), _side([points[i] for i in order[n:]])
+            cuts.append(_Cut((low + high) / 2, below, above, 1))
+    return replace(min(cuts, key=lambda cut: cut.left), tried=len(cuts)) if cuts else None
+
+
+def _split(
+    regions: Regions, region: int, points: Sequence[RecordPoint], half_sample_s: float, settings: AdviceSettings
+) -> RegionAdvice | None:
+    """The proposal to split a region, if there is one."""
+    placed = [p for p in points if math.isfinite(p.x) and math.isfinite(p.x2)]
+    if len(placed) < 2 * settings.least_records:
+        return None
+    weighted, least = _weighted(placed, half_sample_s, settings.scatter), settings.least_records
+    cuts = [_best_cut(weighted, [(p.x, p.x2)[k] for p in placed], least) for k in range(len(regions.axes))]
+    tried = sum(cut.tried for cut in cuts if cut is not None)
+    if not tried:
+        return None
+    k, cut = min(((k, cut) for k, cut in enumerate(cuts) if cut is not None), key=lambda one: one[1].left)
+    in_time = _best_cut(weighted, [p.t_s for p in placed], least)
+    one = _side(weighted).left
+    limit = -2 * math.log(settings.alpha / tried)
+    against_time = (one if in_time is None else in_time.left) - cut.left
+    explains = one - cut.left > limit and against_time >= settings.against_time
+    consistent = cut.left <= _gate(SIZE * (len(placed) - 2), settings.alpha)
+    if not (explains and consistent and _is_worth_it(regions, region, k, cut, settings)):
+        return None
+    apart, axis = cut.above.mean - cut.below.mean, regions.axes[k]
+    return RegionAdvice(
+        AdviceKind.SPLIT, (regions.names[region],), axis.label, axis.unit, cut.border, math.exp(float(apart[0])),
+        math.exp(float(apart[1])), (cut.below.count, cut.above.count), one - cut.left, limit, against_time,
+    )  # fmt: skip
+
+
+def _is_worth_it(regions: Regions, region: int, k: int, cut: _Cut, settings: AdviceSettings) -> bool:
+    """Whether the two sides differ by enough, and the border leaves room for the hysteresis on both."""
+    apart = float(np.max(np.abs(cut.above.mean - cut.below.mean)))
+    low, high = regions.span(region, k)
+    room = min(cut.border - low, high - cut.border)
+    return apart >= math.log(settings.split_factor) and room > 0 and room >= 2 * regions.axes[k].hysteresis
+
+
+def _gate(freedom: int, alpha: float) -> float:
+    """The value that chi-square with an even freedom exceeds with probability alpha, by bisection of its tail."""
+    low, high = 0.0, float(freedom)
+    while _tail(high, freedom) > alpha:
+        low, high = high, 2 * high
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _tail(middle, freedom) > alpha else (low, middle)
+    return high
+
+
+BISECTIONS = 40
+
+
+def _tail(value: float, freedom: int) -> float:
+    """exp(-v/2) sum over j < f/2 of (v/2)^j / j!, for an even freedom f (Abramowitz & Stegun 1964, 26.4.5)."""
+    half = value / 2
+    return math.exp(-half) * sum(half**j / math.factorial(j) for j in range(freedom // 2))
+
+
+def _merges(
+    regions: Regions, beliefs: Mapping[int, Belief], half_sample_s: float, settings: AdviceSettings
+) -> Iterator[RegionAdvice]:
+    """The borders that part nothing."""
+    asked = {
+        i: _side(_weighted(belief.points, half_sample_s, settings.scatter))
+        for i, belief in beliefs.items()
+        if len(belief.points) >= settings.least_records
+    }
+    for k, axis in enumerate(regions.axes):
+        for n, bound in enumerate(axis.bounds):
+            pairs = [(i, j) for i in range(len(regions)) for j in regions.neighbours(i)
+                     if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n]  # fmt: skip
+            if not all(i in asked and j in asked for i, j in pairs):
+                continue
+            told = [_apart(asked[i], asked[j], settings) for i, j in pairs]
+            most = max(factor for factor, _ in told)
+            if most > settings.merge_factor:
+                continue
+            apart = max((difference for _, difference in told), key=lambda d: float(np.max(np.abs(d))))
+            names = tuple(regions.names[i] for pair in pairs for i in pair)
+            counted = [sum(asked[pair[side]].count for pair in pairs) for side in (0, 1)]
+            yield RegionAdvice(
+                AdviceKind.MERGE, names, axis.label, axis.unit, bound, math.exp(float(apart[0])),
+                math.exp(float(apart[1])), (counted[0], counted[1]), most, settings.merge_factor,
+            )  # fmt: skip
+
+
+def _apart(one: _Side, other: _Side, settings: AdviceSettings) -> tuple[float, FloatArray]:
+    """The largest factor between two settings with its uncertainty, and the difference in logarithms."""
+    apart = other.mean - one.mean
+    unsure = settings.bound_std * np.sqrt(np.diag(one.p + other.p))
+    return math.exp(float(np.max(np.abs(apart) + unsure))), apart

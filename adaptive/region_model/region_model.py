@@ -1,0 +1,70 @@
+"""What is known of a region's process, as values: by structure, with what the last records said by themselves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessType
+
+POINTS = 12
+"""So many of the last records are remembered by what they said alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better)."""
+
+    log: LogModel
+    evidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class RecordPoint:
+    """One record by itself: when, where, and what it said.
+
+    t_s : of its last sample. x, x2 : scheduling variables there (x2 is 0 for a table of one dimension).
+    log : the structure that explains this record best, fitted to it alone. innovation : how far it lay from what was
+    known before (chi-square, one degree of freedom a parameter), 0 for the first.
+    """
+
+    t_s: float
+    x: float
+    x2: float
+    log: LogModel
+    innovation: float
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is known of a region.
+
+    known : by structure, the leading one first. records : how many records are in it, 0 for a borrowed one.
+    t_s : when it was last updated.
+    rival : what the odd record alone said, if the last one was odd.
+    points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
+    by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
+    """
+
+    known: tuple[Known, ...]
+    records: int
+    t_s: float
+    rival: tuple[Known, ...] | None = None
+    points: tuple[RecordPoint, ...] = field(default=())
+    plausible: tuple[Plausible, ...] = field(default=())
+    identifiable: bool = True
+    reason: str = ""
+
+    @property
+    def log(self) -> LogModel:
+        """The leading structure's."""
+        return self.known[0].log
+
+    def logs(self) -> dict[ProcessType, LogModel]:
+        """By structure."""
+        return {k.log.type: k.log for k in self.known}
+
+
+def remembered(points: Sequence[RecordPoint], latest: RecordPoint) -> tuple[RecordPoint, ...]:
+    """The points with the latest, at most POINTS of them."""
+    return (*points, latest)[-POINTS:]

@@ -1,0 +1,288 @@
+"""What is known of one region's process, from response to response.
+
+The state before a record is the prior inside the nonlinear fit that gives the record's linearisation, so the filter's
+update (region_filter.py) is the last step of an iterated extended Kalman filter (Bell & Cathey 1993) and its posterior
+is the fit's own. Feeding the filter separately fitted points instead was tried and failed: a record of a load alone has
+a bent ridge of likely parameters, and its Gaussian dragged the gain to a tenth.
+
+    known + record -> the record by itself; the record with the known in its fit; do the two belong together?
+
+A record that does not settle the process by itself still narrows it: whether settings may follow is asked of what is
+known after the record, never of the record alone. Only a record that shows nothing of the process teaches nothing.
+
+All of this is kept per structure (fit/structure.py), each with the sum of what its records said for it, n ln sigma^2
+plus the cost of loads and colour: information criteria add up, so the structure may change at any time and none is
+discarded for good; what is known is that of the structure which leads.
+
+A record that contradicts what is known is not believed at once: it is kept as a rival. When the next record agrees
+with the rival clearly better than with the belief, the process has changed (or the first record was wrong), and the
+rival takes over; when it clearly agrees with the belief, the odd record is forgotten; and when it shows too little to
+tell (a load tells little of a dead time), it is taken into both. Only a loop that is in danger by what the odd
+record says does not wait: then the record is believed, and what was known is the rival. And where no settings could
+follow from what was known, it gives way at once to a record that contradicts it and settles the process by itself.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from retuner.adaptive.identification.candidate import Candidate, with_priors
+from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
+from retuner.adaptive.identification.identify import FitSettings, estimate_of, fitted, inflation_of
+from retuner.adaptive.identification.refine import Prior
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened
+from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoint, remembered
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+
+class Surprise(StrEnum):
+    """How a record stood to what was known."""
+
+    FIRST = "first record of this region"
+    AGREES = "agrees with what was known"
+    ODD = "contradicts what was known; kept as a rival until another record decides"
+    CHANGED = "a second record confirms the rival: the process has changed"
+    OPENED = "contradicts what was known, and the loop is in danger: believed at once, what was known is the rival"
+    SILENT = "shows nothing of the process; nothing is learned"
+
+
+ANEW = frozenset({Surprise.FIRST, Surprise.OPENED, Surprise.CHANGED})
+"""After these the model rests on nothing that was believed before."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSettings:
+    """Settings.
+
+    walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
+    walk_per_record : how far they wander from record to record, whatever the time; 0 to 0.1, default 0.03: a gain that
+        doubles within thirty records is followed.
+    scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
+        operating point is never quite the same and no structure is quite right; 0.02 to 0.2, default 0.06 (with 0.12 a
+        gain that doubles at once passes the gate and is followed too slowly).
+    gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 6,
+        default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and then, and a
+        gain or delay that has doubled lies far beyond 4.5.
+    decisive : deviance by which a record that fits both must speak for the rival, or against it; 2 to 20, default 6
+        (odds of 20).
+    clearer : a single record gives way to one that contradicts it and knows the gain so many times better, and is its
+        rival from then on; 1 to 10, default 1.5.
+    most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
+    danger_ms : an odd record by which Ms is above this with the gains in force is believed at once; default 2.3.
+    """
+
+    walk_per_day: float = 0.1
+    walk_per_record: float = 0.03
+    scatter: float = 0.06
+    gate: float = 4.5
+    decisive: float = 6.0
+    clearer: float = 1.5
+    most_lead: float = 60.0
+    danger_ms: float = 2.3
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """Outcome of one record: the belief now, the estimate that the record gave, how it stood to the old belief."""
+
+    belief: Belief | None
+    estimate: ModelEstimate
+    surprise: Surprise
+    innovation: float
+
+
+SECONDS_PER_DAY = 86400.0
+
+Logs = Mapping[ProcessType, LogModel]
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """A record to be learned: its own fits, what it says alone, and where and when it was taken."""
+
+    window: Window
+    found: list[Candidate]
+    alone: ModelEstimate
+    at: tuple[float, float]
+    settings: TrackerSettings
+    fit: FitSettings
+
+    @property
+    def t_s(self) -> float:
+        """Of its last sample."""
+        return float(self.window.t_s[-1])
+
+    def point(self, innovation: float) -> RecordPoint:
+        """What is remembered of it by itself."""
+        return RecordPoint(self.t_s, *self.at, self.alone.log, innovation)
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """What is known with a record taken in.
+
+    rise : how much worse the two explain each other than each by itself (deviance). innovation : the same, never more
+    than what the linear filter says.
+    """
+
+    known: tuple[Known, ...]
+    estimate: ModelEstimate
+    innovation: float
+    rise: float
+
+    def belief(self, records: int, lesson: Lesson, points: tuple[RecordPoint, ...]) -> Belief:
+        """As the new belief."""
+        return _belief(self.known, records, lesson.t_s, points, self.estimate)
+
+
+def learn(
+    belief: Belief | None,
+    window: Window,
+    in_force: PidGains,
+    settings: TrackerSettings,
+    fit: FitSettings,
+    at: tuple[float, float] = (0.0, 0.0),
+) -> Learned:
+    """Take one record of a region into what is known of it.
+
+    Parameters
+    ----------
+    belief : what was known, None at first; borrowed ones have no records.
+    window : the record. in_force : gains under which it was taken: their direction is that of the process.
+    at : where the record lay, in the table's scheduling variables.
+    """
+    sign = in_force.direction
+    found = fitted(window, (sign,), fit)
+    lesson = Lesson(window, found, estimate_of(found, float(window.t_s[0]), {}, fit), at, settings, fit)
+    if lesson.alone.explained < fit.explained_limit:
+        kept = belief if belief is not None and belief.records else None
+        return Learned(kept, lesson.alone, Surprise.SILENT, 0.0)
+    if belief is None or belief.log.sign != sign:
+        return _first(lesson)
+    joined = _joined(belief.known, lesson.t_s - belief.t_s, lesson)
+    points = remembered(belief.points, lesson.point(joined.innovation))
+    if joined.innovation <= gate(len(belief.log.x), settings.gate):
+        return _agreed(belief, joined, lesson, points)
+    if not belief.records or (lesson.alone.identifiable and not _holds(belief, lesson)):
+        return _first(lesson, belief.known if belief.identifiable and belief.records else None)
+    return _contradicted(belief, lesson, joined.innovation, points, in_force)
+
+
+def _agreed(belief: Belief, joined: Joined, lesson: Lesson, points: tuple[RecordPoint, ...]) -> Learned:
+    """What was known explains the record; so may the rival, and better."""
+    settings, kept = lesson.settings, None
+    if belief.rival is not None:
+        other = _joined(belief.rival, 0.0, lesson)
+        lead = joined.rise - other.rise
+        if other.innovation <= gate(len(belief.rival[0].log.x), settings.gate):
+            if lead > settings.decisive:
+                return Learned(other.belief(2, lesson, points[-2:]), other.estimate, Surprise.CHANGED,
+                               joined.innovation)  # fmt: skip
+            kept = other.known if lead > -settings.decisive else None
+    now = replace(joined.belief(belief.records + 1, lesson, points), rival=kept)
+    return Learned(now, joined.estimate, Surprise.AGREES, joined.innovation)
+
+
+def _holds(belief: Belief, lesson: Lesson) -> bool:
+    """Whether what was known stands up to a record that settles the process by itself."""
+    if not belief.identifiable:
+        return False
+    if belief.records > 1 or belief.rival is not None:
+        return True
+    own = [point for point in belief.points if point.t_s == belief.t_s]  # later ones were odd, and are not in it
+    return not own or own[-1].log.gain_uncertainty() < lesson.settings.clearer * lesson.alone.log.gain_uncertainty()
+
+
+def _first(lesson: Lesson, rival: tuple[Known, ...] | None = None) -> Learned:
+    """The first record of a region: all that is known is what it says. rival : what it took the place of."""
+    alone = lesson.alone
+    known = _led([Known(scattered(a.log, lesson.settings), a.evidence) for a in alone.alternatives], lesson)
+    belief = replace(_belief(known, 1, lesson.t_s, (lesson.point(0.0),), alone), rival=rival)
+    return Learned(belief, alone, Surprise.FIRST, 0.0)
+
+
+def _belief(
+    known: tuple[Known, ...], records: int, t_s: float, points: tuple[RecordPoint, ...], estimate: ModelEstimate
+) -> Belief:
+    """A belief whose last word is an estimate."""
+    return Belief(known, records, t_s, None, points, estimate.plausible, estimate.identifiable, estimate.reason)
+
+
+def _contradicted(
+    belief: Belief, lesson: Lesson, innovation: float, points: tuple[RecordPoint, ...], in_force: PidGains
+) -> Learned:
+    """The rival confirmed, a loop in danger, or an odd record that waits."""
+    alone, settings = lesson.alone, lesson.settings
+    if belief.rival is not None:
+        joined = _joined(belief.rival, 0.0, lesson)
+        doubted = surprise_of(scattered(belief.log, settings), alone)
+        predicts = surprise_of(scattered(belief.rival[0].log, settings), alone) < doubted
+        if predicts and joined.innovation <= gate(len(belief.rival[0].log.x), settings.gate):
+            return Learned(joined.belief(2, lesson, points[-2:]), joined.estimate, Surprise.CHANGED, innovation)
+    if not alone.identifiable:
+        return Learned(replace(belief, rival=None, points=points), alone, Surprise.ODD, innovation)
+    first = _first(lesson).belief
+    assert first is not None
+    if sensitivity_peak(alone.log.model().linear(), in_force) > settings.danger_ms:
+        opened = replace(first, rival=belief.known, points=points)
+        return Learned(opened, alone, Surprise.OPENED, innovation)
+    return Learned(replace(belief, rival=first.known, points=points), alone, Surprise.ODD, innovation)
+
+
+def _joined(known: tuple[Known, ...], elapsed_s: float, lesson: Lesson) -> Joined:
+    """Every structure updated by the record: its fits repeated with what is known in them."""
+    settings, fit, alone = lesson.settings, lesson.fit, lesson.alone
+    means = {k.log.type: grown(k.log, elapsed_s, settings) for k in known}
+    priors = {t: scattered(log, settings) for t, log in means.items()}
+    roots = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
+    before = {k.log.type: k.evidence for k in known}
+    again = with_priors(lesson.found, roots, inflation_of)
+    summed = [replace(c, criterion=c.criterion + before[c.fit.misfit.type]) for c in again]
+    estimate = estimate_of(sorted(summed, key=lambda c: c.criterion), float(lesson.window.t_s[0]), roots, fit)
+    after = []
+    for alternative in estimate.alternatives:
+        type_ = alternative.log.type
+        _, posterior = update(priors[type_], estimate)
+        after.append(Known(back_to_mean(means[type_], priors[type_], posterior), alternative.evidence))
+    apart = min(_criterion(k, lesson) for k in known) + min(a.evidence for a in alone.alternatives)
+    together = min(_criterion(k, lesson) for k in after)
+    linear, _ = update(priors[known[0].log.type], alone)
+    rise = together - apart
+    return Joined(_led(after, lesson), estimate, min(linear, max(rise, 0.0)), rise)
+
+
+def _criterion(known: Known, lesson: Lesson) -> float:
+    """The evidence with the cost of the process parameters (Schwarz 1978)."""
+    return known.evidence + len(known.log.x) * math.log(lesson.alone.best.samples)
+
+
+def _led(known: list[Known], lesson: Lesson) -> tuple[Known, ...]:
+    """The leading structure first, the others no farther behind than is allowed."""
+    ranked = sorted(known, key=lambda k: _criterion(k, lesson))
+    lead, most = _criterion(ranked[0], lesson), lesson.settings.most_lead
+    return tuple(replace(k, evidence=k.evidence - max(_criterion(k, lesson) - lead - most, 0.0)) for k in ranked)
+
+
+def grown(log: LogModel, elapsed_s: float, settings: TrackerSettings) -> LogModel:
+    """The region's mean one record and so much time later: where it was, a covariance grown by the random walk."""
+    days = max(elapsed_s, 0.0) / SECONDS_PER_DAY
+    return widened(log, settings.walk_per_day**2 * days + settings.walk_per_record**2)
+
+
+def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
+    """What one record may show when this is known of the mean, or the other way round."""
+    return widened(log, settings.scatter**2)
+
+
+def predicted(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
+    """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
+    return scattered(grown(belief.log, t_s - belief.t_s, settings), settings)
+
+
+def predicted_all(belief: Belief, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
+    """The same under every structure, the leading one first."""
+    return tuple(scattered(grown(k.log, t_s - belief.t_s, settings), settings) for k in belief.known)

@@ -1,0 +1,71 @@
+"""Noise level of a signal from the record itself.
+
+    sigma = 1.4826 median |d| / sqrt(6),   d_i = y_i - 2 y_(i+1) + y_(i+2)
+
+Second differences remove level and slope, so what is left of a smooth response is small against the noise; the median
+(1.4826 makes it a standard deviation for Gaussian noise) ignores the few samples where the process does jump. Where the
+signal is quantised the differences may all be zero: then the quantum q counts as noise, q / sqrt(12) (Widrow 1956).
+
+The streaming form follows the same median with one comparison a sample (stochastic approximation of a quantile,
+Robbins & Monro 1951, in the multiplicative form): m grows by a factor when |d| > m and shrinks by it otherwise.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+
+MEDIAN_TO_SIGMA = 1.4826 / math.sqrt(6.0)
+QUANTUM_TO_SIGMA = 1.0 / math.sqrt(12.0)
+FEW_LEVELS = 0.5
+"""A signal with more different values than this share of its samples is not quantised in any way that matters."""
+QUANTUM_TOLERANCE = 0.02
+"""All levels of a quantised signal lie whole quanta apart, to this share of a quantum."""
+QUANTUM_ROUNDING = 1e-9
+"""Steps below this share of the largest are rounding, no quantum."""
+ADAPT_FACTOR = 1.02
+"""Growth per sample of the streaming median: settles from a factor 50 in about 400 samples, scatters by 5 %."""
+
+
+def noise_sigma(pv: FloatArray) -> float:
+    """Standard deviation of the noise on pv, in pv units; pv has shape (n,), n >= 3. Zero for a constant signal."""
+    d = np.abs(pv[:-2] - 2 * pv[1:-1] + pv[2:])
+    return max(MEDIAN_TO_SIGMA * float(np.median(d)), quantum_sigma(pv))
+
+
+def quantum_sigma(pv: FloatArray) -> float:
+    """Standard deviation that quantisation alone gives, q / sqrt(12); zero where the signal is not quantised."""
+    levels = np.unique(pv)
+    apart = np.diff(levels)
+    apart = apart[apart > QUANTUM_ROUNDING * (levels[-1] - levels[0])]
+    if not apart.size or len(levels) > FEW_LEVELS * len(pv):
+        return 0.0
+    quantum = float(np.min(apart))
+    whole = np.abs(apart / quantum - np.round(apart / quantum)) < QUANTUM_TOLERANCE
+    return quantum * QUANTUM_TO_SIGMA if np.all(whole) else 0.0
+
+
+class NoiseState(NamedTuple):
+    """Streaming estimate: median of |second difference|, and the last two values."""
+
+    median: float
+    last: float
+    before: float
+
+
+def noise_start(pv: float, sigma: float) -> NoiseState:
+    """Start from a first guess of sigma in pv units (for example 0.1 % of span)."""
+    return NoiseState(sigma / MEDIAN_TO_SIGMA, pv, pv)
+
+
+def noise_step(state: NoiseState, pv: float) -> NoiseState:
+    """Take one sample."""
+    median, last, before = state
+    d = pv - 2.0 * last + before
+    if d > median or -d > median:
+        median *= ADAPT_FACTOR
+    else:
+        median /= ADAPT_FACTOR
+    return NoiseState(median, pv, last)

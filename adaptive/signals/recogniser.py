@@ -1,0 +1,290 @@
+"""The recogniser: a state machine that finds the peaks of the control error, one sample at a time.
+
+Everything that affects its states and transitions stands in this file. The states are Foxboro EXACT's (TI 039-200,
+1995): LOCATE n follows the error outward until it has retreated from an extreme by the noise band, VERIFY n waits until
+the error crosses to the other side (the extreme was a peak) or rests (the response is over) or grows past the extreme
+(it was none). ADAPT lasts one sample, in which the response is handed out; SETTLE waits for rest or a new upset.
+
+What a sample means is worked out first, as one event; then the table says where to go:
+
+    START     the error left twice the band                RETREAT   it came back from the extreme by one band
+    NEW_MAX   it passed the extreme again                  CROSS     it stands beyond the band on the other side
+    QUIET     inside the band for quiet_s                  TIMEOUT   nothing of this in time
+    SETPOINT  the setpoint moved by more than the band
+
+In time means within wait_s; after the first crossing within `reach` times what it took to get there, if that is less
+(a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
+back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times).
+
+`step` is a pure function of plain scalars (it compiles under numba as it stands); `take` turns the ADAPT state into a
+Response. A loop at rest costs four comparisons a sample.
+"""
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+from retuner.adaptive.signals.response import Ending, Peak, Response
+
+
+class Phase(IntEnum):
+    """States, in EXACT's order."""
+
+    LOCATE_1 = 0
+    VERIFY_1 = 1
+    LOCATE_2 = 2
+    VERIFY_2 = 3
+    LOCATE_3 = 4
+    VERIFY_3 = 5
+    ADAPT = 6
+    SETTLE = 7
+
+
+class Event(IntEnum):
+    """What one sample means in the present state (see the head of this file)."""
+
+    NONE = 0
+    START = 1
+    RETREAT = 2
+    NEW_MAX = 3
+    CROSS = 4
+    QUIET = 5
+    TIMEOUT = 6
+    SETPOINT = 7
+
+
+_L1, _V1, _L2, _V2, _L3, _V3, _AD, _SE = Phase
+
+# fmt: off
+TABLE: tuple[tuple[Phase, ...], ...] = (
+    # NONE START RETREAT NEW_MAX CROSS QUIET TIMEOUT SETPOINT
+    (_L1, _L1, _V1, _L1, _L2, _AD, _AD, _AD),  # LOCATE_1
+    (_V1, _V1, _V1, _L1, _L2, _AD, _AD, _AD),  # VERIFY_1
+    (_L2, _L2, _V2, _L2, _L3, _AD, _AD, _AD),  # LOCATE_2
+    (_V2, _V2, _V2, _L2, _L3, _AD, _AD, _AD),  # VERIFY_2
+    (_L3, _L3, _V3, _L3, _AD, _AD, _AD, _AD),  # LOCATE_3
+    (_V3, _V3, _V3, _L3, _AD, _AD, _AD, _AD),  # VERIFY_3
+    (_SE, _SE, _SE, _SE, _SE, _SE, _SE, _SE),  # ADAPT
+    (_SE, _SE, _SE, _SE, _SE, _L1, _L1, _L1),  # SETTLE
+)
+# fmt: on
+"""TABLE[phase][event] is the next phase."""
+
+START_BANDS = 2.0
+"""A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)."""
+
+
+class RecogniserLaw(NamedTuple):
+    """Settings.
+
+    wait_s : longest wait for the next peak, seconds (EXACT's time scale); range > 0.
+    quiet_s : the error counts as at rest after this long inside the band; range 0 to wait_s.
+    reach : longest wait after a crossing, in times from the upset to it; range 3 to infinite, default 5 (half a period
+        of a swing is about twice the time to its first crossing).
+    longest_s : longest response, seconds; what is longer is cut.
+    """
+
+    wait_s: float
+    quiet_s: float
+    reach: float = 5.0
+    longest_s: float = math.inf
+
+
+class RecogniserState(NamedTuple):
+    """Where the recogniser stands, in plain scalars.
+
+    started : an upset is being followed. since_s : when the wait for the present peak began.
+    inside_s : since when the error is inside the band, infinite outside. sp, sp_changed : last setpoint taken; whether
+    the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed.
+    t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, once in ADAPT. event : what led to the last move.
+    e_near : smallest |error| since the extreme, by which a coming back is seen; infinite outside VERIFY_1.
+    """
+
+    phase: int
+    started: bool
+    since_s: float
+    inside_s: float
+    sp: float
+    sp_changed: bool
+    t_start_s: float
+    t_peak_s: float
+    e_peak: float
+    t1_s: float
+    e1: float
+    t2_s: float
+    e2: float
+    verified: int
+    event: int
+    e_near: float = math.inf
+
+
+_OUTSIDE = math.inf
+
+
+def begin(t_s: float, sp: float) -> RecogniserState:
+    """Start in SETTLE: nothing is known of what went before."""
+    return RecogniserState(
+        Phase.SETTLE, False, t_s, _OUTSIDE, sp, False, t_s, t_s, 0.0, t_s, 0.0, t_s, 0.0, 0, Event.NONE
+    )
+
+
+def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
+    """Take one sample: e = sp - pv, and the noise band in pv units (> 0)."""
+    if not state.started and state.phase == Phase.LOCATE_1:
+        size = e if e > 0 else -e
+        if size <= START_BANDS * band:
+            return state if sp == state.sp else state._replace(sp=sp)
+    inside_s = _inside_since(state, t_s, e, band)
+    event = _event(law, state, t_s, sp, e, band, inside_s)
+    phase = TABLE[state.phase][event]
+    if phase == state.phase and event == Event.NONE:
+        return _follow(state, t_s, e, band, inside_s)
+    return _move(state, Phase(phase), Event(event), t_s, sp, e, band)
+
+
+def _inside_since(state: RecogniserState, t_s: float, e: float, band: float) -> float:
+    """Since when the error has been inside the band without leaving it; infinite when it is outside."""
+    if e > band or -e > band:
+        return _OUTSIDE
+    return state.inside_s if state.inside_s < _OUTSIDE else t_s
+
+
+def _event(
+    law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float, inside_s: float
+) -> Event:
+    """The one event that this sample is, the most telling first."""
+    phase = state.phase
+    moved = sp - state.sp
+    if phase == Phase.ADAPT:
+        return Event.QUIET
+    if (state.started or phase == Phase.SETTLE) and (moved > band or -moved > band):
+        return Event.SETPOINT
+    if t_s - inside_s >= law.quiet_s:
+        return Event.QUIET
+    if phase == Phase.LOCATE_1 and not state.started:
+        return Event.START
+    late = _late(law, state, t_s)
+    if phase == Phase.SETTLE:  # a swing is followed from where it crosses zero, so that its first extreme is one
+        return Event.TIMEOUT if late and inside_s < _OUTSIDE else Event.NONE
+    return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+
+
+def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
+    """Whether the wait has taken too long (see the head of this file)."""
+    waited = t_s - state.since_s
+    if waited > law.wait_s:
+        return True
+    if state.phase == Phase.SETTLE:
+        return False
+    if t_s - state.t_start_s > law.longest_s:
+        return True
+    crossed = state.phase > Phase.VERIFY_1
+    return crossed and waited > max(law.reach * (state.since_s - state.t_start_s), law.quiet_s)
+
+
+def _peak_event(phase: int, e_peak: float, e: float, band: float) -> Event:
+    """How the error stands to the extreme that is being followed (mirrored so that the extreme is positive)."""
+    if e_peak < 0:
+        e, e_peak = -e, -e_peak
+    if e < -band:
+        return Event.CROSS
+    verifying = phase in {Phase.VERIFY_1, Phase.VERIFY_2, Phase.VERIFY_3}
+    if verifying and e > e_peak:
+        return Event.NEW_MAX
+    if not verifying and e < e_peak - band:
+        return Event.RETREAT
+    return Event.NONE
+
+
+def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s: float) -> RecogniserState:
+    """Stay; take a larger error as the new extreme, and one that has come back by a band as a new beginning."""
+    if state.phase in {Phase.LOCATE_1, Phase.LOCATE_2, Phase.LOCATE_3}:
+        if e > state.e_peak if state.e_peak > 0 else e < state.e_peak:
+            return state._replace(t_peak_s=t_s, e_peak=e, inside_s=inside_s)
+    elif state.phase == Phase.VERIFY_1:
+        size = e if e > 0 else -e
+        if size < state.e_near - band:
+            return state._replace(since_s=t_s, inside_s=inside_s, e_near=size)
+    return state if inside_s == state.inside_s else state._replace(inside_s=inside_s)
+
+
+def _move(
+    state: RecogniserState, phase: Phase, event: Event, t_s: float, sp: float, e: float, band: float
+) -> RecogniserState:
+    """Enter a phase: what is remembered belongs to the event that leads there."""
+    if event == Event.START or (event == Event.SETPOINT and state.phase == Phase.SETTLE):
+        return _upset(state, event, t_s, sp, e, band)
+    if phase == Phase.ADAPT:
+        return _end(state, event, t_s)
+    if phase == Phase.SETTLE:
+        return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=event)
+    if state.phase == Phase.SETTLE:
+        return begin(t_s, sp)._replace(phase=phase)
+    if event == Event.CROSS:
+        return _pass_peak(state, phase, t_s, e)
+    if event == Event.NEW_MAX:
+        return state._replace(phase=phase, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=event, e_near=math.inf)
+    return state._replace(phase=phase, event=event, e_near=math.inf)
+
+
+def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
+    """An upset begins: a load, a setpoint change, or a small setpoint change that is only taken note of."""
+    return state._replace(
+        phase=Phase.LOCATE_1,
+        started=abs(e) > START_BANDS * band,
+        since_s=t_s,
+        inside_s=_OUTSIDE,
+        sp=sp,
+        sp_changed=abs(sp - state.sp) > band,
+        t_start_s=t_s,
+        t_peak_s=t_s,
+        e_peak=e,
+        event=event,
+    )
+
+
+def _end(state: RecogniserState, event: Event, t_s: float) -> RecogniserState:
+    """The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the new."""
+    verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
+    ended = state._replace(phase=Phase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
+    if state.phase == Phase.VERIFY_1:
+        return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak)
+    if state.phase == Phase.VERIFY_2:
+        return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
+    return ended
+
+
+def _pass_peak(state: RecogniserState, phase: Phase, t_s: float, e: float) -> RecogniserState:
+    """The error is on the other side: the extreme was a peak, and the next one is followed from here."""
+    moved = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS,
+                           e_near=math.inf)  # fmt: skip
+    if phase == Phase.LOCATE_2:
+        return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
+    return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)
+
+
+_ENDINGS = {
+    Event.CROSS: Ending.COMPLETE,
+    Event.QUIET: Ending.QUIET,
+    Event.TIMEOUT: Ending.TIMEOUT,
+    Event.SETPOINT: Ending.SETPOINT,
+}
+
+
+def take(state: RecogniserState, band: float) -> Response | None:
+    """The response that a state hands out: one in ADAPT, none in every other phase. band : noise band, pv units."""
+    if state.phase != Phase.ADAPT:
+        return None
+    peaks = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2), Peak(state.t_peak_s, state.e_peak))
+    return Response(
+        state.t_start_s, state.since_s, peaks[: state.verified], _ENDINGS[Event(state.event)], state.sp_changed, band
+    )
+
+
+def so_far(state: RecogniserState, t_s: float, band: float) -> Response | None:
+    """The response under way, cut short at t_s: its peaks and the extreme it is at; None when none is under way."""
+    if not state.started or state.phase >= Phase.ADAPT:
+        return None
+    passed = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2))[: state.phase // 2]
+    peaks = (*passed, Peak(state.t_peak_s, state.e_peak))
+    return Response(state.t_start_s, t_s, peaks, Ending.UNDONE, state.sp_changed, band)

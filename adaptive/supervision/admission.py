@@ -1,0 +1,286 @@
+"""Whether a response may teach its region anything: the rules of admission, in the order in which they are asked.
+
+    kept whole, in automatic, telemetry complete and even, inside the region, gains unchanged, setpoint not led by
+    another loop, output free, something moves, and it rises well above the noise
+
+A record that is not admitted is not a weak record but a wrong one: the fit would believe it. What is only weak is
+admitted, because the fit weighs it. Learning stops likewise in commercial products when a loop saturates, is not in
+control or its variable left the state being learned; what happens without such rules, users of thermostats report
+(one night in frost mode spoils a winter of learning).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
+from retuner.schedule.regions import Regions
+
+
+class Ground(StrEnum):
+    """Grounds for admitting a response or not; the value is the sentence, with its numbers by name."""
+
+    ADMITTED = "admitted: {peak_bands:.1f} noise bands high, inside its region"
+    TOO_LONG = "the response is longer than the {kept:.0f} samples kept: its beginning is missing"
+    MANUAL = "{manual:.0f} samples of the response are in manual: nobody regulated there"
+    LOST_SAMPLES = "{lost_share:.0%} of the samples were lost (limit {limit:.0%})"
+    IRREGULAR = "{uneven_share:.0%} of the samples came at uneven times (limit {limit:.0%})"
+    REPEATED = "{repeated_share:.0%} of the samples repeat the one before them exactly (limit {limit:.0%})"
+    LEFT_REGION = (
+        "the scheduling variable was outside the region for {outside_share:.0%} of the samples (limit {limit:.0%})"
+    )
+    GAINS_CHANGED = "the gains changed {changes:.0f} times during the response (limit {limit:.0f})"
+    SETPOINT_LED = (
+        "the setpoint moved {moves:.0f} times, at {moving_share:.0%} of the samples: another loop or a ramp leads it "
+        "(limits {limit:.0f} and {limit_share:.0%})"
+    )
+    SATURATED = "the controller output stood at a limit for {limited_share:.0%} of the response (limit {limit:.0%})"
+    CO_FROZEN = "co does not move: nothing to learn from"
+    PV_FROZEN = "pv does not move: nothing to learn from"
+    LOW_EXCITATION = (
+        "the response is only {peak_bands:.1f} noise bands high: too little to learn from ({limit:g} needed)"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AdmissionSettings:
+    """Settings.
+
+    limited_share : largest share of the response at an output limit; 0 to 1, default 0.5.
+    lost_share : largest share of lost samples; 0 to 0.5, default 0.1.
+    uneven : an interval is uneven when it misses a multiple of the median by this share of it; default 0.25.
+    uneven_share : largest share of uneven intervals; default 0.1.
+    repeated_share : largest share of samples that repeat sp, pv and co of the one before while the error is outside the
+        band and the output free: integral action always moves co there; 0 to 1, default 0.2.
+    outside_share : largest share of samples beyond the region's borders widened by their hysteresis; 0 to 0.5, default
+        0.05 (the noise of a measured variable; a region's filter, minimum stay or sensor may hide a longer absence).
+    moves_most : separate movements of the setpoint that are still a person's; 1 to 20, default 4.
+    moving_share : largest share of samples at which the setpoint moves; 0 to 1, default 0.3 (a ramp is one movement).
+    still_share : a setpoint that moves by less than this share of the noise band stands still; default 0.01.
+    changes_most : most changes of the gains in force during a response; default 0.
+    excitation_bands : least height of a response in noise bands; 2 (where the recogniser starts) to 10, default 2.2.
+    """
+
+    limited_share: float = 0.5
+    lost_share: float = 0.1
+    uneven: float = 0.25
+    uneven_share: float = 0.1
+    repeated_share: float = 0.2
+    outside_share: float = 0.05
+    moves_most: int = 4
+    moving_share: float = 0.3
+    still_share: float = 0.01
+    changes_most: int = 0
+    excitation_bands: float = 2.2
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """The outcome: the ground, and the numbers that led to it by name (the limit among them)."""
+
+    ground: Ground
+    numbers: dict[str, float]
+
+    @property
+    def admitted(self) -> bool:
+        """Whether the response may teach its region."""
+        return self.ground is Ground.ADMITTED
+
+    @property
+    def sentence(self) -> str:
+        """The ground in words, with its numbers."""
+        return self.ground.value.format(**self.numbers)
+
+    def diagnosis(self) -> Diagnosis:
+        """A refusal as a cause: saturation has a name there, a response in the noise too, the others are unknown."""
+        causes = {Ground.SATURATED: Cause.SATURATION, Ground.LOW_EXCITATION: Cause.NOISE}
+        return Diagnosis(causes.get(self.ground, Cause.UNKNOWN), 1.0, dict(self.numbers), self.sentence)
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys admitted, ground, numbers, reason."""
+        return {
+            "admitted": self.admitted,
+            "ground": self.ground.name.lower(),
+            "numbers": dict(self.numbers),
+            "reason": self.sentence,
+        }
+
+
+def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]:
+    """A test whether a sample lies in a region: between its borders widened by their hysteresis.
+
+    A scheduling variable that is not finite (a failed sensor) leaves the loop where it is, so it counts as inside.
+
+    Raises
+    ------
+    ValueError
+        There is no such region.
+    """
+    laws = [(axis.law(), part) for axis, part in zip(regions.axes, regions.cell(region), strict=True)]
+    limits = [(law.floors[part], law.ceilings[part]) for law, part in laws]
+
+    def inside(sample: LoopSample) -> bool:
+        return not any(x < low or x > high for x, (low, high) in zip((sample.x, sample.x2), limits, strict=False))
+
+    return inside
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What is judged. samples are the window's; during marks those of the response itself, shape (n,)."""
+
+    window: Window
+    samples: Sequence[LoopSample]
+    response: Response
+    during: npt.NDArray[np.bool_]
+    inside: Callable[[LoopSample], bool] | None
+    settings: AdmissionSettings
+
+    @property
+    def own(self) -> list[LoopSample]:
+        """The samples of the response itself."""
+        return [sample for sample, own in zip(self.samples, self.during, strict=True) if own]
+
+
+def admit(
+    window: Window,
+    samples: Sequence[LoopSample],
+    response: Response,
+    settings: AdmissionSettings,
+    inside: Callable[[LoopSample], bool] | None = None,
+) -> Admission:
+    """Judge a response.
+
+    Parameters
+    ----------
+    window : the response with some time before it.
+    samples : what is kept, the newest last; the window was made of the last of them.
+    response : what the recogniser found.
+    inside : whether a sample lies in the response's region; None: there is only one.
+
+    Raises
+    ------
+    ValueError
+        There are fewer samples than the window has.
+    """
+    n = len(window.t_s)
+    if len(samples) < n:
+        raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
+    own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
+    seen = _Seen(window, list(samples)[-n:], response, own, inside, settings)
+    numbers: dict[str, float] = {}
+    for rule in _RULES:
+        ground = rule(seen, numbers)
+        if ground is not None:
+            return Admission(ground, numbers)
+        numbers.pop("limit", None)
+        numbers.pop("limit_share", None)
+    return Admission(Ground.ADMITTED, numbers)
+
+
+def _kept_whole(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """Nothing of it was forgotten before it ended."""
+    if seen.window.t_s[0] <= seen.response.t_start_s and bool(np.any(seen.during)):
+        return None
+    numbers["kept"] = float(len(seen.samples))
+    return Ground.TOO_LONG
+
+
+def _in_automatic(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """Regulated all the time."""
+    numbers["manual"] = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
+    return Ground.MANUAL if numbers["manual"] else None
+
+
+def _telemetry(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """Complete, even in time, and new at every sample."""
+    steps = np.diff(seen.window.t_s) / seen.window.sample_time_s
+    whole = np.maximum(np.round(steps), 1.0)
+    lost = float(np.sum(whole - 1.0))
+    numbers["lost_share"] = lost / (len(steps) + lost)
+    numbers["uneven_share"] = float(np.mean(np.abs(steps - whole) > seen.settings.uneven))
+    numbers["repeated_share"] = _repeated(seen)
+    for name, limit, ground in (
+        ("lost_share", seen.settings.lost_share, Ground.LOST_SAMPLES),
+        ("uneven_share", seen.settings.uneven_share, Ground.IRREGULAR),
+        ("repeated_share", seen.settings.repeated_share, Ground.REPEATED),
+    ):
+        if numbers[name] > limit:
+            numbers["limit"] = limit
+            return ground
+    return None
+
+
+def _repeated(seen: _Seen) -> float:
+    """Share of the samples that repeat the one before although integral action must have moved co."""
+    band = seen.response.band
+    again = [a[1:4] == b[1:4] and not b.limited and abs(b.sp - b.pv) > band for a, b in pairwise(seen.samples)]
+    return sum(again) / len(again)
+
+
+def _in_region(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """It stayed inside."""
+    inside = seen.inside
+    outside = sum(inside is not None and not inside(sample) for sample in seen.samples)
+    numbers["outside_share"] = outside / len(seen.samples)
+    if numbers["outside_share"] <= seen.settings.outside_share:
+        return None
+    numbers["limit"] = seen.settings.outside_share
+    return Ground.LEFT_REGION
+
+
+def _same_gains(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """One controller all the time, as the controller itself reports it."""
+    own = seen.own
+    numbers["changes"] = float(sum(a.revision != b.revision for a, b in pairwise(own)))
+    if numbers["changes"] <= seen.settings.changes_most:
+        return None
+    numbers["limit"] = float(seen.settings.changes_most)
+    return Ground.GAINS_CHANGED
+
+
+def _own_setpoint(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """Not the slave of a cascade: its setpoint is the master's output, so it moves all the time."""
+    steps = np.abs(np.diff(seen.window.sp))
+    moving = steps > seen.settings.still_share * seen.response.band
+    began = moving & ~np.concatenate(([False], moving[:-1]))
+    numbers["moves"], numbers["moving_share"] = float(np.sum(began)), float(np.mean(moving))
+    led = numbers["moves"] > seen.settings.moves_most or numbers["moving_share"] > seen.settings.moving_share
+    if not led or float(np.sum(steps)) <= seen.response.band:
+        return None
+    numbers["limit"], numbers["limit_share"] = float(seen.settings.moves_most), seen.settings.moving_share
+    return Ground.SETPOINT_LED
+
+
+def _free_output(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """Not at a limit for most of the time."""
+    own = seen.own
+    numbers["limited_share"] = sum(sample.limited != 0 for sample in own) / len(own)
+    if numbers["limited_share"] <= seen.settings.limited_share:
+        return None
+    numbers["limit"] = seen.settings.limited_share
+    return Ground.SATURATED
+
+
+def _excited(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+    """co and pv move, and the response stands out of the noise."""
+    error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
+    numbers["peak_bands"] = float(np.max(error)) / seen.response.band
+    for ground, values in ((Ground.CO_FROZEN, seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
+        if values.max() == values.min():
+            return ground
+    if numbers["peak_bands"] >= seen.settings.excitation_bands:
+        return None
+    numbers["limit"] = seen.settings.excitation_bands
+    return Ground.LOW_EXCITATION
+
+
+_RULES = (
+    _kept_whole, _in_automatic, _telemetry, _in_region, _same_gains, _own_setpoint, _free_output, _excited,
+)  # fmt: skip

@@ -1,0 +1,131 @@
+"""The record of a decision: everything that led to it, in plain values.
+
+A ledger keeps it, and a replay is compared with it byte for byte.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.guard import Verdict
+from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.judge import Judgement
+from retuner.schedule.gains import PidGains
+
+
+class Mode(StrEnum):
+    """What the retuner may do in a region.
+
+    off : only watch. advise : propose; what a person approves is written and on trial. trial : write one change, watch
+    it, restore the old set when worse, then wait for a person. auto : the same, and go on by itself.
+    """
+
+    OFF = "off"
+    ADVISE = "advise"
+    TRIAL = "trial"
+    AUTO = "auto"
+
+
+class Action(StrEnum):
+    """What follows from a decision."""
+
+    NONE = "none"
+    ADVISE = "advise"
+    COMMIT = "commit"
+    RESTORE = "restore"
+
+
+class Basis(StrEnum):
+    """What a proposal rests on."""
+
+    MODEL = "model"
+    SLOW_OSCILLATION = "slow_oscillation"
+    PATTERN = "pattern"
+    BORROWED = "borrowed"
+    PRETUNE = "pretune"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """One decision on one response.
+
+    number : counts up from 1 per loop. t_s : time of the sample that completed the response. region : name.
+    mode : of the region at the time. The stages that were not reached are None; `reason` is the sentence of the one
+    that decided, `code` its name for machines, `numbers` what it weighed.
+    gains_before : in force; gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
+    records : how many records the region's model rests on. basis : what the proposal rests on.
+    promise : what gains_after promise. judgement : of the response against the promise of the gains on trial, if any.
+    trial : where the region stands after this decision. known : the process as it may be met in the region from now
+    on, which is what the cause and the proof go by (`estimate` is what the record itself shows).
+    """
+
+    number: int
+    t_s: float
+    loop: str
+    region: str
+    mode: Mode
+    action: Action
+    code: str
+    reason: str
+    gains_before: PidGains
+    gains_after: PidGains | None = None
+    response: Response | None = None
+    estimate: ModelEstimate | None = None
+    surprise: Surprise | None = None
+    records: int = 0
+    diagnosis: Diagnosis | None = None
+    basis: Basis | None = None
+    proposal: Tuning | None = None
+    verdict: Verdict | None = None
+    numbers: dict[str, float] = field(default_factory=dict)
+    promise: Promise | None = None
+    judgement: Judgement | None = None
+    trial: str = "idle"
+    known: LogModel | None = None
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values: what the ledger keeps."""
+        return {
+            "number": self.number,
+            "t_s": self.t_s,
+            "loop": self.loop,
+            "region": self.region,
+            "mode": str(self.mode),
+            "action": str(self.action),
+            "code": self.code,
+            "reason": self.reason,
+            "numbers": self.numbers,
+            "gains_before": gains_dict(self.gains_before),
+            "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
+            "response": self.response.to_dict() if self.response else None,
+            "estimate": self.estimate.to_dict() if self.estimate else None,
+            "known": {"model": self.known.model().to_dict(), "std": self.known.std()} if self.known else None,
+            "surprise": self.surprise.name.lower() if self.surprise else None,
+            "records": self.records,
+            "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
+            "basis": str(self.basis) if self.basis else None,
+            "proposal": self.proposal.to_dict() if self.proposal else None,
+            "verdict": self.verdict.to_dict() if self.verdict else None,
+            "promise": self.promise.to_dict() if self.promise else None,
+            "judgement": self.judgement.to_dict() if self.judgement else None,
+            "trial": self.trial,
+        }
+
+    def canonical(self) -> bytes:
+        """The bytes that replay must reproduce: JSON, sorted keys, no spaces, shortest round-trip floats."""
+        return json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+    def digest(self) -> str:
+        """SHA-256 of the canonical bytes, in hexadecimal."""
+        return hashlib.sha256(self.canonical()).hexdigest()
+
+
+def gains_dict(gains: PidGains) -> dict[str, float]:
+    """Parallel form by name."""
+    return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}

@@ -1,0 +1,84 @@
+"""From what is known of a loop to the guard's question: may this region have these gains?"""
+
+from collections.abc import Mapping
+
+from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.model_set import allowed
+from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.region_model.kalman import gate
+from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Learned, Surprise, predicted
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.schedule.table import GainTable
+
+
+def change_request(
+    proposal: Tuning,
+    region: int,
+    tables: tuple[GainTable, GainTable],
+    beliefs: Mapping[int, Belief],
+    learned: Learned | None,
+    t_s: float,
+    settings: RetunerSettings,
+    damping: float | None = None,
+) -> ChangeRequest:
+    """The question on a proposal that a model supports.
+
+    Parameters
+    ----------
+    region : index. tables : in force, and as commissioned. beliefs : of all regions, the asked one's as it is now.
+    learned : outcome of the last record; None when none is at hand. t_s : now.
+    damping : of the response, None when it did not swing.
+    """
+    in_force, commissioned = tables
+    known = {index: _allowed(belief, t_s, settings) for index, belief in beliefs.items()}
+    odd = learned is not None and learned.surprise == Surprise.ODD
+    return ChangeRequest(
+        in_force=in_force.gains_of(region),
+        commissioned=commissioned.gains_of(region),
+        proposal=proposal,
+        models=known[region],
+        sample_time_s=settings.sample_time_s,
+        evidence=Evidence(
+            records=beliefs[region].records,
+            age_s=max(t_s - beliefs[region].t_s, 0.0),
+            innovation=learned.innovation if learned is not None and odd else 0.0,
+            gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
+            borrowed=beliefs[region].records == 0,
+            settled=beliefs[region].identifiable,
+        ),
+        borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
+        filter_s=settings.filter_s,
+        urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
+    )
+
+
+def unproved_request(
+    proposal: Tuning,
+    region: int,
+    tables: tuple[GainTable, GainTable],
+    settings: RetunerSettings,
+    damping: float | None = None,
+) -> ChangeRequest:
+    """The question on a proposal that no model supports; arguments as above."""
+    in_force, commissioned = tables
+    evidence = Evidence(records=0, support=Support.PATTERN)
+    own = (in_force.gains_of(region), commissioned.gains_of(region))
+    return ChangeRequest(
+        *own, proposal, (), settings.sample_time_s, evidence, urgent=_urgent(damping, settings),
+        locks=settings.locks_of(region),
+    )  # fmt: skip
+
+
+def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
+    """Whether a response swings on as if it would not end."""
+    return damping is not None and damping >= settings.guard.urgent_damping
+
+
+def _allowed(belief: Belief, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
+    """The models of a region that its records still allow now."""
+    walk = settings.tracker.walk_per_day**2 * max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
+    return allowed(predicted(belief, t_s, settings.tracker), belief.plausible, walk, settings.guard)

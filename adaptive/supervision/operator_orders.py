@@ -1,0 +1,116 @@
+"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock taken off.
+
+An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
+approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
+the limits per change hold it. Then it is on trial as any change.
+The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
+set that would make the known process unstable is refused. While a change is on trial the way back is to undo that.
+"""
+
+import math
+
+from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.region_model.update import predicted
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.supervision.decision import Decision
+from retuner.adaptive.supervision.guard_request import change_request
+from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, Standing
+from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
+from retuner.schedule.gains import PidGains
+
+WHOLE = 1.001
+"""A proof that would let through another set than the approved one, by this factor, does not let that one through."""
+
+
+def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
+    """A person approved a proposal: the decision to write it, or why not. t_s : now.
+
+    Raises
+    ------
+    ValueError
+        There is no such region.
+    """
+    region = retuner.table.index(proposal.region)
+    verdict = _proof(retuner, region, proposal, t_s)
+    short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
+    if reason:
+        return retuner.ordered(region, Outcome("approval_refused", f"proposal {short} is not written: {reason}"))
+    promised = Promise.from_dict(proposal.promise) if proposal.promise else None
+    outcome = Outcome(
+        "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by a person", verdict=verdict
+    )
+    return retuner.ordered(region, outcome, proposal.after, promised)
+
+
+def _proof(retuner: Retuner, region: int, proposal: Proposal, t_s: float) -> Verdict | None:
+    """The guard's word on the approved gains; None where nothing is known of the region."""
+    if region not in retuner.beliefs:
+        return None
+    tables = (retuner.table, retuner.commissioned)
+    wanted = Tuning("approved", "parallel", proposal.after)
+    settings = retuner.settings
+    return prove(change_request(wanted, region, tables, retuner.beliefs, None, t_s, settings), settings.guard)
+
+
+def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict | None) -> str:
+    """Why an approved proposal is not written; empty when it is."""
+    in_force = retuner.table.gains_of(region)
+    if proposal.promise is None:
+        return "it promises nothing that a trial could hold it to"
+    if change_factor(in_force, proposal.before) > SAME_GAINS:
+        return str(Standing.OTHER_GAINS)
+    if verdict is None:
+        moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard)
+        whole = moved is not None and change_factor(moved[0], proposal.after) < WHOLE
+        return "" if whole else "it lies outside the limits of a change as they are set now"
+    if verdict.gains is None:
+        return verdict.sentence
+    if change_factor(verdict.gains, proposal.after) > WHOLE:
+        return "with what is known now only a smaller step would be proved"
+    return ""
+
+
+def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decision | None:
+    """A person wants gains back that were in force before: the decision to write them, or why not. t_s : now."""
+    phase = retuner.desk.phase(region)
+    if phase in UNDECIDED or phase is TrialPhase.WAITING:
+        return retuner.taken_back(region)
+    reason = _no_way_back(retuner, region, gains, t_s)
+    if reason:
+        return retuner.ordered(region, Outcome("revert_refused", f"the way back is not taken: {reason}"))
+    return retuner.ordered(region, Outcome("ordered_back", "a person ordered the way back to these gains"), gains)
+
+
+def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
+    """Why a region does not go back to these gains; empty when it does."""
+    in_force, settings = retuner.table.gains_of(region), retuner.settings
+    guard: GuardSettings = settings.guard
+    if gains.direction != in_force.direction:
+        return "these gains act the other way round"
+    if change_factor(gains, in_force) <= SAME_GAINS:
+        return "they are in force"
+    if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
+        return f"kc {gains.kp:g} lies outside kc_min and kc_max"
+    belief = retuner.beliefs.get(region)
+    if belief is None:
+        return ""
+    process = predicted(belief, t_s, settings.tracker).model().linear()
+    sampled = LinearProcess(process.k, process.lags_s, process.leads_s, process.theta_s + settings.sample_time_s / 2,
+                            process.integrators)  # fmt: skip
+    unstable = math.isinf(sensitivity_peak(sampled, gains)) and math.isfinite(sensitivity_peak(sampled, in_force))
+    return "on the process as it is known now they would be unstable" if unstable else ""
+
+
+def accept(retuner: Retuner, region: int, t_s: float) -> bool:
+    """A person approved what was tried and has passed; whether the region had been waiting for that."""
+    return retuner.desk.event(region, TrialEvent.APPROVED, t_s)
+
+
+def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
+    """A person lets a locked-out region change again; whether it had been locked."""
+    return retuner.desk.event(region, TrialEvent.UNLOCKED, t_s)

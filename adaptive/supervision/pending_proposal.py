@@ -1,0 +1,94 @@
+"""A proposal that waits for a person: what exactly was proposed, and why it may no longer be taken up.
+
+An approval names the proposal by its hash (of the whole decision), so what is written is what was looked at. A proposal
+ends when its time is over, or when other gains have come into force in its region: it was proved from those before.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from retuner.adaptive.guard import change_factor
+from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
+from retuner.schedule.gains import PidGains
+
+SAME_GAINS = 1.00001
+"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
+
+
+class Standing(StrEnum):
+    """Whether a proposal may be taken up; the value is the sentence that people see."""
+
+    OPEN = "open"
+    EXPIRED = "it has expired"
+    OTHER_GAINS = "other gains are in force in its region than those from which it was proved"
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """One proposal.
+
+    digest : SHA-256 of the decision, hexadecimal. number : of the decision. region : name. t_s : time of the decision.
+    before : gains from which it was proved. after : gains that are proposed. promise : as the decision has it.
+
+    Raises
+    ------
+    ValueError
+        The digest is no hash, the time not finite, or the sets act in different directions.
+    """
+
+    digest: str
+    number: int
+    region: str
+    t_s: float
+    before: PidGains
+    after: PidGains
+    promise: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.digest) != 64 or not set(self.digest) <= set("0123456789abcdef"):
+            raise ValueError(f"digest = {self.digest!r} is no SHA-256 in hexadecimal")
+        if not math.isfinite(self.t_s):
+            raise ValueError(f"t_s = {self.t_s} must be finite")
+        if self.before.direction != self.after.direction:
+            raise ValueError("the proposed gains act the other way round")
+
+    @classmethod
+    def of(cls, decision: Decision) -> "Proposal | None":
+        """What a decision proposes; None when it proposes nothing."""
+        if decision.action != Action.ADVISE or decision.gains_after is None:
+            return None
+        promise: Any = decision.to_dict().get("promise")
+        return cls(decision.digest(), decision.number, decision.region, decision.t_s, decision.gains_before,
+                   decision.gains_after, promise)  # fmt: skip
+
+    def standing(self, in_force: PidGains, t_s: float, expires_after_s: float) -> Standing:
+        """Whether it may be taken up at t_s, with these gains in force in its region."""
+        if t_s - self.t_s > expires_after_s:
+            return Standing.EXPIRED
+        return Standing.OPEN if change_factor(in_force, self.before) <= SAME_GAINS else Standing.OTHER_GAINS
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        return {
+            "digest": self.digest, "number": self.number, "region": self.region, "t_s": self.t_s,
+            "before": gains_dict(self.before), "after": gains_dict(self.after),
+            "promise": dict(self.promise) if self.promise is not None else None,
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, body: Mapping[str, Any]) -> "Proposal":
+        """And back.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            Something is missing, or no value of its kind.
+        """
+        before, after = (
+            PidGains(*(float(body[name][gain]) for gain in ("kp", "ki", "kd"))) for name in ("before", "after")
+        )
+        return cls(str(body["digest"]), int(body["number"]), str(body["region"]), float(body["t_s"]), before, after,
+                   body["promise"])  # fmt: skip

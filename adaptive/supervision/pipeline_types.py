@@ -1,0 +1,75 @@
+"""One completed response with everything that it is judged on, and what the pipeline made of it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.oscillation_online import Standing
+from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.guard import Verdict
+from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.update import Learned
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.decision import Basis
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One response and what it is judged on.
+
+    region : index. window : the response with some time before it. samples : all that are kept, the newest last.
+    table : gains in force in every region; commissioned : as they were at first. beliefs : what is known, by region.
+    standing : an oscillation of this region that was explained before. excitation : what its model rests on.
+    at : the scheduling values at its end.
+    """
+
+    region: int
+    response: Response
+    window: Window
+    samples: Sequence[LoopSample]
+    table: GainTable
+    commissioned: GainTable
+    beliefs: Mapping[int, Belief]
+    standing: Standing | None = None
+    excitation: Excitation = field(default_factory=Excitation)
+    at: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def in_force(self) -> PidGains:
+        """The gains that ran: the region's own, or in an interpolated table the mean at these scheduling values."""
+        return self.table.at(self.region, *self.at)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the stages found; those that were not reached are None.
+
+    code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
+    forget : what was known of the region is refuted. standing : an oscillation that is explained, to be remembered.
+    excitation : what the belief rests on.
+    """
+
+    code: str
+    reason: str
+    learned: Learned | None = None
+    belief: Belief | None = None
+    diagnosis: Diagnosis | None = None
+    proposal: Tuning | None = None
+    basis: Basis | None = None
+    verdict: Verdict | None = None
+    standing: Standing | None = None
+    excitation: Excitation | None = None
+    numbers: dict[str, float] = field(default_factory=dict)
+    forget: bool = False
+
+
+LEFT = {
+    False: Outcome("left_region", "the response left its region; it teaches nothing of either"),
+    True: Outcome("variable_unknown", "the scheduling variable is not known any more: nobody can say to which region "
+                  "the response belongs; it teaches nothing"),
+}  # fmt: skip
+"""What follows from a response that was cut off, by whether a scheduling variable was unknown."""

@@ -1,0 +1,92 @@
+"""What the rule proposes for what is known of a region, and whether the tuning in force is the cause at all.
+
+The proposal is the robust one (robust_settings.py) on the models that the records still allow, on line as off line. A
+region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
+model that is still allowed is given less of everything without waiting for a better record.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import believed, later, robust_simc_on
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.schedule.gains import PidGains
+
+LAG_DOMINANT = 8.0
+"""tau1 over theta from which SIMC's integral time no longer is tau1 (Skogestad 2003, at tau_c = theta)."""
+OVER_NOMINAL = 1.03
+"""Ms over the proposal's nominal limit from which a gain in force is too large: what a drifting process does to Ms is
+known a few percent late, so waiting for the design limit itself is waiting until it has been passed."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustProposal:
+    """tuning : what the rule gives. diagnosis : of the gains in force. ready : whether enough is known to go on."""
+
+    tuning: Tuning
+    diagnosis: Diagnosis
+    ready: bool
+
+
+def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
+    """Settings for a region, with half a sampling interval of dead time more: what a sampled controller sees.
+
+    Parameters
+    ----------
+    belief : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
+    """
+    dt_s, best = settings.sample_time_s, log.model()
+    robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
+    cause = settings.cause
+    tuning = robust_simc_on(best, belief.plausible, dt_s, robust).tuning
+    asked = (later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2))
+    diagnosis = tuning_cause(*asked, cause)
+    if diagnosis.cause == Cause.OK:
+        closer = tuning_cause(*asked, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
+        diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
+    ready = belief.identifiable or (
+        diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
+        and over_limit(belief.plausible, in_force, dt_s, robust.believed, cause.ms_high)
+    )
+    if not belief.identifiable:
+        tuning = replace(tuning, gains=no_more_action(tuning.gains, in_force, diagnosis.cause))
+    return RobustProposal(tuning, diagnosis, ready)
+
+
+def no_more_action(wanted: PidGains, in_force: PidGains, cause: Cause) -> PidGains:
+    """The wanted gains with no gain larger, and no integral time shorter, than in force.
+
+    Where the integral is too strong for the gain, it follows a gain that was cut: the wanted integral time stays.
+    """
+    kp, ki, kd = (min(getattr(wanted, name), getattr(in_force, name), key=abs) for name in ("kp", "ki", "kd"))
+    longest = [kp * gains.ki / gains.kp for gains in (in_force, wanted) if gains.kp]
+    if cause != Cause.SLOW_INTEGRATING:
+        longest = longest[:1]
+    return PidGains(kp, min(ki, *longest, key=abs), kd) if longest else PidGains(kp, ki, kd)
+
+
+def _nominal(best: ProcessModel, settings: RetunerSettings) -> float:
+    """Largest Ms on the best model: of a lag-dominant process the guard's own limit, of the others less.
+
+    SIMC's integral time there is that of an integrating process, and its Ms 1.70 to 1.98: less than the guard allows
+    costs a quarter in J. On the others Ms is 1.59 at no cost, and room is left for what the model does not show.
+    """
+    plain = without_second_lag(best)
+    lag_dominant = not plain.tau1_s or plain.tau1_s > LAG_DOMINANT * plain.theta_s
+    return settings.guard.ms_nominal if lag_dominant else min(settings.robust.ms_nominal, settings.guard.ms_nominal)
+
+
+def over_limit(
+    allowed: Sequence[Plausible], in_force: PidGains, sample_time_s: float, excess: float, limit: float
+) -> bool:
+    """Whether the gains in force are over an Ms limit on every model that is believed to within an excess."""
+    models = [later(p.model, sample_time_s / 2) for p in believed(allowed, excess)]
+    return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)

@@ -1,0 +1,259 @@
+"""The watcher: one sample in, now and then a completed response out.
+
+    sample -> region -> noise band -> recogniser -> response with its samples
+
+`take` is the per-sample path; at rest it returns after a handful of comparisons. What a response means is not its
+business: see pipeline.py. While a scheduling variable is not known (a signal on the bus is stale), the region stays and
+no response is taken: nobody could say where it belongs.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from itertools import islice
+from typing import NamedTuple
+
+from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
+from retuner.adaptive.signals.recogniser import Phase, RecogniserLaw, RecogniserState, begin, so_far, step, take
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.schedule.axis import CAN
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import RegionState, choose, enter, values
+from retuner.schedule.table import GainTable
+
+
+class WatcherState(NamedTuple):
+    """Where a watcher stands in its record; with the table, all that its later responses depend on."""
+
+    region: RegionState | None
+    recogniser: RecogniserState | None
+    noise: NoiseState
+    samples: tuple[LoopSample, ...]
+
+
+class Completed(NamedTuple):
+    """A response that ended in the region in which it began."""
+
+    region: int
+    response: Response
+
+
+class Left(NamedTuple):
+    """The loop crossed into another region, or it is not known where it is. region : the one that was left, or stays.
+
+    under_way : a response was cut off by it. unknown : a scheduling variable is not known.
+    """
+
+    region: int
+    under_way: bool
+    unknown: bool = False
+
+
+class Watcher:
+    """Watches one loop.
+
+    Parameters
+    ----------
+    table : regions, and the gains in force in each (their integral time sets the waiting times).
+    settings : see RetunerSettings.
+    """
+
+    def __init__(self, table: GainTable, settings: RetunerSettings) -> None:
+        self.table = table
+        self.settings = settings
+        self._regions = table.regions.law()
+        self._samples: deque[LoopSample] = deque(maxlen=settings.history)
+        self._region: RegionState | None = None
+        self._state: RecogniserState | None = None
+        self._noise = NoiseState(0.0, 0.0, 0.0)
+        self._law = RecogniserLaw(1.0, 1.0)
+        self._floor = settings.band or settings.band_min_share * settings.pv_span
+        self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
+        self._gap_s = settings.gap_samples * settings.sample_time_s
+
+    @property
+    def region(self) -> int | None:
+        """Index of the region that the loop is in, None before the first sample."""
+        return self._region.region if self._region else None
+
+    @property
+    def scheduled(self) -> tuple[float, float]:
+        """The scheduling values in force, filtered and the last good ones; 0 before the first sample."""
+        if self._region is None or not self._samples:
+            return 0.0, 0.0
+        newest = self._samples[-1]
+        return values(self._regions, self._region, newest.x, newest.x2)
+
+    @property
+    def in_force(self) -> PidGains | None:
+        """What the table says shall run now, None before the first sample."""
+        return self.table.at(self._region.region, *self.scheduled) if self._region else None
+
+    @property
+    def phase(self) -> Phase | None:
+        """Where the recogniser stands."""
+        return Phase(self._state.phase) if self._state else None
+
+    @property
+    def band(self) -> float:
+        """Noise band in pv units."""
+        return max(self._floor, self._per_median * self._noise.median)
+
+    @property
+    def samples(self) -> Sequence[LoopSample]:
+        """The samples that are kept, the newest last."""
+        return self._samples
+
+    @property
+    def recogniser(self) -> RecogniserState | None:
+        """The recogniser's state, None before the first sample."""
+        return self._state
+
+    def cut_short(self, state: RecogniserState | None) -> Completed | None:
+        """The response that was under way in a state of the recogniser, up to now; None when there was none."""
+        if state is None or self._region is None or not self._samples:
+            return None
+        response = so_far(state, self._samples[-1].t_s, self.band)
+        return Completed(self._region.region, response) if response else None
+
+    def state(self) -> WatcherState:
+        """Where it stands: see memory.py, which turns it into plain values."""
+        return WatcherState(self._region, self._state, self._noise, tuple(self._samples))
+
+    def resume(self, state: WatcherState) -> None:
+        """Go on from there."""
+        self._region, self._state, self._noise, samples = state
+        self._samples.clear()
+        self._samples.extend(samples)
+        self._adopt_time_scale()
+
+    def take(self, sample: LoopSample) -> Completed | Left | None:
+        """Take one sample; what is told comes with the sample that completes it.
+
+        Raises
+        ------
+        ValueError
+            A number of the sample is not finite or its time does not increase; nothing is changed then.
+        """
+        state, region = self._state, self._region
+        if state is None or region is None:
+            if self._is_placed(sample):
+                self._restart(sample)
+            return None
+        t_s, sp, pv = sample[0], sample[1], sample[2]
+        elapsed = t_s - self._samples[-1][0]
+        if not 0.0 < elapsed <= self._gap_s or sample[4] != LoopMode.AUTO:
+            self._restart(sample)
+            return None
+        x, x2 = sample[6], sample[8]
+        if not (pv - pv == 0.0 and sp - sp == 0.0 and sample[3] - sample[3] == 0.0 and x - x == x2 - x2 == 0.0):
+            return self._unknown(sample)
+        now = choose(self._regions, region, x, t_s, x2)
+        if now is not region:
+            if now.region != region.region:
+                return self._leave(sample, now)
+            self._region = now
+        self._noise = noise = noise_step(self._noise, pv)
+        band = self._per_median * noise[0]
+        self._samples.append(sample)
+        new = step(self._law, state, t_s, sp, sp - pv, band if band > self._floor else self._floor)
+        if new is state:
+            return None
+        self._state = new
+        return self._complete(new) if new[0] == Phase.ADAPT else None
+
+    def gains_changed(self, table: GainTable) -> None:
+        """Another revision is in force: what is under way was another loop's; wait until it is at rest."""
+        self.table = table
+        self._adopt_time_scale()
+        if self._state and self._samples:
+            self._state = begin(self._samples[-1].t_s, self._samples[-1].sp)
+
+    def window(self, response: Response) -> Window:
+        """The response with some of the time before it."""
+        s = self.settings
+        lead = s.lead_share * (response.t_end_s - response.t_start_s) + s.lead_samples * s.sample_time_s
+        first = response.t_start_s - lead
+        skip = next((i for i, sample in enumerate(self._samples) if sample.t_s >= first), 0)
+        return Window.of(list(islice(self._samples, skip, None)))
+
+    def _restart(self, sample: LoopSample) -> None:
+        """Begin anew: the first sample, after a gap, or in manual. What is known of the regions stays."""
+        self._is_placed(sample)
+        if self._samples and sample.t_s <= self._samples[-1].t_s:
+            raise ValueError(f"time does not increase: {sample.t_s} s after {self._samples[-1].t_s} s")
+        if self._state is None:
+            self._noise = noise_start(sample.pv, self._floor / self.settings.band_sigmas)
+        self._noise = NoiseState(self._noise.median, sample.pv, sample.pv)
+        region = self._region
+        if region is not None and sample.t_s - self._samples[-1].t_s <= self._gap_s:
+            self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
+        else:
+            self._region = enter(self._regions, sample.x, sample.t_s, sample.x2, region)
+        self._forget(sample)
+
+    def _is_placed(self, sample: LoopSample) -> bool:
+        """Whether it is known where the sample lies; only a signal on the bus may be unknown.
+
+        Raises
+        ------
+        ValueError
+            Another number of the sample is not finite.
+        """
+        if not finite(sample):
+            raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
+        for axis, value in zip(self.table.regions.axes, (sample.x, sample.x2), strict=False):
+            if not math.isfinite(value):
+                if axis.variable != CAN:
+                    raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
+                return False
+        return True
+
+    def _unknown(self, sample: LoopSample) -> Left:
+        """A scheduling variable is not known: the region stays, and nothing is learned."""
+        self._is_placed(sample)
+        state, region = self._state, self._region
+        assert state is not None
+        assert region is not None
+        self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
+        self._noise = noise_step(self._noise, sample.pv)
+        self._forget(sample)
+        return Left(region.region, state.started and state.phase < Phase.ADAPT, unknown=True)
+
+    def _leave(self, sample: LoopSample, now: RegionState) -> Left:
+        """The loop crossed into another region: a response under way belongs to neither."""
+        state, old = self._state, self._region
+        assert state is not None
+        assert old is not None
+        self._region = now
+        self._noise = noise_step(self._noise, sample.pv)
+        self._forget(sample)
+        return Left(old.region, state.started and state.phase < Phase.ADAPT)
+
+    def _forget(self, sample: LoopSample) -> None:
+        """Drop the samples and let the recogniser settle."""
+        self._samples.clear()
+        self._samples.append(sample)
+        self._state = begin(sample.t_s, sample.sp)
+        self._adopt_time_scale()
+
+    def _adopt_time_scale(self) -> None:
+        """Waiting times that suit the integral time in force."""
+        if self._region is None:
+            return
+        s = self.settings
+        gains = self.table.at(self._region.region, *self.scheduled)
+        tau_i = gains.kp / gains.ki if gains.ki else 0.0
+        wait = s.wait_s or max(s.wait_tau_i * tau_i, s.shortest_wait * s.sample_time_s)
+        quiet = min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait)
+        longest = (s.history - s.lead_samples) / (1 + s.lead_share) * s.sample_time_s  # its window is then still kept
+        self._law = RecogniserLaw(wait, quiet, longest_s=longest)
+
+    def _complete(self, state: RecogniserState) -> Completed:
+        """A response is complete."""
+        response = take(state, self.band)
+        assert response is not None
+        assert self._region is not None
+        return Completed(self._region.region, response)

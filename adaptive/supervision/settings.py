@@ -1,0 +1,88 @@
+"""Settings of a retuner, its parts' settings among them."""
+
+from dataclasses import dataclass, field
+
+from retuner.adaptive.diagnosis.cause import CauseSettings
+from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.swing_checks import LimitSwingSettings
+from retuner.adaptive.guard import NO_LOCKS, GuardSettings, Locks
+from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.identification.robust_simc import RobustSettings
+from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
+from retuner.adaptive.region_model.update import TrackerSettings
+from retuner.adaptive.supervision.admission import AdmissionSettings
+from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
+from retuner.adaptive.trial.settings import TrialSettings
+
+
+@dataclass(frozen=True, slots=True)
+class RetunerSettings:
+    """Settings of one loop's retuner.
+
+    sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band.
+    mode : what it may do; region_modes : in single regions by index, None or missing for `mode`.
+    locks : parameters that stay as they are; region_locks : in single regions by index, None or missing for `locks`.
+    band : noise band in pv units; None estimates it from the data.
+    band_sigmas : noise standard deviations in the estimated band; 2 to 6, default 4.
+    band_min_share : smallest band as a share of pv_span; default 0.001.
+    wait_s : longest wait for the next peak; None takes wait_tau_i times tau_I in force.
+    wait_tau_i, quiet_tau_i : waiting and settling time in units of tau_I; defaults 10 and 0.7.
+    shortest_wait, shortest_quiet : and at least this many samples; defaults 60 and 12.
+    history : most samples of one response; default 4000. lead_share, lead_samples : how much of the time before a
+        response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
+    fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
+        change on what is left open, and later records narrow it.
+    limit_swing : what an unstable loop between the output's limits is told by.
+    swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
+        line: a change is on trial there.
+    cause : from which excess a tuning is the cause; slack 1.15, because later records narrow what is known.
+    robust : how settings follow from what is known; less is held back for what the model cannot see than off line
+        (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
+    setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
+    gap_samples : a pause in the samples longer than this ends a response; default 5.
+    """
+
+    sample_time_s: float
+    pv_span: float
+    mode: Mode = Mode.ADVISE
+    region_modes: tuple[Mode | None, ...] = ()
+    locks: Locks = NO_LOCKS
+    region_locks: tuple[Locks | None, ...] = ()
+    band: float | None = None
+    band_sigmas: float = 4.0
+    band_min_share: float = 0.001
+    wait_s: float | None = None
+    wait_tau_i: float = 10.0
+    quiet_tau_i: float = 0.7
+    shortest_wait: int = 60
+    shortest_quiet: int = 12
+    history: int = 4000
+    lead_share: float = 0.25
+    lead_samples: int = 20
+    gap_samples: int = 5
+    setpoint_weight: float = 1.0
+    filter_s: float = 0.0
+    fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    borrowing: BorrowingSettings = field(default_factory=BorrowingSettings)
+    without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
+    admission: AdmissionSettings = field(default_factory=AdmissionSettings)
+    swing: SwingSettings = field(default_factory=SwingSettings)
+    limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
+    diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
+    robust: RobustSettings = field(default_factory=lambda: RobustSettings(ms_third=1.85, hidden_share=0.1))
+    guard: GuardSettings = field(default_factory=GuardSettings)
+    trial: TrialSettings = field(default_factory=TrialSettings)
+
+    def mode_of(self, region: int) -> Mode:
+        """What may be done in a region, by index."""
+        own = self.region_modes[region] if region < len(self.region_modes) else None
+        return own or self.mode
+
+    def locks_of(self, region: int) -> Locks:
+        """What stays as it is in a region, by index."""
+        own = self.region_locks[region] if region < len(self.region_locks) else None
+        return self.locks if own is None else own

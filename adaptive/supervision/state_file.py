@@ -1,0 +1,183 @@
+"""A retuner's memory as plain values, versioned: what it must not lose over a restart.
+
+Everything that later decisions depend on is in it: the table, what is known of each region, where region, noise band
+and recogniser stand, and the samples of the response under way. A retuner that is restored from it decides byte for
+byte as the one that was never stopped.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.oscillation_online import Standing
+from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoint
+from retuner.adaptive.signals.noise import NoiseState
+from retuner.adaptive.signals.recogniser import RecogniserState
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.response_finder import WatcherState
+from retuner.adaptive.supervision.retuner import Retuner, RetunerState
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.regions import RegionState
+
+# What is known of a region as plain JSON values, and back, checked on the way in.
+
+
+def belief_out(belief: Belief) -> dict[str, object]:
+    """What is known of a region."""
+    return {
+        "known": _known_out(belief.known),
+        "records": belief.records,
+        "t_s": belief.t_s,
+        "rival": None if belief.rival is None else _known_out(belief.rival),
+        "points": [
+            {"t_s": p.t_s, "x": p.x, "x2": p.x2, "log": _log_out(p.log), "innovation": p.innovation}
+            for p in belief.points
+        ],
+        "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in belief.plausible],
+        "identifiable": belief.identifiable,
+        "reason": belief.reason,
+    }
+
+
+def belief_in(body: Mapping[str, Any]) -> Belief:
+    """And back.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        Something is missing, of the wrong kind, or no number.
+    """
+    known = _known_in(body["known"])
+    if not known:
+        raise TypeError("a belief without a model")
+    rival = None if body["rival"] is None else _known_in(body["rival"])
+    return Belief(
+        known,
+        int(body["records"]),
+        float(body["t_s"]),
+        rival,
+        tuple(_point_in(point) for point in body["points"]),
+        tuple(Plausible(_model_in(p["model"]), float(p["excess"])) for p in body["plausible"]),
+        bool(body["identifiable"]),
+        str(body["reason"]),
+    )
+
+
+def _known_out(known: Sequence[Known]) -> list[dict[str, object]]:
+    """By structure: parameters with their covariance, and the evidence."""
+    return [_log_out(k.log) | {"evidence": k.evidence} for k in known]
+
+
+def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[Known, ...]:
+    """And back."""
+    return tuple(Known(_log_in(body), float(body["evidence"])) for body in bodies)
+
+
+def _log_out(log: LogModel) -> dict[str, object]:
+    """An estimate in logarithms."""
+    return {"type": str(log.type), "x": log.x.tolist(), "p": log.p.tolist(), "sign": log.sign}
+
+
+def _log_in(body: Mapping[str, Any]) -> LogModel:
+    """And back."""
+    x, p = (np.array(body[name], dtype=np.float64) for name in ("x", "p"))
+    return LogModel(x, p, int(body["sign"]), ProcessType(body["type"]))
+
+
+def _point_in(body: Mapping[str, Any]) -> RecordPoint:
+    """One record by itself."""
+    t_s, x, x2, innovation = (float(body[name]) for name in ("t_s", "x", "x2", "innovation"))
+    return RecordPoint(t_s, x, x2, _log_in(body["log"]), innovation)
+
+
+def _model_in(body: Mapping[str, Any]) -> ProcessModel:
+    """A model from its own keys."""
+    k, tau1, tau2, theta = (float(body[name]) for name in ("k", "tau1", "tau2", "theta"))
+    return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, float(body.get("zeta", 1.0)))
+
+
+VERSION = 6
+"""Of this layout; newer ones are refused."""
+
+
+def remember(retuner: Retuner) -> dict[str, object]:
+    """The memory as a dict of plain JSON values (infinities and NaN as strings)."""
+    state = retuner.state()
+    watcher = state.watcher
+    return {
+        "version": VERSION,
+        "table": to_toml(retuner.table),
+        "beliefs": {str(region): belief_out(belief) for region, belief in retuner.beliefs.items()},
+        "commissioned": to_toml(retuner.commissioned),
+        "region": _numbers_out(watcher.region),
+        "recogniser": _numbers_out(watcher.recogniser),
+        "noise": _numbers_out(watcher.noise),
+        "samples": [_numbers_out(sample) for sample in watcher.samples],
+        "decisions": state.decisions,
+        "trials": retuner.desk.to_dict(),
+        "standing": {
+            str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
+        },
+        "excitation": {
+            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.rival] for region, e in retuner.excitation.items()
+        },
+    }
+
+
+def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
+    """A retuner that goes on where the remembered one stood.
+
+    Raises
+    ------
+    ValueError
+        The memory is of another version, or something in it is missing or no number.
+    """
+    if memory.get("version") != VERSION:
+        raise ValueError(
+            f"memory version {memory.get('version')!r} is not {VERSION}; it was written by another release"
+        )
+    try:
+        retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
+        retuner.beliefs = {int(region): belief_in(body) for region, body in memory["beliefs"].items()}
+        retuner.standing = {
+            int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
+            for region, (cause, period_s, t_s, reason) in memory["standing"].items()
+        }
+        retuner.excitation = {
+            int(region): Excitation(*(int(count) for count in counts))
+            for region, counts in memory["excitation"].items()
+        }
+        watcher = WatcherState(
+            region=_region_in(memory["region"]),
+            recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
+            noise=NoiseState(*_numbers_in(memory["noise"])),
+            samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
+        )
+        retuner.desk.resume(memory["trials"])
+        retuner.resume(RetunerState(watcher, int(memory["decisions"])))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"the memory is damaged: {error!r}") from error
+    return retuner
+
+
+def _numbers_out(values: Sequence[Any] | None) -> list[Any] | None:
+    """A tuple of numbers as JSON can hold it: what is not finite as a string."""
+    return None if values is None else [v if math.isfinite(v) else str(v) for v in values]
+
+
+def _numbers_in(values: Sequence[Any]) -> list[Any]:
+    """And back."""
+    return [float(v) if isinstance(v, str) else v for v in values]
+
+
+def _region_in(values: Sequence[Any] | None) -> RegionState | None:
+    """A region state, if there was one."""
+    return None if values is None else RegionState(*_numbers_in(values))

@@ -1,0 +1,248 @@
+"""What a change promises: damping, IAE and control effort with the new gains, and with the old ones beside them.
+
+    spread = (on the best model, least, greatest) over the models that the records still allow
+
+per unit of a setpoint step, and per unit of a load at the process input. The size of a load is never known, but what
+the integral took over is: |load| = |ki integral e dt| (Astrom & Hagglund, Advanced PID Control, 2006, section 4.3), so
+the IAE of a load per unit of it can be both promised and measured, and is 1/ki where nothing swings. The decay of a
+load's response is promised over a step and a pulse of it, because either may come.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import later
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.signals.response import Ending, Response
+from retuner.adaptive.trial.batch_responses import Loop, Upset
+from retuner.adaptive.trial.response_numbers import Shape, shapes, swing
+from retuner.schedule.gains import PidGains
+
+MOST_MODELS = 16
+"""Models, the most likely ones, over which a promise is spread."""
+UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0), Upset(pulse=1.0))
+NAMES = ("overshoot", "damping", "decay", "iae", "travel", "settle_s")
+MOST_DECAY = 0.95
+"""A promise that rests on a response alone never promises less than this."""
+SWINGS = 2.0
+"""IAE over integrated error of a load's response that swings, for a promise without a model (1 where it does not)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """On the best model, least and greatest over all allowed ones; infinite where a loop never comes to rest.
+
+    Raises
+    ------
+    ValueError
+        A number is NaN, or best does not lie between low and high.
+    """
+
+    best: float
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.best <= self.high:
+            raise ValueError(f"spread {self.low}..{self.high} round {self.best}: give low <= best <= high")
+
+    @classmethod
+    def over(cls, values: Sequence[float]) -> "Spread":
+        """Of values, the best model's first."""
+        return cls(values[0], min(values), max(values))
+
+    def to_list(self) -> list[float | None]:
+        """best, low, high; null where infinite."""
+        return [value if math.isfinite(value) else None for value in (self.best, self.low, self.high)]
+
+    @classmethod
+    def from_list(cls, values: Sequence[float | None]) -> "Spread":
+        """And back."""
+        best, low, high = (math.inf if value is None else float(value) for value in values)
+        return cls(best, low, high)
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """One set of gains under one kind of upset: see shape.py for the numbers and their units."""
+
+    overshoot: Spread
+    damping: Spread
+    decay: Spread
+    iae: Spread
+    travel: Spread
+    settle_s: Spread
+
+    @classmethod
+    def over(cls, shapes: Sequence[Shape]) -> "Expected":
+        """Over the allowed models, the best one first."""
+        return cls(*(Spread.over([getattr(shape, name) for shape in shapes]) for name in NAMES))
+
+    def to_dict(self) -> dict[str, list[float | None]]:
+        """Each number as [best, low, high]."""
+        return {name: getattr(self, name).to_list() for name in NAMES}
+
+    @classmethod
+    def from_dict(cls, body: Mapping[str, Any]) -> "Expected":
+        """And back."""
+        return cls(*(Spread.from_list(body[name]) for name in NAMES))
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """New and old gains under a setpoint step and under a load.
+
+    models : how many models it is spread over. ms : of the new set; None for a promise without a model.
+    decay_seen : of the response under the old gains that led to the change, None when it does not tell; what was seen
+    counts more than what a model says of the old gains.
+    """
+
+    setpoint: Expected
+    load_step: Expected
+    setpoint_before: Expected
+    load_before: Expected
+    models: int
+    decay_seen: float | None = None
+    ms: Spread | None = None
+
+    def decay_before(self, setpoint: bool) -> float:
+        """Decay under the old gains: as seen, else on the best model."""
+        then = self.setpoint_before if setpoint else self.load_before
+        return then.decay.best if self.decay_seen is None else self.decay_seen
+
+    @property
+    def patience_s(self) -> float:
+        """Longest that a response should take until it has settled, s; infinite where a loop may never."""
+        return max(self.setpoint.settle_s.high, self.load_step.settle_s.high)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        return {
+            "setpoint": self.setpoint.to_dict(),
+            "load": self.load_step.to_dict(),
+            "setpoint_before": self.setpoint_before.to_dict(),
+            "load_before": self.load_before.to_dict(),
+            "models": self.models,
+            "decay_seen": self.decay_seen,
+            "ms": self.ms.to_list() if self.ms else None,
+        }
+
+    @classmethod
+    def from_dict(cls, body: Mapping[str, Any]) -> "Promise":
+        """And back."""
+        setpoint, load, setpoint_before, load_before = (
+            Expected.from_dict(body[name]) for name in ("setpoint", "load", "setpoint_before", "load_before")
+        )
+        seen, ms = body["decay_seen"], body["ms"]
+        return cls(
+            setpoint, load, setpoint_before, load_before, int(body["models"]), None if seen is None else float(seen),
+            None if ms is None else Spread.from_list(ms),
+        )  # fmt: skip
+
+    def sentence(self) -> str:
+        """For people."""
+        now, then = self.setpoint, self.setpoint_before
+        return (
+            f"promised: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}), successive peaks at most "
+            f"{max(now.decay.high, self.load_step.decay.high):.2f}, IAE {_ratio(now.iae, then.iae)} of before after a "
+            f"setpoint step and {_ratio(self.load_step.iae, self.load_before.iae)} after a load"
+        )
+
+
+def promise(
+    allowed: Iterable[Plausible],
+    old: PidGains,
+    new: PidGains,
+    half_sample_s: float = 0.0,
+    b: float = 1.0,
+    tau_f_s: float = 0.0,
+) -> Promise:
+    """What `new` promises against `old`.
+
+    Parameters
+    ----------
+    allowed : the models that the records allow, the best one first. half_sample_s : dead time that sampling adds, s.
+    b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
+
+    Raises
+    ------
+    ValueError
+        No model is given.
+    """
+    models = sorted(allowed, key=lambda found: found.excess)[:MOST_MODELS]  # stable: the best one stays first
+    if not models:
+        raise ValueError("a promise needs at least one model")
+    sampled = [later(found.model, half_sample_s).linear() for found in models]
+    loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
+    found, n = shapes(loops, UPSETS), len(models)
+    now, then = found[:n], found[n:]
+    ms = Spread.over([sensitivity_peak(process, new, tau_f_s) for process in sampled])
+    return Promise(_setpoint(now), _load(now), _setpoint(then), _load(then), n, ms=ms)
+
+
+def decay_seen(response: Response | None) -> float | None:
+    """Decay of a response that went its whole way and has a second peak; None for any other."""
+    if response is None or len(response.peaks) < 2 or response.ending not in {Ending.COMPLETE, Ending.QUIET}:
+        return None
+    return swing([peak.e for peak in response.peaks], response.band)[2]
+
+
+def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promise:
+    """For a change that rests on the pattern of a response alone: no worse than what was seen.
+
+    The IAE of a load needs no model (1/ki); that of a setpoint step is left open.
+    """
+    overshoot, damping, before = swing([peak.e for peak in seen.peaks], seen.band)
+    decay = min(before, MOST_DECAY)
+    length = seen.t_end_s - seen.t_start_s
+
+    def expected(gains: PidGains, iae: Callable[[PidGains], Spread]) -> Expected:
+        return Expected(
+            Spread(overshoot, min(overshoot, 0.0), max(overshoot, 0.0)),
+            Spread(damping, min(damping, 0.0), max(damping, 0.0)),
+            Spread(decay, 0.0, decay),
+            iae(gains),
+            Spread(math.inf, 0.0, math.inf),
+            Spread(length, 0.0, math.inf),
+        )
+
+    def load_iae(gains: PidGains) -> Spread:
+        least = 1 / abs(gains.ki) if gains.ki else math.inf
+        return Spread(least, least, SWINGS * least)
+
+    def open_iae(gains: PidGains) -> Spread:
+        del gains
+        return Spread(math.inf, 0.0, math.inf)
+
+    return Promise(
+        expected(new, open_iae), expected(new, load_iae), expected(old, open_iae), expected(old, load_iae), 0,
+        decay_seen(seen),
+    )  # fmt: skip
+
+
+def _setpoint(found: Sequence[Sequence[Shape]]) -> Expected:
+    """Over the models, under a setpoint step."""
+    return Expected.over([row[0] for row in found])
+
+
+def _load(shapes: Sequence[Sequence[Shape]]) -> Expected:
+    """Over the models, under a load step; a pulse may swing more."""
+    found = Expected.over([row[1] for row in shapes])
+    pulses = [row[2].decay for row in shapes]
+    decay = found.decay
+    return replace(found, decay=Spread(decay.best, min(decay.low, *pulses), max(decay.high, *pulses)))
+
+
+def _percent(spread: Spread) -> str:
+    """An overshoot with its spread."""
+    return f"{spread.best:.0%} ({spread.low:.0%} to {spread.high:.0%})"
+
+
+def _ratio(now: Spread, then: Spread) -> str:
+    """How one IAE stands to another, both on the best model."""
+    if not math.isfinite(now.best) or not math.isfinite(then.best):
+        return "not known"
+    return f"{now.best / then.best:.0%}"

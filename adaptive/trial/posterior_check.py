@@ -1,0 +1,120 @@
+"""Hindsight: what is known with a trial's record says of both sets, whatever was promised.
+
+    least Ms(tried)  >  max(greatest promised, harmless_ms),  and  > Ms(old) on every model      less robust
+    least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model,
+                        and the old set was not seen to swing                                    slower
+    greatest Ms(tried)  <=  harmless_ms,  the process is settled                                 robust
+
+over all models that are still allowed (tracker.py: the record with what was known before, or by itself where they
+contradict each other); J is the mean over a setpoint and a load step of IAE with the tried set over IAE with the old
+one (as Grimholt & Skogestad 2012 weigh them). The numbers of one response cannot tell this: the IAE of a load is 1/ki
+per unit whatever the process, so a sluggish set keeps what a wrong model promised of it, and a set of high Ms may still
+take up a load with hardly a swing. What was seen of the old set counts more than what any model says of it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import later
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.trial.batch_responses import Loop, Upset
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.response_numbers import shapes, storable
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.schedule.gains import PidGains
+
+UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Hindsight:
+    """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
+    infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
+    of this file; 0 where it is not known. settled : settings could follow from what is known; to speak against a set it
+    is enough that all allowed models do so.
+    """
+
+    ms_tried: float
+    ms_most: float
+    ms_old: float
+    robuster: bool
+    slower: float
+    settled: bool = True
+
+
+def hindsight(
+    allowed: Sequence[Plausible], old: PidGains, tried: PidGains, half_sample_s: float, b: float = 1.0,
+    tau_f_s: float = 0.0,
+) -> Hindsight:  # fmt: skip
+    """Both sets on the models that are still allowed.
+
+    Parameters
+    ----------
+    allowed : at least one model. half_sample_s : dead time that sampling adds, s.
+    b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
+    """
+    sampled = [later(found.model, half_sample_s).linear() for found in allowed]
+    ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in sampled] for gains in (tried, old))
+    loops = [Loop(process, gains, b, tau_f_s) for gains in (tried, old) for process in sampled]
+    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(sampled)
+    slower = min(_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True))
+    robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
+    return Hindsight(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
+
+
+def against(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """What hindsight says against the tried set, if anything; its numbers are put down."""
+    return _less_robust(found, promised, settings, numbers) or _slower(found, promised, settings, numbers)
+
+
+def _less_robust(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """The first test at the head of this file."""
+    said = promised.ms
+    allowed = [ms for ms in (said.best, said.high) if math.isfinite(ms)] if said else []
+    limit = max([settings.harmless_ms, *allowed])
+    numbers |= {"ms": storable(found.ms_tried), "ms_limit": limit, "ms_before": storable(found.ms_old)}
+    if said:
+        numbers["ms_promised"] = storable(said.best)
+    if not found.robuster or found.ms_tried <= limit:
+        return ""
+    words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
+    return f"worse than promised: by every model that is still allowed {words}, limit {limit:.2f}"
+
+
+def _slower(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """The second test at the head of this file."""
+    said = _promised_cost(promised)
+    limit = settings.iae_slack * max(said, 1.0)
+    if found.slower:
+        numbers |= {"cost": found.slower, "cost_limit": limit} | ({"cost_promised": said} if said else {})
+    swung = promised.decay_seen is not None and promised.decay_seen > settings.harmless_decay
+    if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
+        return ""
+    return (
+        f"worse than promised: by every model that is still allowed IAE is at least {found.slower:.2f} times that with "
+        f"the gains before, whose Ms is {found.ms_old:.2f} at most; limit {limit:.2f}"
+    )
+
+
+def in_favour(found: Hindsight, settings: TrialSettings) -> str:
+    """What hindsight says for the tried set, if anything."""
+    if not found.settled or found.ms_most > settings.harmless_ms:
+        return ""
+    return f"robust: Ms is {found.ms_most:.2f} at most by every model that is still allowed"
+
+
+def _promised_cost(promised: Promise) -> float:
+    """J of the new set over the old one as promised, on the best model; 0 where it is not known."""
+    return _mean_ratio(
+        (promised.setpoint.iae.best, promised.load_step.iae.best),
+        (promised.setpoint_before.iae.best, promised.load_before.iae.best),
+    )
+
+
+def _mean_ratio(now: Sequence[float], then: Sequence[float]) -> float:
+    """Mean of the ratios of IAE; 0 where a loop never comes to rest."""
+    if not all(map(math.isfinite, (*now, *then))) or not all(then):
+        return 0.0
+    return sum(a / b for a, b in zip(now, then, strict=True)) / len(now)

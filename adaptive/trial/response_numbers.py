@@ -1,0 +1,97 @@
+"""What is read from one response, promised or measured: how it swings, and what it costs.
+
+    overshoot  -E2/E1,   damping  (E3 - E2)/(E1 - E2)                              (Foxboro TI 039-200, 1995, figure 1)
+    decay      min(damping, |E3/E2|)
+    iae        integral |e| dt per unit of the setpoint's step, or of the load
+    travel     total variation of the controller output, per the same unit
+
+All three are the same number, the ratio of successive peaks, for a swing that dies out undisturbed. A trial is judged
+by the decay, because a second upset during a response makes one of them large in the calmest loop (a load that comes
+and goes makes E2 as large as E1, so the damping is 1/2), but only a loop that swings makes both large. |E2/E1| is no
+third one: the error of a load stays on one side while the integral takes it over, and the swing rides on it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
+
+SMALL = 0.02
+"""Half waves below this share of the largest error are not counted as peaks of a computed response."""
+TAIL = 4
+"""A loop whose error in the last quarter is as large as before runs away or swings for ever."""
+AT_REST = 0.05
+"""The error has settled when it stays below this share of its largest value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Numbers of one response (see the head of this file); settle_s : until the error stays small, s."""
+
+    overshoot: float
+    damping: float
+    decay: float
+    iae: float
+    travel: float
+    settle_s: float
+
+
+def peaks_of(e: FloatArray) -> list[float]:
+    """The extremes of the half waves of an error, in order, at most three; small ripple is passed over."""
+    kept = np.flatnonzero(np.abs(e) > SMALL * np.max(np.abs(e), initial=0.0))
+    if not kept.size:
+        return []
+    signs = np.sign(e[kept])
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(signs)) + 1, [kept.size]])
+    halves = [e[kept[a:b]] for a, b in pairwise(starts)]
+    return [float(half[np.argmax(np.abs(half))]) for half in halves[:3]]
+
+
+def swing(peaks: list[float], unseen: float = 0.0) -> tuple[float, float, float]:
+    """Overshoot, damping and decay of up to three peaks; a peak that was not seen is at most `unseen` large."""
+    if len(peaks) < 2:
+        return 0.0, 0.0, 0.0
+    first, second, third = three(peaks, unseen)
+    damping = (third - second) / (first - second)
+    return -second / first, damping if len(peaks) > 2 else 0.0, min(damping, abs(third / second))
+
+
+def three(peaks: list[float], unseen: float) -> tuple[float, float, float]:
+    """The first three of at least two peaks; a third one that was not seen is at most `unseen` large."""
+    first, second = peaks[0], peaks[1]
+    third = peaks[2] if len(peaks) > 2 else math.copysign(min(unseen, abs(second)), first)
+    return first, second, third
+
+
+def shape_of(trace: Trace, ki: float) -> Shape:
+    """Of a computed response to a unit upset; iae and settle_s are infinite for a loop that never comes to rest.
+
+    ki : of the loop; what the error's integral still has to do after the last point follows from it.
+    """
+    size = np.abs(trace.e)
+    overshoot, damping, decay = swing(peaks_of(trace.e))
+    travel = abs(float(trace.u[0])) + float(np.sum(np.abs(np.diff(trace.u))))
+    quarter = len(size) // TAIL
+    last, before = float(np.max(size[-quarter:])), float(np.max(size[: 2 * quarter]))
+    if last >= before * (1 - 1e-9):
+        return Shape(overshoot, damping, max(decay, 1.0), math.inf, travel, math.inf)
+    rest = abs((trace.rest_u - float(trace.u[-1])) / ki) if ki else math.inf
+    moving = np.flatnonzero(size > AT_REST * before)
+    settle = trace.step_s * float(moving[-1] if moving.size else 0)
+    return Shape(overshoot, damping, decay, trace.step_s * float(np.sum(size)) + rest, travel, settle)
+
+
+def shapes(loops: Sequence[Loop], upsets: Sequence[Upset]) -> list[list[Shape]]:
+    """The numbers of every loop under every upset: [loop][upset]."""
+    rows = zip(loops, traces(loops, upsets), strict=True)
+    return [[shape_of(trace, loop.gains.ki) for trace in row] for loop, row in rows]
+
+
+def storable(value: float) -> float:
+    """A number that JSON can hold: -1 stands for infinite, "unstable" or "never comes to rest"."""
+    return value if math.isfinite(value) else -1.0

@@ -1,0 +1,130 @@
+"""The watch over a trial, sample by sample: a set that makes the loop run away is undone in mid-response.
+
+Half waves of the error beyond twice the noise band are followed; r is the ratio of one's extreme to the last one's.
+
+    r >= grows twice in a row          RUNAWAY   three half waves, each larger than the last (the third one need not
+                                                 have reached its extreme)
+    r >= stays, stays_for in a row     RUNAWAY   a swing that does not die out
+    limit to limit, limit_swings times RUNAWAY   the output goes back and forth between its limits
+    at one limit for limited_s         SATURATED the trial shows nothing of the gains
+
+A half wave that was under way when the trial began may have had its extreme before: nothing is measured against it.
+All counts begin anew with a setpoint change that could make such a swing, not with one that is small against it (a
+setpoint that another loop moves at every sample would blind the watch), and after a rest: when the error kept to its
+band for longer than the half wave before took, what comes is another upset. `grows` and `stays` are never below what
+was promised, nor below what the gains before did on the best model: then undoing would be no cure. Six comparisons a
+sample.
+"""
+
+import math
+from typing import NamedTuple
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.adaptive.trial.settings import TrialSettings
+
+SEEN_BANDS = 2.0
+"""A half wave counts from this many noise bands."""
+MOVED = 0.25
+"""A setpoint change below this share of the swing under way does not make a half wave of it."""
+MOST_GROWTH = 2.0
+"""Growth per half wave from which a loop runs away whatever was before."""
+TWICE = 2
+"""So many growing half waves after the first are a runaway."""
+
+
+class WatchLaw(NamedTuple):
+    """Thresholds (see the head of this file); limited_s in seconds."""
+
+    grows: float
+    stays: float
+    stays_for: int
+    limit_swings: int
+    limited_s: float
+
+
+class WatchState(NamedTuple):
+    """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
+    how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
+    output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
+    is back in its band (infinite when it is not). joined : the half wave under way began before the watch.
+    """
+
+    sp: float
+    extreme: float
+    last: float
+    grown: int
+    stayed: int
+    limit: int
+    swings: int
+    since_s: float
+    wave_s: float = math.inf
+    inside_s: float = math.inf
+    joined: bool = False
+
+
+def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> WatchLaw:
+    """The thresholds for one trial. shortest_s : least time at a limit that counts, s."""
+    high = max(promised.setpoint.decay.high, promised.load_step.decay.high) + settings.decay_slack
+    before = min(max(promised.decay_before(setpoint=True), promised.decay_before(setpoint=False)), MOST_GROWTH)
+    least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
+    patience = promised.patience_s if math.isfinite(promised.patience_s) else 0.0
+    return WatchLaw(
+        max(settings.grows, least), max(settings.stays, least), settings.stays_for, settings.limit_swings,
+        max(settings.limited_settles * patience, shortest_s),
+    )  # fmt: skip
+
+
+def watch_begin(sp: float, *, joined: bool = True) -> WatchState:
+    """Nothing seen yet. joined : a half wave may be under way, as when a trial begins."""
+    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
+
+
+def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> tuple[WatchState, TrialEvent | None]:
+    """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
+    if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
+        state = watch_begin(sample.sp, joined=False)
+    state = _at_limits(state, sample)
+    if state.swings >= law.limit_swings:
+        return state, TrialEvent.RUNAWAY
+    if sample.t_s - state.since_s >= law.limited_s:
+        return state, TrialEvent.SATURATED
+    e = sample.sp - sample.pv
+    if abs(e) <= SEEN_BANDS * band:
+        return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
+    state = _follow(law, _rested(state, sample), e, sample.t_s)
+    growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))
+    runs = growing >= TWICE or state.stayed >= law.stays_for
+    return state, TrialEvent.RUNAWAY if runs else None
+
+
+def _at_limits(state: WatchState, sample: LoopSample) -> WatchState:
+    """Which limit the output touches, and since when."""
+    if not sample.limited:
+        return state if math.isinf(state.since_s) else state._replace(since_s=math.inf)
+    if sample.limited == state.limit:
+        return state._replace(since_s=min(state.since_s, sample.t_s))
+    return state._replace(limit=sample.limited, swings=state.swings + (state.limit != 0), since_s=sample.t_s)
+
+
+def _rested(state: WatchState, sample: LoopSample) -> WatchState:
+    """Out of the band again: after a rest, half waves are counted anew."""
+    rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
+    if rest_s > wave_s:
+        state = state._replace(extreme=0.0, last=0.0, grown=0, stayed=0, joined=False)
+    return state._replace(inside_s=math.inf)
+
+
+def _follow(law: WatchLaw, state: WatchState, e: float, t_s: float) -> WatchState:
+    """The half wave under way goes on, or a new one begins on the other side."""
+    if state.extreme == 0:
+        return state._replace(extreme=e, wave_s=t_s)
+    if e * state.extreme > 0:
+        return state._replace(extreme=e) if abs(e) > abs(state.extreme) else state
+    if state.joined:
+        return state._replace(extreme=e, wave_s=t_s, joined=False)
+    ratio = abs(state.extreme / state.last) if state.last else 0.0
+    grown = state.grown + 1 if ratio >= law.grows else 0
+    stayed = state.stayed + 1 if ratio >= law.stays else 0
+    return state._replace(extreme=e, last=state.extreme, grown=grown, stayed=stayed, wave_s=t_s)

@@ -1,0 +1,1 @@
+"""A CAN bus that survives: opening, faults, the log of its frames."""

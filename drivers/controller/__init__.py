@@ -1,0 +1,1 @@
+"""The controller behind the bus: the virtual device with its firmware's memory and lease."""

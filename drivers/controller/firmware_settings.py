@@ -1,0 +1,73 @@
+"""What is burnt into the firmware of a virtual controller."""
+
+from dataclasses import dataclass, field
+
+from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import PidLaw, law
+
+CO_WIRE = (-100.0, 200.0)  # percent, range of co in retuner.dbc
+SAMPLES_MAX = 65535  # 16 bits
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualDeviceSettings:
+    """What is burnt into the firmware.
+
+    Parameters
+    ----------
+    gains : set that runs until another is committed or found in the store.
+    node : address on the bus, 1..63.
+    sample_time_s : controller sample time in s.
+    box : gains that the device accepts.
+    sp_min, sp_max : setpoints that it accepts, pv units.
+    co_min, co_max : range of the output, percent, within -100..200.
+    co_rate_per_s : largest rate of the output, percent per second; None for no limit.
+    b : setpoint weight. tau_f_s : filter time of the derivative, s.
+    heartbeat_samples : samples between life signs.
+    lease_longest_samples : longest lease that it grants.
+    trial_samples : samples within which a host must confirm a new set, or the confirmed one runs again; 0 for ever.
+    key : secret that commits must be authenticated with; None for none.
+    lock_samples : samples of the first lock-out after wrong codes.
+
+    Raises
+    ------
+    ValueError
+        A setting is outside its range (named).
+    """
+
+    gains: PidGains
+    node: int = 1
+    sample_time_s: float = 2.0
+    box: GainBox = field(default_factory=GainBox)
+    sp_min: float = -1e9
+    sp_max: float = 1e9
+    co_min: float = 0.0
+    co_max: float = 100.0
+    co_rate_per_s: float | None = None
+    b: float = 1.0
+    tau_f_s: float = 0.0
+    heartbeat_samples: int = 5
+    lease_longest_samples: int = 6000
+    trial_samples: int = 0
+    key: bytes | None = field(default=None, repr=False)
+    lock_samples: int = 100
+
+    def __post_init__(self) -> None:
+        if not 1e-4 <= self.sample_time_s <= 3600:
+            raise ValueError(f"device: sample_time_s = {self.sample_time_s}; give 0.0001 to 3600 s")
+        if not CO_WIRE[0] <= self.co_min < self.co_max <= CO_WIRE[1]:
+            raise ValueError(f"device: co {self.co_min}..{self.co_max}; give a range within {CO_WIRE}")
+        if not self.sp_min < self.sp_max:
+            raise ValueError(f"device: sp_min = {self.sp_min} must be below sp_max = {self.sp_max}")
+        if not 1 <= self.heartbeat_samples <= 100:
+            raise ValueError(f"device: heartbeat_samples = {self.heartbeat_samples}; give 1 to 100")
+        for name, low in (("lease_longest_samples", 1), ("trial_samples", 0), ("lock_samples", 1)):
+            if not low <= getattr(self, name) <= SAMPLES_MAX:
+                raise ValueError(f"device: {name} = {getattr(self, name)}; give {low} to {SAMPLES_MAX}")
+        self.law_of(self.gains)
+
+    def law_of(self, gains: PidGains) -> PidLaw:
+        """The PID law with these gains."""
+        return law(gains, b=self.b, tau_f_s=self.tau_f_s, co_min=self.co_min, co_max=self.co_max,
+                   co_rate_per_s=self.co_rate_per_s)  # fmt: skip

@@ -1,0 +1,263 @@
+"""The device's memory of gain sets: what runs, what is staged, what is stored, and every answer about them.
+
+A set is staged gain by gain, read back, and committed as a whole; it runs from the next sample on. The promise: the
+running set is always one that was committed complete, newer than its predecessor, built on it, with the right CRC-32
+and inside the box. A sequence number that was refused or fenced off is burnt: a late copy of its commit does nothing.
+A committed set is on trial until it is confirmed: only then may it be stored, and when the firmware has a trial time,
+a set that is not confirmed within it gives way to the last confirmed one, under that one's old number.
+"""
+
+import struct
+import zlib
+from collections.abc import Callable
+from typing import NamedTuple
+
+from retuner.drivers.protocol.checksum import commit_crc, page_crc, set_crc, to_wire
+from retuner.drivers.protocol.frames import (
+    PAGE_TAG,
+    STORE_KEY,
+    Abort,
+    Ack,
+    Commit,
+    Confirm,
+    Item,
+    Kind,
+    Page,
+    PageEnd,
+    PageItem,
+    Read,
+    Reason,
+    Stage,
+    Store,
+    newer,
+)
+from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.schedule.gains import PidGains
+
+
+class GainSet(NamedTuple):
+    """A complete set and its sequence number."""
+
+    seq: int
+    gains: PidGains
+
+
+class Slot(NamedTuple):
+    """A stored set with its generation; crc tells whether it was written whole."""
+
+    generation: int
+    content: GainSet
+    crc: int
+
+    @classmethod
+    def of(cls, generation: int, content: GainSet) -> "Slot":
+        """A slot with its CRC."""
+        return cls(generation, content, slot_crc(generation, content))
+
+    @property
+    def whole(self) -> bool:
+        """Whether the CRC is right."""
+        return self.crc == slot_crc(self.generation, self.content)
+
+
+def slot_crc(generation: int, content: GainSet) -> int:
+    """CRC-32 over generation, sequence and gains."""
+    gains = content.gains
+    return zlib.crc32(struct.pack("<IHfff", generation, content.seq, gains.kp, gains.ki, gains.kd))
+
+
+class GainPages:
+    """Pages of one loop.
+
+    Parameters
+    ----------
+    node : for the CRC of a set.
+    box : what may run.
+    first : gains that run when nothing is stored (sequence 0); rounded to float32.
+    trial_samples : samples within which a set must be confirmed; 0: it need not be, but is not stored before.
+    """
+
+    def __init__(self, node: int, box: GainBox, first: PidGains, trial_samples: int = 0) -> None:
+        self._node, self._box, self._trial_samples = node, box, trial_samples
+        self._first = GainSet(0, to_wire(first))
+        self.slots: list[Slot | None] = [None, None]
+        self.boot(0)
+
+    def boot(self, epoch: int) -> None:
+        """Start anew: run the newest whole slot, else the first set; forget what was staged."""
+        self._epoch = epoch
+        self.running = self._stored()
+        self.confirmed = self.running
+        self.latest = self.running.seq
+        self._trial_left = 0
+        self._commit_of_running: Commit | None = None
+        self._staged: dict[int, float] = {}
+        self._staged_seq: int | None = None
+        self._pending: tuple[Commit, GainSet] | None = None
+        self._last_answer: tuple[Commit, Ack] | None = None
+
+    @property
+    def has_staged(self) -> bool:
+        """Whether a page is staged."""
+        return self._staged_seq is not None
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether the running set would survive a restart."""
+        return any(slot is not None and slot.whole and slot.content == self.running for slot in self.slots)
+
+    @property
+    def on_trial(self) -> bool:
+        """Whether the running set waits for its confirmation."""
+        return self.running != self.confirmed
+
+    def stage(self, frame: Stage) -> Ack | None:
+        """Put one gain into the staged page; an answer only when refused, the read-back tells the rest."""
+        if self._pending is not None:
+            return self._ack(Kind.STAGE, frame.seq, Reason.BUSY, frame.item)
+        if frame.seq != self._staged_seq:
+            if not newer(frame.seq, self.latest):
+                return self._ack(Kind.STAGE, frame.seq, Reason.STALE, frame.item)
+            self._staged, self._staged_seq, self.latest = {}, frame.seq, frame.seq
+        self._staged[frame.item] = frame.value
+        return None
+
+    def commit(self, frame: Commit, owner: int, code: Callable[[Commit, PidGains], Reason]) -> Ack | None:
+        """Check a commit; None when it is good and waits for the next sample, else the answer.
+
+        owner : holder of the lease. code : says whether the commit is authentic; asked last.
+        """
+        if frame == self._commit_of_running:
+            return self._ack(Kind.COMMIT, frame.seq, Reason.OK)
+        if self._pending is not None:
+            return None if frame == self._pending[0] else self._ack(Kind.COMMIT, frame.seq, Reason.BUSY)
+        if self._last_answer is not None and frame == self._last_answer[0]:
+            return self._last_answer[1]
+        if frame.seq != self._staged_seq:
+            reason = Reason.NOT_STAGED if newer(frame.seq, self.latest) else Reason.STALE
+            return self._ack(Kind.COMMIT, frame.seq, reason)
+        reason, item = self._judge(frame, owner, code)
+        if reason is Reason.OK:
+            self._pending = frame, GainSet(frame.seq, self._staged_gains())
+            return None
+        self._forget_staged()
+        answer = self._ack(Kind.COMMIT, frame.seq, reason, item)
+        self._last_answer = frame, answer
+        return answer
+
+    def _judge(self, frame: Commit, owner: int, code: Callable[[Commit, PidGains], Reason]) -> tuple[Reason, int]:
+        """Every condition of a commit, in the order in which they are told."""
+        if frame.base != self.running.seq:
+            return Reason.WRONG_BASE, Item.KP
+        missing = [item for item in Item if item not in self._staged]
+        if missing:
+            return Reason.INCOMPLETE, missing[0]
+        reason, item = self._box.refusal(
+            (self._staged[Item.KP], self._staged[Item.KI], self._staged[Item.KD]), self.running.gains
+        )
+        if reason is not Reason.OK:
+            return reason, item
+        gains = self._staged_gains()
+        if frame.crc != commit_crc(set_crc(self._node, self._epoch, frame.seq, gains), frame.base, owner):
+            return Reason.WRONG_CRC, Item.KP
+        return code(frame, gains), Item.KP
+
+    def swap(self) -> Ack | None:
+        """Run the committed set from now on, if there is one: call between reading pv and working out co."""
+        if self._pending is None:
+            return None
+        frame, self.running = self._pending
+        self._pending, self._commit_of_running = None, frame
+        self._trial_left = self._trial_samples
+        self._forget_staged()
+        return self._ack(Kind.COMMIT, frame.seq, Reason.OK)
+
+    def revert(self) -> Ack | None:
+        """One sample of the trial time has passed; when it is over, run the confirmed set from now on, and say so."""
+        if not self._trial_left or not self.on_trial:
+            return None
+        self._trial_left -= 1
+        if self._trial_left:
+            return None
+        seq, self.running = self.running.seq, self.confirmed
+        self._commit_of_running = None
+        return self._ack(Kind.CONFIRM, seq, Reason.REVERTED)
+
+    def confirm(self, frame: Confirm) -> Ack:
+        """The running set has proved itself."""
+        if frame.seq != self.running.seq:
+            return self._ack(Kind.CONFIRM, frame.seq, Reason.STALE)
+        self.confirmed = self.running
+        return self._ack(Kind.CONFIRM, frame.seq, Reason.OK)
+
+    def drop_staged(self) -> None:
+        """Whoever was staging may not command any more; its number stays burnt, an accepted commit stays accepted."""
+        if self._pending is None:
+            self._forget_staged()
+
+    def abort(self, frame: Abort) -> Ack:
+        """Fence a sequence number off: unless it runs already, it never will."""
+        seq = frame.seq
+        if seq == self.running.seq:
+            return self._ack(Kind.ABORT, seq, Reason.ALREADY_RUNNING)
+        if seq == self._staged_seq or newer(seq, self.latest):
+            self._pending = None
+            self._forget_staged()
+            self.latest = seq
+            return self._ack(Kind.ABORT, seq, Reason.OK)
+        return self._ack(Kind.ABORT, seq, Reason.STALE)
+
+    def store(self, frame: Store) -> Ack:
+        """Keep the running set: into the slot that is not the newest, so that the other one stays whole meanwhile."""
+        if frame.key != STORE_KEY:
+            return self._ack(Kind.STORE, frame.seq, Reason.WRONG_KEY)
+        if frame.seq != self.running.seq:
+            return self._ack(Kind.STORE, frame.seq, Reason.STALE)
+        if self.on_trial:
+            return self._ack(Kind.STORE, frame.seq, Reason.NOT_CONFIRMED)
+        if not self.is_stored:
+            generations = [slot.generation if slot is not None and slot.whole else 0 for slot in self.slots]
+            older = generations.index(min(generations))
+            self.slots[older] = Slot.of(max(generations) + 1, self.running)
+        return self._ack(Kind.STORE, frame.seq, Reason.OK)
+
+    def read(self, frame: Read) -> list[PageItem | PageEnd]:
+        """A page as it stands: the gains that are there, and its end."""
+        page, token = frame.page, frame.token % PAGE_TAG
+        if page == Page.STAGED:
+            seq = self._staged_seq if self._staged_seq is not None else self.latest
+            values = {item: self._staged[item] for item in Item if item in self._staged}
+        else:
+            content = self.running if page == Page.RUNNING else self._stored()
+            seq = content.seq
+            values = dict(zip(Item, (content.gains.kp, content.gains.ki, content.gains.kd), strict=True))
+        complete = len(values) == len(Item)
+        crc = self._crc_of(seq, values, frame.token) if complete else 0
+        items = [PageItem(page, item, token, value, seq) for item, value in values.items()]
+        return [*items, PageEnd(page, int(complete), token, seq, crc)]
+
+    def _stored(self) -> GainSet:
+        """What a restart would run."""
+        whole = [slot for slot in self.slots if slot is not None and slot.whole]
+        newest = max(whole, key=lambda slot: slot.generation, default=None)
+        return newest.content if newest else self._first
+
+    def _crc_of(self, seq: int, values: dict[Item, float], token: int) -> int:
+        """CRC-32 of a page for a question. What PidGains refuses may be staged, but never run: it has CRC 0."""
+        try:
+            gains = PidGains(values[Item.KP], values[Item.KI], values[Item.KD])
+        except ValueError:
+            return 0
+        return page_crc(set_crc(self._node, self._epoch, seq, gains), token)
+
+    def _staged_gains(self) -> PidGains:
+        """The staged page as gains; the box has been asked before."""
+        return PidGains(self._staged[Item.KP], self._staged[Item.KI], self._staged[Item.KD])
+
+    def _forget_staged(self) -> None:
+        """Empty the staged page; its number stays burnt."""
+        self._staged, self._staged_seq = {}, None
+
+    def _ack(self, kind: Kind, seq: int, reason: Reason, item: int = Item.KP) -> Ack:
+        """An answer."""
+        return Ack(kind, seq, reason, self.latest, item)

@@ -1,0 +1,292 @@
+"""A controller that hangs on CAN, in software: PID firmware with its plant, frame by frame what a real one would do.
+
+One call of step() is one controller sample: the plant moves, pv is read, a committed gain set is swapped in without a
+bump, co is worked out and applied, telemetry goes out. receive() answers at once, as an interrupt would. Nothing here
+reads a clock or a bus: device_process.py and the tests move frames and time.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import can
+
+from retuner.adaptive.signals.sample import LoopMode
+from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
+from retuner.drivers.controller.gain_memory import GainPages, GainSet
+from retuner.drivers.controller.lease_server import NOBODY, LeaseDesk
+from retuner.drivers.plants.plant import MeasuresMore, Plant
+from retuner.drivers.protocol.authentication import CodeDesk, fresh_nonce
+from retuner.drivers.protocol.checksum import CO_STEP, co_steps, sample_crc
+from retuner.drivers.protocol.codec import Codec, Refusal, Refused, schema
+from retuner.drivers.protocol.frames import (
+    CHALLENGE_TAG,
+    EPOCH_TAG,
+    OWNER_TAG,
+    PROTOCOL_VERSION,
+    RUNNING_TAG,
+    STORE_TAG,
+    Abort,
+    Ack,
+    Auth,
+    Challenge,
+    Commit,
+    Confirm,
+    DeviceFrame,
+    Flags,
+    Frame,
+    Heartbeat,
+    Identity,
+    Kind,
+    Lease,
+    Load,
+    Mode,
+    Page,
+    Read,
+    Reason,
+    Setpoint,
+    Stage,
+    Status,
+    Store,
+    TelemetryPv,
+    TelemetrySp,
+    newer,
+)
+from retuner.drivers.telemetry.signal_source import plant_message
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import LIMITED, StateTuple, change, start, step, track
+
+__all__ = ["VirtualDevice", "VirtualDeviceSettings"]
+
+Command = TypeVar("Command", Setpoint, Mode, Load)
+
+PV_WIRE = (-1e9, 1e9)  # range of pv in retuner.dbc
+SAMPLE_WRAP = 1 << 32
+STATUS_WRAP = 1 << 16
+COUNTER_BITS = 8
+
+
+class VirtualDevice:
+    """The firmware at work on a plant.
+
+    Parameters
+    ----------
+    settings : firmware.
+    plant : what it controls; the loop starts at rest at the plant's pv, in auto.
+    epoch : number of this boot, 0..65535; every restart takes the next one.
+    nonce : makes the challenges that commit codes are worked out over.
+    """
+
+    def __init__(
+        self, settings: VirtualDeviceSettings, plant: Plant, epoch: int = 1, nonce: Callable[[], int] = fresh_nonce
+    ) -> None:
+        self.settings, self.plant = settings, plant
+        self._codec = Codec(settings.node)
+        self.pages = GainPages(settings.node, settings.box, settings.gains, settings.trial_samples)
+        self.lease = LeaseDesk(settings.lease_longest_samples)
+        self.code = CodeDesk(settings.key, settings.lock_samples, nonce)
+        self.epoch = epoch
+        self.load = 0.0
+        self._boot()
+
+    def _boot(self) -> None:
+        """State after power-on: in auto, at rest at the present pv."""
+        self.pages.boot(self.epoch)
+        self.lease.boot()
+        self.code.boot()
+        self.sample = 0
+        self.refused = 0
+        self.sp = self.pv = self.plant.pv
+        self.auto = True
+        self._law = self.settings.law_of(self.pages.running.gains)
+        try:
+            co = self.plant.steady_co(self.pv, self.load)
+        except ValueError:  # nothing holds this pv (restart in motion): begin at the lower limit
+            co = self.settings.co_min
+        first = start(self._law, self.sp, self.pv, co)
+        self._state: StateTuple = first
+        self.co = self._manual_co = first.co
+        self._last: dict[Kind, Setpoint | Mode | Load] = {}
+
+    @property
+    def running(self) -> GainSet:
+        """The set that runs."""
+        return self.pages.running
+
+    def restart(self) -> None:
+        """Power off and on: the plant goes on, the firmware begins anew from its store."""
+        self.epoch = (self.epoch + 1) % STATUS_WRAP
+        self._boot()
+
+    def step(self, dt_s: float | None = None) -> list[can.Message]:
+        """One controller sample of dt_s seconds (default: the sample time); the frames that it sends."""
+        dt = self.settings.sample_time_s if dt_s is None else dt_s
+        self.pv = self.plant.step(self.co, self.load, dt)
+        frames: list[DeviceFrame] = []
+        acknowledge = self.pages.swap() or self.pages.revert()
+        if acknowledge is not None:
+            frames.append(acknowledge)
+            new = self.settings.law_of(self.running.gains)
+            self._state = change(self._law, new, self._state, self.sp, self.pv, dt)
+            self._law = new
+        if self.auto:
+            self._state, self.co = step(self._law, self._state, self.sp, self.pv, dt)
+        else:
+            self._state, self.co = track(self._law, self._state, self.sp, self.pv, self._manual_co, dt)
+        self.sample = (self.sample + 1) % SAMPLE_WRAP
+        self.code.tick()
+        if self.lease.tick():
+            self.pages.drop_staged()
+        frames += self._telemetry()
+        if self.sample % self.settings.heartbeat_samples == 0 or self.sample == 1:
+            frames += self._life_sign()
+        return [*self._measured_more(), *map(self._encode, frames)]
+
+    def _measured_more(self) -> list[can.Message]:
+        """What the plant measures beside pv, before the telemetry of its sample."""
+        plant = self.plant
+        return [plant_message(self.settings.node, plant.aux)] if isinstance(plant, MeasuresMore) else []
+
+    def receive(self, message: can.Message) -> list[can.Message]:
+        """Take a frame from the bus; the frames that answer it. Anything whatsoever may come."""
+        frame = self._codec.decode(message)
+        if isinstance(frame, Refused):
+            self.refused += frame.refusal is not Refusal.FOREIGN
+            return []
+        return [self._encode(answer) for answer in self._answer(frame)]
+
+    def _encode(self, frame: DeviceFrame) -> can.Message:
+        """The frame as a message; an acknowledge tells in which epoch it was given."""
+        if isinstance(frame, Ack):
+            frame = replace(frame, epoch=self.epoch % EPOCH_TAG)
+        return self._codec.encode(frame)
+
+    def _answer(self, frame: Frame) -> list[DeviceFrame]:
+        """What the firmware says to a host's frame."""
+        match frame:
+            case Read(page=Page.IDENTITY):
+                return [Identity(PROTOCOL_VERSION, schema(), self.settings.sample_time_s), *self._life_sign()]
+            case Read(page=Page.CHALLENGE):
+                return [Challenge(frame.token % CHALLENGE_TAG, int(self.code.demanded), self.code.nonce)]
+            case Read():
+                return list(self.pages.read(frame))
+            case Lease():
+                return [self._take_lease(frame)]
+            case Abort():
+                return [self._fence(frame)]
+            case Stage() | Commit() | Auth() | Confirm() | Store():
+                return _some(self._change(frame))
+            case Setpoint() | Mode() | Load():
+                return [self._command(frame)]
+            case _:  # a frame that only devices send: another device under this node's number
+                self.refused += 1
+                return []
+
+    def _fence(self, frame: Abort) -> Ack:
+        """Fence a number off, and with it any code that was made for it: numbers come round again, codes must not."""
+        answer = self.pages.abort(frame)
+        if answer.reason is Reason.OK:
+            self.code.renew()
+        return answer
+
+    def _take_lease(self, frame: Lease) -> Ack:
+        """Give, prolong or take back the lease; a page staged under one that ends is dropped."""
+        before = self.lease.owner
+        answer = self.lease.request(frame, self.epoch)
+        if self.lease.owner != before:
+            self.pages.drop_staged()
+        return answer
+
+    def _change(self, frame: Stage | Commit | Auth | Confirm | Store) -> Ack | None:
+        """A step towards another running or stored set: for the owner of the lease alone."""
+        lease, pages = self.lease, self.pages
+        match frame:
+            case Stage():
+                if lease.allows(frame.owner, OWNER_TAG):
+                    return pages.stage(frame)
+                return Ack(Kind.STAGE, frame.seq, Reason.NOT_OWNER, pages.latest, frame.item)
+            case Commit():  # its CRC covers the owner
+                return pages.commit(frame, lease.owner, self._code_of)
+            case Auth():
+                self.code.take(frame)
+                return None
+            case Confirm():
+                if lease.allows(frame.owner):
+                    return pages.confirm(frame)
+                return Ack(Kind.CONFIRM, frame.seq, Reason.NOT_OWNER, pages.latest)
+            case Store():
+                if lease.allows(frame.owner, STORE_TAG):
+                    return pages.store(frame)
+                return Ack(Kind.STORE, frame.seq, Reason.NOT_OWNER, pages.latest)
+
+    def _code_of(self, frame: Commit, gains: PidGains) -> Reason:
+        """Whether a commit is authentic."""
+        return self.code.judge(self.settings.node, self.epoch, self.lease.owner, frame.seq, frame.base, gains)
+
+    def _command(self, frame: Setpoint | Mode | Load) -> Ack:
+        """A command about the loop, by its type."""
+        settings = self.settings
+        match frame:
+            case Setpoint():
+                inside = settings.sp_min <= frame.sp <= settings.sp_max
+                return self._obey(Kind.SETPOINT, frame, inside=inside, act=self._take_setpoint)
+            case Mode():
+                inside = settings.co_min <= frame.co <= settings.co_max or frame.mode == LoopMode.AUTO
+                return self._obey(Kind.MODE, frame, inside=inside, act=self._take_mode)
+            case Load():
+                return self._obey(Kind.LOAD, frame, inside=True, act=self._take_load)
+
+    def _obey(self, kind: Kind, frame: Command, *, inside: bool, act: Callable[[Command], None]) -> Ack:
+        """Act once on a newer frame, answer a repeated one again, refuse an older one."""
+        if not self.lease.allows(frame.owner):
+            return Ack(kind, frame.counter, Reason.NOT_OWNER, frame.counter)
+        last = self._last.get(kind)
+        if last is not None and frame != last and not newer(frame.counter, last.counter, COUNTER_BITS):
+            return Ack(kind, frame.counter, Reason.STALE, last.counter)
+        if not inside:
+            return Ack(kind, frame.counter, Reason.OUT_OF_RANGE, frame.counter)
+        if frame != last:
+            self._last[kind] = frame
+            act(frame)
+        return Ack(kind, frame.counter, Reason.OK, frame.counter)
+
+    def _take_setpoint(self, frame: Setpoint) -> None:
+        self.sp = frame.sp
+
+    def _take_mode(self, frame: Mode) -> None:
+        self.auto = frame.mode == LoopMode.AUTO
+        self._manual_co = frame.co
+
+    def _take_load(self, frame: Load) -> None:
+        self.load = frame.load
+
+    def _telemetry(self) -> list[DeviceFrame]:
+        """Both halves of this sample."""
+        counter = self.sample % (1 << COUNTER_BITS)
+        mode = LoopMode.AUTO if self.auto else LoopMode.MANUAL
+        low, high = PV_WIRE
+        pv = TelemetryPv(counter, min(max(self.pv, low), high), co_steps(self.co) * CO_STEP)
+        limited, running = int(self._state[LIMITED]), self.running.seq % RUNNING_TAG
+        crc = sample_crc(self.settings.node, pv, TelemetrySp(counter, self.sp, mode, limited, running, 0))
+        return [pv, TelemetrySp(counter, self.sp, mode, limited, running, crc)]
+
+    def _life_sign(self) -> list[DeviceFrame]:
+        """Heartbeat and status."""
+        pages = self.pages
+        flags = (
+            Flags.AUTO * self.auto
+            + Flags.STAGED * pages.has_staged
+            + Flags.STORED * pages.is_stored
+            + Flags.TRIAL * pages.on_trial
+            + Flags.OWNED * (self.lease.owner != NOBODY)
+            + Flags.LOCKED * self.code.locked
+        )
+        return [
+            Heartbeat(self.sample, self.epoch, flags),
+            Status(self.running.seq, self.pages.latest, self.refused % STATUS_WRAP, self.lease.owner % STORE_TAG),
+        ]
+
+
+def _some(answer: Ack | None) -> list[DeviceFrame]:
+    """An answer or none, as a list."""
+    return [] if answer is None else [answer]

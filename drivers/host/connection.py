@@ -1,0 +1,349 @@
+"""The host's side of one controller on CAN: everything happens in poll(), nothing blocks, no thread, no clock.
+
+Connecting is SEARCHING (who is there: protocol, frame layout, sample time) -> READING (what runs) -> CONNECTED. What
+runs is known from read-back alone (running_belief.py); when the device falls silent it is unknown until read again.
+Only the host that holds the lease (lease_keeper.py) may change anything; the others watch.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+
+from retuner.drivers.bus.link_settings import FramePort
+from retuner.drivers.device import (
+    DeviceConflict,
+    DeviceMismatchError,
+    DeviceRestarted,
+    DeviceSilentError,
+    Event,
+    ForeignHost,
+    LinkChanged,
+    LinkState,
+    Reverted,
+    RunningChanged,
+    RunningSet,
+    SamplesLost,
+    WriteRefusedError,
+)
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.host.requests import HostRequests
+from retuner.drivers.host.running_set import Belief, RunningBelief
+from retuner.drivers.host.write_protocol import WritePhase
+from retuner.drivers.protocol import frames
+from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
+from retuner.drivers.protocol.frames import PROTOCOL_VERSION, Identity
+from retuner.drivers.telemetry.sample_assembly import SampleJoiner
+from retuner.drivers.telemetry.telemetry_quality import Stream
+from retuner.schedule.gains import PidGains
+
+# How long nothing has been heard of a device, and whether that is too long.
+
+
+class Contact:
+    """Ages of one node's frames.
+
+    Parameters
+    ----------
+    silent_s : age of the last frame at which the node counts as silent, s.
+    connect_s : how long the first connection may take, s.
+    """
+
+    def __init__(self, silent_s: float, connect_s: float) -> None:
+        self._silent_s, self._connect_s = silent_s, connect_s
+        self._first_poll_s = float("inf")
+        self.heard_s = float("-inf")
+        self.made = False  # whether there has ever been a connection
+
+    def polled(self, now_s: float) -> None:
+        """The host looks."""
+        self._first_poll_s = min(self._first_poll_s, now_s)
+
+    def lost(self, now_s: float, link: LinkState) -> str:
+        """Why the device is out of reach, or an empty string."""
+        if link is LinkState.DOWN:
+            return "the bus is gone"
+        age_s = now_s - self.heard_s
+        return f"no frame for {age_s:.3g} s" if age_s > self._silent_s else ""
+
+    def in_vain(self, now_s: float) -> bool:
+        """Whether the first connection takes too long."""
+        return not self.made and now_s - self._first_poll_s > self._connect_s
+
+
+# Whether the device that answers is one that this host may write to.
+
+
+TOLERANCE = 1e-6  # relative, of the sample time: float32 on the wire
+
+
+def mismatch(identity: Identity, sample_time_s: float) -> str:
+    """What is wrong with who is there, or an empty string; sample_time_s is the one that the host expects."""
+    if identity.protocol != PROTOCOL_VERSION:
+        return f"it speaks protocol {identity.protocol}, this host {PROTOCOL_VERSION}; update the older of them"
+    if identity.schema != schema():
+        return f"its frame layout is {identity.schema:#06x}, here {schema():#06x}; use one retuner.dbc on both"
+    if abs(identity.sample_time - sample_time_s) > TOLERANCE * sample_time_s:
+        return f"its sample time is {identity.sample_time:g} s, configured are {sample_time_s:g} s; make them equal"
+    return ""
+
+
+class ConnectPhase(Enum):
+    """How far the connection is."""
+
+    SEARCHING = "searching"
+    READING = "reading"
+    CONNECTED = "connected"
+
+
+class CanDevice:
+    """A controller on CAN: device.Device says what its methods promise.
+
+    Parameters
+    ----------
+    link : open bus of its own, or this node's port of a shared one.
+    settings : address and patience.
+    """
+
+    def __init__(self, link: FramePort, settings: CanDeviceSettings) -> None:
+        self.link, self.settings = link, settings
+        self.phase = ConnectPhase.SEARCHING
+        self.foreign_commands = 0  # frames to this node from another host
+        self.refused_frames = 0
+        self._codec = Codec(settings.node)
+        self._reader = PageReader(settings.owner)
+        self._belief = RunningBelief(settings.node)
+        self._requests = HostRequests(settings, self._reader, self._codec.encode)
+        self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
+        self._contact = Contact(settings.silent_s, settings.connect_s)
+        self._sample_s = self._ask_s = float("-inf")
+        self._events: list[Event] = []
+
+    @property
+    def connected(self) -> bool:
+        """Whether the device is heard and its running set is known."""
+        return self.phase is ConnectPhase.CONNECTED and self._belief.running is not None
+
+    @property
+    def running(self) -> RunningSet | None:
+        """The set that runs, from read-back; None while unknown."""
+        return self._belief.running
+
+    @property
+    def writing(self) -> bool:
+        """Whether a write is under way or its result unknown."""
+        return self._requests.write.busy
+
+    @property
+    def epoch(self) -> int | None:
+        """Boot epoch of the device, as read-back has proved it."""
+        return self._belief.epoch
+
+    def poll(self, now_s: float) -> list[Event]:
+        """Take what has arrived, send what is due, tell what happened: see device.Device."""
+        self._contact.polled(now_s)
+        for message in self.link.receive_all():
+            frame = self._codec.decode(message)
+            if isinstance(frame, Refused):
+                self.refused_frames += not self._joiner.tap.take(message) and frame.refusal is not Refusal.FOREIGN
+            elif isinstance(frame, frames.DeviceFrame):
+                self._contact.heard_s = now_s
+                self._take(frame, now_s)
+            else:
+                self._on_foreign()
+        self._notice_silence(now_s)
+        self._ask(now_s)
+        self._send_due(now_s)
+        events, self._events = self._events, []
+        return events
+
+    def _take(self, frame: frames.DeviceFrame, now_s: float) -> None:
+        """One frame of the device, by its type."""
+        match frame:
+            case frames.TelemetryPv() | frames.TelemetrySp():
+                self._on_telemetry(frame, now_s)
+            case frames.Heartbeat() | frames.Status():
+                self._on_life_sign(frame)
+            case frames.Identity():
+                self._on_identity(frame, now_s)
+            case frames.PageItem() | frames.PageEnd():
+                self._on_page(self._reader.take(frame), now_s)
+            case frames.Challenge():
+                self._requests.on_challenge(frame)
+            case frames.Ack():
+                event = self._requests.on_ack(frame, self._belief.epoch)
+                self._events += [event] if event is not None else []
+
+    def _on_foreign(self) -> None:
+        """Somebody else commands this controller."""
+        self.foreign_commands += 1
+        if self.foreign_commands.bit_count() == 1:
+            self._events.append(ForeignHost(self.foreign_commands))
+
+    def _on_life_sign(self, sign: frames.Heartbeat | frames.Status) -> None:
+        """Sample counter and epoch, or sequence numbers, as the device has them."""
+        if isinstance(sign, frames.Heartbeat):
+            if self._belief.on_heartbeat(sign):
+                self._joiner.set_reference(sign.sample)
+            return
+        self._requests.sequence.note(sign.latest)
+        running = self._belief.running
+        if running is not None and sign.running != running.seq and not self._requests.write.busy:
+            self._belief.doubt()
+
+    def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
+        """Half a sample; a sequence number that is not the known one means that somebody else has written."""
+        if self.phase is not ConnectPhase.CONNECTED:
+            return
+        joined = self._joiner.take(half)
+        if joined is None:
+            return
+        self._sample_s = now_s
+        self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
+        self._events += [*self._joiner.tap.news(), joined.sample]
+        running = self._belief.running
+        if running is not None and joined.sample.revision != running.seq and not self._requests.write.busy:
+            self._belief.doubt()
+        self._requests.on_sample(joined.sample.revision)
+
+    def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
+        """Who is there: go on only with the right one."""
+        if self.phase is not ConnectPhase.SEARCHING:
+            return
+        wrong = mismatch(identity, self.settings.sample_time_s)
+        if not wrong:
+            self.phase = ConnectPhase.READING
+            self._ask_s = now_s
+        elif not self._contact.made:
+            raise DeviceMismatchError(f"{self._where}: {wrong}")
+
+    def _on_page(self, page: ReadBack | None, now_s: float) -> None:
+        """A whole read-back, or none yet."""
+        if page is not None and page.page == frames.Page.STAGED:
+            self._requests.write.on_staged(page)
+        elif page is not None and page.page == frames.Page.RUNNING:
+            self._on_running(page, now_s)
+
+    def _on_running(self, page: ReadBack, now_s: float) -> None:
+        """What runs."""
+        verdict, running = self._belief.on_page(page), self._belief.running
+        if verdict is Belief.CONFLICT:
+            self._events.append(DeviceConflict(self.settings.node))
+        if verdict is Belief.NOTHING or running is None:
+            return
+        if verdict is Belief.FIRST:
+            self._joiner.set_reference(self._belief.boot_sample)
+        if verdict is Belief.RESTARTED:
+            gap = self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            self._requests.on_restart()
+            self._events.append(DeviceRestarted(self._belief.epoch or 0, running, gap))
+        if self.phase is ConnectPhase.READING:
+            self.phase, self._contact.made = ConnectPhase.CONNECTED, True
+            self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))
+        outcome = self._requests.on_running(running)
+        if outcome is not None:
+            self._events.append(outcome)
+        elif verdict is Belief.CHANGED and not self._requests.write.busy:
+            back = not frames.newer(running.seq, self._joiner.running)
+            self._events.append(Reverted(running) if back else RunningChanged(running))
+        self._joiner.running = running.seq
+
+    def _notice_silence(self, now_s: float) -> None:
+        """Nothing heard for too long, or no bus: nothing is known any more."""
+        reason = self._contact.lost(now_s, self.link.state)
+        if self.phase is ConnectPhase.SEARCHING or not reason:
+            if self._contact.in_vain(now_s):
+                raise DeviceSilentError(
+                    f"{self._where}: no answer within {self.settings.connect_s:g} s; "
+                    "is the device running there, under this node number?"
+                )
+            return
+        if self.phase is ConnectPhase.CONNECTED:
+            state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
+            self._events.append(LinkChanged(state, reason))
+        self.phase = ConnectPhase.SEARCHING
+        self._belief.doubt()
+        self._joiner.forget()
+        self._requests.lease.forget()
+
+    @property
+    def _where(self) -> str:
+        """The node in words."""
+        return f"node {self.settings.node} on {self.link.settings.interface} {self.link.settings.channel}"
+
+    def _ask(self, now_s: float) -> None:
+        """Ask who is there, or what runs, as long as it is not known."""
+        unread = self.phase is ConnectPhase.READING or self._belief.doubtful
+        if self.phase is ConnectPhase.SEARCHING:
+            page = frames.Page.IDENTITY
+        elif unread and self._requests.write.phase is not WritePhase.READING:
+            page = frames.Page.RUNNING
+        else:
+            self._ask_s = now_s
+            return
+        if now_s >= self._ask_s:
+            self._ask_s = now_s + self.settings.reply_s
+            self._send(self._reader.ask(page))
+
+    def _send_due(self, now_s: float) -> None:
+        """What the lease, the write and the commands want to send now."""
+        epoch = self._belief.epoch if self.phase is ConnectPhase.CONNECTED else None
+        due, events = self._requests.due(now_s, epoch)
+        self._events += events
+        for frame in due:
+            self._send(frame)
+
+    def _send(self, frame: frames.Frame) -> None:
+        """Put a frame on the bus; what is lost is sent again by whoever waits for its answer."""
+        self.link.send(self._codec.encode(frame))
+
+    def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
+        """Start the two-phase write: see device.Device."""
+        running, epoch = self._belief.running, self._belief.epoch
+        if running is None or epoch is None or not self.connected:
+            raise WriteRefusedError(f"{self._where}: not connected, what runs is unknown; wait for LinkChanged(UP)")
+        if self._joiner.arrivals.state is Stream.INVALID and not back:
+            raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
+        try:
+            seq = self._joiner.ordered = self._requests.begin_write(gains, running, epoch)
+        except WriteRefusedError as error:
+            raise WriteRefusedError(f"{self._where}: {error}") from error
+        self._send_due(now_s)
+        return seq
+
+    def send_setpoint(self, sp: float, now_s: float) -> None:
+        """Set the target in pv units: see device.Device."""
+        self._command(lambda: self._requests.commands.setpoint(sp), now_s)
+
+    def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
+        """Auto, or manual with co percent: see device.Device."""
+        self._command(lambda: self._requests.commands.mode(auto=auto, co=co), now_s)
+
+    def send_load(self, load: float, now_s: float) -> None:
+        """Disturb a simulated plant, percent of co: see device.Device."""
+        self._command(lambda: self._requests.commands.load(load), now_s)
+
+    def store(self, now_s: float) -> None:
+        """Keep the running set: see device.Device."""
+        running = self._belief.running
+        if running is None:
+            raise WriteRefusedError(f"{self._where}: what runs is unknown, so it cannot be stored")
+        self._command(lambda: self._requests.store(running.seq), now_s)
+
+    def confirm(self, now_s: float) -> bool:
+        """Confirm the running set without any more probation; whether it is: see device.Device."""
+        confirmed = self._requests.confirm()
+        self._send_due(now_s)
+        return confirmed
+
+    def release(self, now_s: float) -> None:
+        """Give the lease back, so that another host need not wait until it runs out; for the end of a session."""
+        self._requests.lease.release()
+        self._send_due(now_s)
+
+    def _command(self, put: Callable[[], None], now_s: float) -> None:
+        """Check a command, then send it until it is answered."""
+        try:
+            put()
+        except (FrameError, WriteRefusedError) as error:
+            raise WriteRefusedError(f"{self._where}: {error}") from error
+        self._send_due(now_s)

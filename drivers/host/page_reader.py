@@ -1,0 +1,102 @@
+"""Read-back: asks for a gain page and puts the answers together, whatever their order.
+
+Every request carries a new token and only answers to the newest request of a page count, so a late or replayed answer
+to an older question cannot pass for the present state: the answers repeat the token's low bits, and the CRC of PAGE
+covers all of it.
+"""
+
+from typing import NamedTuple
+
+from retuner.drivers.protocol.checksum import page_crc
+from retuner.drivers.protocol.frames import (
+    CHALLENGE_TAG,
+    PAGE_TAG,
+    TOKENS,
+    Challenge,
+    Item,
+    Page,
+    PageEnd,
+    PageItem,
+    Read,
+)
+from retuner.schedule.gains import PidGains
+
+
+class ReadBack(NamedTuple):
+    """A page as the device has it: its sequence, the gains (None when not all are there or no PID takes them), CRC.
+
+    token is that of the question.
+    """
+
+    page: int
+    seq: int
+    gains: PidGains | None
+    crc: int
+    token: int = 0
+
+    def fits(self, set_crc_: int) -> bool:
+        """Whether the device's CRC is that of this set, in answer to this question."""
+        return self.gains is not None and self.crc == page_crc(set_crc_, self.token)
+
+
+class _Question(NamedTuple):
+    """What is being put together."""
+
+    token: int
+    items: dict[int, PageItem]
+    ends: list[PageEnd]
+
+
+class PageReader:
+    """Questions under way, at most one per page.
+
+    Parameters
+    ----------
+    first_token : where the tokens begin; hosts, and one host's lives, had better begin at different ones.
+    """
+
+    def __init__(self, first_token: int = 0) -> None:
+        self._token = first_token
+        self._asked: dict[int, _Question] = {}
+
+    def ask(self, page: int) -> Read:
+        """The frame that asks for a page; answers to earlier questions about it no longer count."""
+        self._token = (self._token + 1) % TOKENS
+        self._asked[page] = _Question(self._token, {}, [])
+        return Read(page, self._token)
+
+    def overheard(self, read: Read) -> None:
+        """A question that another reader has asked: answers to it count from here on."""
+        self._asked[read.page] = _Question(read.token, {}, [])
+
+    def take(self, frame: PageItem | PageEnd) -> ReadBack | None:
+        """Note an answer; the page once it is whole."""
+        question = self._asked.get(frame.page)
+        if question is None or frame.token != question.token % PAGE_TAG:
+            return None
+        if isinstance(frame, PageEnd):
+            question.ends[:] = [frame]
+        else:
+            question.items[frame.item] = frame
+        return self._whole(question) if question.ends else None
+
+    def is_newest(self, challenge: Challenge) -> bool:
+        """Whether this answers the newest question for the challenge."""
+        question = self._asked.get(Page.CHALLENGE)
+        return question is not None and challenge.token == question.token % CHALLENGE_TAG
+
+    def _whole(self, question: _Question) -> ReadBack | None:
+        """The page if all parts are here and belong together."""
+        end = question.ends[0]
+        if not end.complete:
+            del self._asked[end.page]
+            return ReadBack(end.page, end.seq, None, end.crc, question.token)
+        items = question.items
+        if len(items) < len(Item) or any(item.seq != end.seq for item in items.values()):
+            return None
+        del self._asked[end.page]
+        try:
+            gains = PidGains(items[Item.KP].value, items[Item.KI].value, items[Item.KD].value)
+        except ValueError:
+            return ReadBack(end.page, end.seq, None, end.crc, question.token)
+        return ReadBack(end.page, end.seq, gains, end.crc, question.token)

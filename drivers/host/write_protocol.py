@@ -1,0 +1,281 @@
+"""The two-phase write of a gain set, host side, as a state machine without bus or clock.
+
+    IDLE -> STAGING -> COMMITTING -> READING -> IDLE          the good way
+    any trouble -> FENCING -> READING -> IDLE                 every other way
+
+STAGING sends the gains and reads them back as they stand in the device; it may be repeated, for nothing runs yet.
+COMMITTING sends one commit and never repeats it. A refusal, a lost acknowledge, a restart: all lead to FENCING, which
+burns the sequence number in the device, so that no late copy of the commit can take effect afterwards. READING then
+asks what runs, and only that answer decides between done and failed. While the device is silent, FENCING and READING go
+on asking and the result is unknown, and said to be.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
+from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.protocol.authentication import code_frames, commit_code
+from retuner.drivers.protocol.checksum import commit_crc, set_crc
+from retuner.drivers.protocol.frames import (
+    OWNER_TAG,
+    Abort,
+    Ack,
+    Challenge,
+    Commit,
+    Frame,
+    Item,
+    Kind,
+    Page,
+    Reason,
+    Stage,
+    newer,
+    reason_text,
+)
+from retuner.schedule.gains import PidGains
+
+
+class WritePhase(Enum):
+    """Where a write stands."""
+
+    IDLE = "idle"
+    STAGING = "staging"
+    COMMITTING = "committing"
+    FENCING = "fencing"
+    READING = "reading"
+
+
+class WriteInput(Enum):
+    """What can happen to it."""
+
+    BEGIN = "begin"
+    STAGED_RIGHT = "staged page read back right"
+    STAGED_WRONG = "staged page read back wrong"
+    ACCEPTED = "commit acknowledged"
+    REFUSED = "refused by the device"
+    TIMEOUT = "no answer, another try is left"
+    EXHAUSTED = "no answer, no try is left"
+    RESTARTED = "device restarted"
+    FENCED = "abort acknowledged"
+    RUNNING_READ = "running set read back"
+
+
+P, W = WritePhase, WriteInput
+TRANSITIONS: dict[tuple[WritePhase, WriteInput], WritePhase] = {
+    (P.IDLE, W.BEGIN): P.STAGING,
+    (P.STAGING, W.STAGED_RIGHT): P.COMMITTING,
+    (P.STAGING, W.STAGED_WRONG): P.STAGING,
+    (P.STAGING, W.TIMEOUT): P.STAGING,
+    (P.STAGING, W.EXHAUSTED): P.FENCING,
+    (P.STAGING, W.REFUSED): P.FENCING,
+    (P.STAGING, W.RESTARTED): P.FENCING,
+    (P.COMMITTING, W.ACCEPTED): P.READING,
+    (P.COMMITTING, W.REFUSED): P.FENCING,
+    (P.COMMITTING, W.EXHAUSTED): P.FENCING,
+    (P.COMMITTING, W.RESTARTED): P.FENCING,
+    (P.FENCING, W.FENCED): P.READING,
+    (P.FENCING, W.TIMEOUT): P.FENCING,
+    (P.FENCING, W.RESTARTED): P.FENCING,
+    (P.READING, W.TIMEOUT): P.READING,
+    (P.READING, W.RESTARTED): P.FENCING,
+    (P.READING, W.RUNNING_READ): P.IDLE,
+}
+"""Everything that is not here leaves the phase as it is: a late or foreign answer."""
+
+SEQUENCES = 1 << 16
+TRIES = {P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
+UNKNOWN_AFTER = 3  # tries of FENCING or READING without an answer after which the result is said to be unknown
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOrder:
+    """What is to be written: the gains as float32, built on set base, in this boot epoch of the node, by this owner."""
+
+    node: int
+    epoch: int
+    seq: int
+    base: int
+    gains: PidGains
+    owner: int = 1
+    key: bytes | None = field(default=None, repr=False)
+
+    def commit(self, nonce: int | None = None) -> list[Frame]:
+        """The commit of this order, with its code in front when there is a key; nonce is the device's challenge."""
+        commit = Commit(self.seq, self.base, commit_crc(self.set_crc, self.base, self.owner))
+        if self.key is None or nonce is None:
+            return [commit]
+        code = commit_code(self.key, self.node, self.epoch, nonce, self.owner, self.seq, self.base, self.gains)
+        return [*code_frames(code, self.seq), commit]
+
+    @property
+    def set_crc(self) -> int:
+        """CRC-32 of the set."""
+        return set_crc(self.node, self.epoch, self.seq, self.gains)
+
+    def stage(self) -> list[Frame]:
+        """The frames that stage it."""
+        values = zip(Item, (self.gains.kp, self.gains.ki, self.gains.kd), strict=True)
+        return [Stage(item, self.owner % OWNER_TAG, value, self.seq) for item, value in values]
+
+
+class Sequence:
+    """The newest sequence number that this host has used or the device has told of."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+
+    def note(self, number: int) -> None:
+        """Remember a number if it is the newest."""
+        if self._newest is None or newer(number, self._newest):
+            self._newest = number
+
+    def after(self, running: int) -> int:
+        """The number for the next write: newer than the running set's and than any other seen."""
+        self.note(running)
+        newest = running if self._newest is None else self._newest
+        return (newest + 1) % SEQUENCES
+
+
+class WriteProtocol:
+    """One write after another over one device.
+
+    Parameters
+    ----------
+    reader : asks for pages; shared with whoever else reads pages of this device.
+    timeout_s : how long to wait for an answer, s.
+    """
+
+    def __init__(self, reader: PageReader, timeout_s: float) -> None:
+        self._reader, self._timeout_s = reader, timeout_s
+        self._order: WriteOrder | None = None
+        self._why = ""
+        self._tries = 0
+        self._told_unknown = False
+        self._nonce: int | None = None
+        self._staged_right = False
+        self._deadline_s: float | None = None
+        self.phase = WritePhase.IDLE
+
+    @property
+    def busy(self) -> bool:
+        """Whether a write is under way."""
+        return self.phase is not WritePhase.IDLE
+
+    def begin(self, order: WriteOrder) -> None:
+        """Start a write; only when not busy."""
+        self._order, self._why = order, "no answer to the commit"
+        self._told_unknown = self._staged_right = False
+        self._nonce = None
+        self._move(WriteInput.BEGIN)
+
+    def due(self, now_s: float) -> list[Frame]:
+        """Frames to send now: those of a phase just entered, or again after its time-out."""
+        if self._order is None or not self.busy:
+            return []
+        if self._deadline_s is not None:
+            if now_s < self._deadline_s:
+                return []
+            self._time_out()
+        self._deadline_s = now_s + self._timeout_s
+        self._tries += 1
+        return self._actions()[self.phase](self._order)
+
+    def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[Frame]]]:
+        """What each phase sends."""
+        return {
+            WritePhase.STAGING: self._stage,
+            WritePhase.COMMITTING: lambda order: order.commit(self._nonce),
+            WritePhase.FENCING: lambda order: [Abort(order.seq)],
+            WritePhase.READING: lambda _: [self._reader.ask(Page.RUNNING)],
+        }
+
+    def _stage(self, order: WriteOrder) -> list[Frame]:
+        """Gains, the question how they stand there, and with a key the question for the challenge."""
+        challenge = [self._reader.ask(Page.CHALLENGE)] if order.key is not None else []
+        return [*order.stage(), self._reader.ask(Page.STAGED), *challenge]
+
+    def _time_out(self) -> None:
+        """The phase's time is over."""
+        if self._tries < TRIES.get(self.phase, self._tries + 1):
+            self._move(WriteInput.TIMEOUT)
+            return
+        if self.phase is WritePhase.STAGING:
+            self._why = "the staged gains could not be read back"
+        self._move(WriteInput.EXHAUSTED)
+
+    def unknown(self) -> WriteUnknown | None:
+        """That the result is unknown, once, when the device has not answered several times."""
+        if self._order is None or self._told_unknown or self._tries < UNKNOWN_AFTER:
+            return None
+        if self.phase not in {WritePhase.FENCING, WritePhase.READING}:
+            return None
+        self._told_unknown = True
+        return WriteUnknown(self._order.seq, f"{self._why}; the device does not say what it runs; asking on")
+
+    def on_ack(self, ack: Ack) -> None:
+        """An acknowledge has come."""
+        if self._order is None or ack.seq != self._order.seq:
+            return
+        if ack.kind == Kind.ABORT:
+            self._move(WriteInput.FENCED)
+        elif ack.kind == Kind.COMMIT and ack.reason == Reason.OK:
+            self._why = "it ran, but gave way before it could be read back"
+            self._move(WriteInput.ACCEPTED)
+        elif ack.kind in {Kind.COMMIT, Kind.STAGE}:
+            if self.phase in {WritePhase.STAGING, WritePhase.COMMITTING}:
+                self._why = f"the device refused it: {reason_text(ack)}"
+            self._move(WriteInput.REFUSED)
+
+    def on_staged(self, page: ReadBack) -> None:
+        """The staged page has been read back."""
+        order = self._order
+        if order is None:
+            return
+        self._staged_right = page.seq == order.seq and page.gains == order.gains and page.fits(order.set_crc)
+        if not self._staged_right:
+            self._move(WriteInput.STAGED_WRONG)
+        elif order.key is None or self._nonce is not None:
+            self._move(WriteInput.STAGED_RIGHT)
+
+    def on_challenge(self, challenge: Challenge) -> None:
+        """The device's challenge has come. One that demands no code from a host with a key is not the right device."""
+        if self._order is None or self._order.key is None or self.phase is not WritePhase.STAGING:
+            return
+        if not challenge.demanded:
+            self._why = "this host has a key, but the device demands no code for a commit"
+            self._move(WriteInput.REFUSED)
+            return
+        self._nonce = challenge.nonce
+        if self._staged_right:
+            self._move(WriteInput.STAGED_RIGHT)
+
+    def on_restart(self) -> None:
+        """The device has booted."""
+        if self.busy:
+            self._why = "the device restarted"
+        self._move(WriteInput.RESTARTED)
+
+    def on_running(self, running: RunningSet) -> WriteDone | WriteFailed | None:
+        """The running page has been read back and its CRC is right; the outcome if that was the last step."""
+        order = self._order
+        asked = self.phase is WritePhase.READING and self._tries > 0  # an answer to an older question proves nothing
+        if order is None or not asked:
+            return None
+        self._move(WriteInput.RUNNING_READ)
+        if running.seq == order.seq and running.gains == order.gains:
+            return WriteDone(order.seq, running.gains, running)
+        return WriteFailed(order.seq, self._why, running)
+
+    def _move(self, event: WriteInput) -> None:
+        """Go where the table says."""
+        old = self.phase
+        new = TRANSITIONS.get((old, event))
+        if new is None:
+            return
+        self.phase = new
+        if event is WriteInput.TIMEOUT:
+            return
+        if event is not WriteInput.STAGED_WRONG:
+            self._tries = 0
+            self._deadline_s = None

@@ -1,0 +1,1 @@
+"""Simulated plants for the virtual device."""

@@ -1,0 +1,166 @@
+"""A continuous-flow boiler: gain by temperature, lag and delay by flow; the test of a table along two variables.
+
+    M c dT/dt   = P(co) - w c (T - T_in)                tank, perfectly mixed; w flow
+    P(co)       = P_max (R^x - 1)/(R - 1), x = co/100   fuel valve of equal percentage, R its rangeability
+    T_pipe(t)   = T(t'),  integral of w from t' to t = V   plug flow through the pipe to the sensor: theta = V/w
+    tau_s dpv/dt = T_pipe - pv                          sensor in its pocket
+
+Flow is in units of its nominal value: w = 1 + load/100, so that "load" is the change of flow in percent. A steady
+state has P = w c (T - T_in): the gain P'(co)/(w c) = ln R/100 (T - T_in + P_max/((R - 1) w c)) rises with temperature,
+the lag M/w and the delay V/w fall with flow. Step by step everything is exact for held co and load, but the sensor,
+which takes the pipe's temperature in the middle of steps of at most MAX_STEP_S. Equal-percentage valve: F. G. Shinskey,
+Process Control Systems, section 2.
+"""
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, fields
+
+from retuner.adaptive.process.model import LinearProcess
+from retuner.drivers.plants.plant import MeasurementNoise, check_step
+
+MAX_STEP_S = 0.5  # longest step of the sensor; with tau_s = 4 s its error is below 1e-3 of a move
+HISTORY_TRIM = 4096  # entries of the pipe's contents after which those that have left it are dropped
+LEAST_FLOW = 0.05  # share of the nominal flow that always runs
+
+
+@dataclass(frozen=True, slots=True)
+class BoilerSettings:
+    """The boiler's physics, in units of the nominal flow's heat capacity rate w c.
+
+    Parameters
+    ----------
+    inlet_c : temperature of the water that comes in, degC.
+    power_max_c : power at 100 % over the nominal heat capacity rate: how much it heats the nominal flow, K.
+    rangeability : R of the fuel valve, more than 1.
+    tank_s : lag M/w of the tank at nominal flow, s. pipe_s : delay V/w of the pipe at nominal flow, s.
+    tau_sensor_s : sensor lag, s.
+    noise_c : standard deviation of the temperature's measurement noise, degC.
+    flow_noise_pct : the same of the flow's, percent of the nominal flow.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite or outside its physical range (named).
+    """
+
+    inlet_c: float = 10.0
+    power_max_c: float = 160.0
+    rangeability: float = 20.0
+    tank_s: float = 40.0
+    pipe_s: float = 8.0
+    tau_sensor_s: float = 4.0
+    noise_c: float = 0.1
+    flow_noise_pct: float = 0.5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value: float = getattr(self, field.name)
+            low = {"inlet_c": -273.15, "rangeability": 1.001}.get(field.name, 0.0)
+            if not low <= value < math.inf:
+                raise ValueError(f"boiler: {field.name} = {value}; give a finite number of at least {low}")
+        for name in ("power_max_c", "tank_s", "pipe_s", "tau_sensor_s"):
+            if getattr(self, name) == 0:
+                raise ValueError(f"boiler: {name} = 0; give a positive number")
+
+    def power(self, co: float) -> float:
+        """Power in K of nominal flow at co percent (held to 0..100)."""
+        x = min(max(co, 0.0), 100.0) / 100.0
+        return self.power_max_c * (math.pow(self.rangeability, x) - 1.0) / (self.rangeability - 1.0)
+
+    def co_for(self, power: float) -> float:
+        """The output in percent that gives a power."""
+        share = power / self.power_max_c
+        return 100.0 * math.log1p(share * (self.rangeability - 1.0)) / math.log(self.rangeability)
+
+
+def flow_of(load: float) -> float:
+    """Flow in units of the nominal one under a load in percent."""
+    return max(1.0 + load / 100.0, LEAST_FLOW)
+
+
+class BoilerPlant:
+    """The boiler in motion. A load is the change of the flow in percent of its nominal value.
+
+    Parameters
+    ----------
+    settings : physics. start_c : temperature everywhere at the start, at nominal flow. seed : of both noises.
+
+    Raises
+    ------
+    ValueError
+        No output holds the boiler at start_c.
+    """
+
+    def __init__(self, settings: BoilerSettings | None = None, start_c: float = 30.0, seed: int = 0) -> None:
+        self.settings = settings or BoilerSettings()
+        self._noise = MeasurementNoise(self.settings.noise_c, seed)
+        self._flow_noise = MeasurementNoise(self.settings.flow_noise_pct, seed + 1)
+        self.steady_co(start_c)
+        self._tank = self._sensor = start_c
+        self._passed = 0.0  # nominal pipe seconds of water that have left the tank
+        self._marks, self._temps = [0.0], [start_c]
+        self._aux = 100.0
+
+    @property
+    def pv(self) -> float:
+        """Sensor temperature in degC without noise."""
+        return self._sensor
+
+    @property
+    def aux(self) -> float:
+        """Measured flow in percent of the nominal flow, noise included: of the last step."""
+        return self._aux
+
+    def step(self, co: float, load: float, dt_s: float) -> float:
+        """Hold co and load for dt_s and read the sensor: see plant.Plant."""
+        check_step(co, load, dt_s)
+        settings, flow = self.settings, flow_of(load)
+        goal = settings.inlet_c + settings.power(co) / flow
+        n = math.ceil(dt_s / MAX_STEP_S)
+        h = dt_s / n
+        kept, held = math.exp(-flow * h / settings.tank_s), math.exp(-h / settings.tau_sensor_s)
+        for _ in range(n):
+            start = self._passed
+            self._tank = goal + (self._tank - goal) * kept
+            self._passed = start + flow * h
+            self._marks.append(self._passed)
+            self._temps.append(self._tank)
+            arriving = self._leaving((start + self._passed) / 2 - settings.pipe_s)
+            self._sensor = arriving + (self._sensor - arriving) * held
+        if len(self._marks) > HISTORY_TRIM:
+            self._trim()
+        self._aux = 100.0 * flow + self._flow_noise()
+        return self._sensor + self._noise()
+
+    def _leaving(self, mark: float) -> float:
+        """Temperature of the water that left the tank at a mark; before the first one the first temperature."""
+        i = bisect_right(self._marks, mark)
+        if i == 0:
+            return self._temps[0]
+        if i == len(self._marks):
+            return self._temps[-1]
+        w = (mark - self._marks[i - 1]) / (self._marks[i] - self._marks[i - 1])
+        return (1.0 - w) * self._temps[i - 1] + w * self._temps[i]
+
+    def _trim(self) -> None:
+        """Forget the water that has passed the sensor."""
+        used = max(bisect_right(self._marks, self._passed - self.settings.pipe_s) - 2, 0)
+        del self._marks[:used], self._temps[:used]
+
+    def steady_co(self, pv: float, load: float = 0.0) -> float:
+        """Output in percent that holds pv: see plant.Plant."""
+        settings = self.settings
+        needed = flow_of(load) * (pv - settings.inlet_c)
+        if not 0.0 <= needed <= settings.power_max_c:
+            raise ValueError(f"{pv} degC needs {needed:.0f} K of nominal flow; the burner gives 0 to "
+                             f"{settings.power_max_c:g} K")  # fmt: skip
+        return settings.co_for(needed)
+
+    def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:
+        """Gain P'(co)/w, lags of tank and sensor, delay of the pipe at this temperature and flow: see plant.Plant."""
+        settings, flow = self.settings, flow_of(load)
+        slope = math.log(settings.rangeability) / 100.0
+        bias = settings.power_max_c / ((settings.rangeability - 1.0) * flow)
+        gain = slope * (pv - settings.inlet_c + bias)
+        return LinearProcess(gain, (settings.tank_s / flow, settings.tau_sensor_s), (), settings.pipe_s / flow)

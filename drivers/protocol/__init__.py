@@ -1,0 +1,1 @@
+"""The protocol's frames: layout, coding, check sums, authentication."""

@@ -1,0 +1,1 @@
+"""Recorded data: trends, bus logs, and samples from them."""

@@ -1,0 +1,124 @@
+"""The samples of one controller out of recorded bus traffic: what a host heard then, or could have heard.
+
+The same codec, read-back, belief and joiner as in can_device.py, driven by the recorded frames alone: nothing is asked,
+so the questions of the host that was there are overheard. Two ways to listen:
+  - as the host that recorded the log (its own frames are marked as sent): telemetry counts from the same frame on as it
+    did then, once the identity and the running set had been read back; where contact was lost is for the caller to say;
+  - as a bystander, with a log from anywhere: telemetry counts as soon as a heartbeat has told the full counter.
+"""
+
+from collections.abc import Iterable
+
+import can
+
+from retuner.drivers.device import RunningSet
+from retuner.drivers.host.connection import mismatch
+from retuner.drivers.host.page_reader import PageReader, ReadBack
+from retuner.drivers.host.running_set import Belief, RunningBelief
+from retuner.drivers.protocol import frames
+from retuner.drivers.protocol.codec import Codec, Refused
+from retuner.drivers.telemetry.sample_assembly import Joined, SampleJoiner
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
+
+
+class Overhearing:
+    """One node's traffic, frame by frame.
+
+    Parameters
+    ----------
+    node : of the controller. sample_time_s : of the controller, s. variable : what goes into LoopSample.x.
+    as_host : listen as the host that recorded the log, see the head of this file. gaps : samples over which time went
+    on at each restart of the device, as the host had it; without them the log's own times tell.
+
+    Raises
+    ------
+    ValueError
+        No such node or variable.
+    """
+
+    def __init__(
+        self, node: int, sample_time_s: float, variable: str | ScheduleInputs = "sp", *, as_host: bool = True,
+        gaps: Iterable[int] = (),
+    ) -> None:  # fmt: skip
+        self._codec = Codec(node)
+        self._reader = PageReader()
+        self._belief = RunningBelief(node)
+        self._joiner = SampleJoiner(sample_time_s, variable, node)
+        self._sample_time_s, self._as_host = sample_time_s, as_host
+        self._identified = self._connected = not as_host
+        self._sample_s = 0.0
+        self._gaps = iter(gaps)
+        self.frames = 0
+        """Frames of this node so far, whatever their direction."""
+
+    @property
+    def running(self) -> RunningSet | None:
+        """The set that runs, as far as read-backs have told."""
+        return self._belief.running
+
+    def contact_lost(self) -> None:
+        """The host heard nothing for too long here: it began anew."""
+        self._belief.doubt()
+        self._joiner.forget()
+        self._identified = self._connected = False
+
+    def take(self, message: can.Message) -> Joined | None:
+        """Note a frame; the sample that it completes, with the number of samples lost before it."""
+        frame = self._codec.decode(message)
+        if isinstance(frame, Refused):
+            self._joiner.tap.take(message)
+            return None
+        self.frames += 1
+        match frame:
+            case frames.TelemetryPv() | frames.TelemetrySp():
+                return self._telemetry(frame, message.timestamp)
+            case frames.Heartbeat():
+                self._heartbeat(frame)
+            case frames.Identity():
+                self._identified = self._identified or not mismatch(frame, self._sample_time_s)
+            case frames.PageItem() | frames.PageEnd():
+                self._page(self._reader.take(frame), message.timestamp)
+            case frames.Read() | frames.Stage() if not (self._as_host and message.is_rx):
+                self._question(frame)
+            case _:
+                pass
+        return None
+
+    def _question(self, frame: frames.Read | frames.Stage) -> None:
+        """The host asks for a page, or begins to write."""
+        if isinstance(frame, frames.Read):
+            self._reader.overheard(frame)
+        else:
+            self._joiner.ordered = frame.seq
+
+    def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> Joined | None:
+        """Half a sample."""
+        if not self._connected:
+            return None
+        joined = self._joiner.take(half)
+        if joined is not None:
+            self._sample_s = now_s
+        return joined
+
+    def _heartbeat(self, heartbeat: frames.Heartbeat) -> None:
+        """The full counter, in the epoch that is known; to a bystander who knows of none, in any."""
+        if self._belief.on_heartbeat(heartbeat) or (not self._as_host and self._belief.epoch is None):
+            self._joiner.set_reference(heartbeat.sample)
+
+    def _page(self, page: ReadBack | None, now_s: float) -> None:
+        """What runs, when a whole page of it was read back."""
+        if page is None or page.page != frames.Page.RUNNING:
+            return
+        verdict, running = self._belief.on_page(page), self._belief.running
+        if verdict is Belief.NOTHING or running is None:
+            return
+        if verdict is Belief.FIRST and self._as_host:
+            self._joiner.set_reference(self._belief.boot_sample)
+        if verdict is Belief.RESTARTED:
+            gap = next(self._gaps, None)
+            if gap is None:
+                self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
+            else:
+                self._joiner.restart(self._belief.boot_sample, gap)
+        self._connected = self._connected or self._identified
+        self._joiner.running = running.seq

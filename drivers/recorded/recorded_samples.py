@@ -1,0 +1,126 @@
+"""Samples out of recorded loops of any origin: tables (CSV, Parquet) and logs of bus traffic.
+
+A table needs t, sp, pv and co. What else a controller knows is taken where it is there (the columns of a run's trend:
+x, x2, mode, limited, kp, ki, kd) and else follows from the rest: x is the scheduling variable, mode is automatic,
+limited is where co stands at a limit. In a log of bus traffic the protocol has all of it.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample
+from retuner.drivers.recorded.bus_log_samples import Overhearing
+from retuner.drivers.recorded.frame_log import read_frames
+from retuner.drivers.recorded.recording import LARGEST, ROLES, RecordingError, read_columns
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
+from retuner.schedule.gains import PidGains
+
+GAINS = ("kp", "ki", "kd")
+TIME_TOLERANCE = 0.1
+"""Share by which the record's sampling interval may differ from the configured one."""
+
+
+class Recorded(NamedTuple):
+    """A sample, and the gains that the record says were in force, if it does."""
+
+    sample: LoopSample
+    gains: PidGains | None
+
+
+@dataclass(frozen=True, slots=True)
+class LoopFacts:
+    """What a record does not say of its loop.
+
+    sample_time_s : of the controller, s. variable : scheduling variable. co_min, co_max : limits of co. node : on the
+    bus.
+    """
+
+    sample_time_s: float
+    variable: str | ScheduleInputs
+    co_min: float
+    co_max: float
+    node: int
+
+
+def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> Iterator[Recorded]:
+    """Samples of a CSV or Parquet file; columns : other names of t, sp, pv, co.
+
+    Raises
+    ------
+    RecordingError
+        The file is malformed, or sampled at another rate than the controller.
+    """
+    names = {role: columns.get(role, role) for role in ROLES}
+    further = [name for name in ("x", "x2", "mode", "limited", *GAINS) if name not in names.values()]
+    table = read_columns(path, [*names.values(), *further], list(names.values()))
+    t, sp, pv, co = (table[names[role]] for role in ROLES)
+    _check(path, t, (sp, pv, co), facts)
+    inputs = ScheduleInputs.of(facts.variable)
+    own = {"sp": sp, "pv": pv, "co": co, "": np.zeros(len(t))}
+    x, x2 = (_scheduled(path, table, name, own.get(variable))
+             for name, variable in (("x", inputs.variable), ("x2", inputs.variable2)))  # fmt: skip
+    mode = table.get("mode", np.full(len(t), float(LoopMode.AUTO)))
+    beyond = np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0))
+    limited = table.get("limited", beyond)
+    known = all(name in table for name in GAINS)
+    for i in range(len(t)):
+        gains = _gains(path, i, *(float(table[name][i]) for name in GAINS)) if known else None
+        yield Recorded(LoopSample(float(t[i]), float(sp[i]), float(pv[i]), float(co[i]), int(mode[i]),
+                                  int(limited[i]), float(x[i]), 0, float(x2[i])), gains)  # fmt: skip
+
+
+def _scheduled(path: Path, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:
+    """A scheduling variable: its column, else what the loop's own signals say of it."""
+    found = table.get(name, own)
+    if found is None:
+        raise RecordingError(f'{path}: no column "{name}": the scheduling variable is a signal on the bus, which sp, '
+                             "pv and co do not tell; add the column")  # fmt: skip
+    return found
+
+
+def _gains(path: Path, i: int, kp: float, ki: float, kd: float) -> PidGains:
+    """Recorded gains; RecordingError when no PID has them."""
+    try:
+        return PidGains(kp, ki, kd)
+    except ValueError as error:
+        raise RecordingError(f"{path}: sample {i + 1}: {error}") from error
+
+
+def _check(path: Path, t: np.ndarray, signals: tuple[np.ndarray, ...], facts: LoopFacts) -> None:
+    """Refuse what is no record of this loop."""
+    if len(t) < 3:
+        raise RecordingError(f"{path}: {len(t)} samples; a response has at least dozens of them")
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        raise RecordingError(f"{path}: sample {back[0] + 2}: t = {t[back[0] + 1]:g} follows {t[back[0]]:g}; it must "
+                             "increase")  # fmt: skip
+    if max(float(np.max(np.abs(signal))) for signal in (t, *signals)) > LARGEST:
+        raise RecordingError(f"{path}: a value is beyond {LARGEST:g}; give the record in its engineering units")
+    interval = float(np.median(np.diff(t)))
+    if abs(interval - facts.sample_time_s) > TIME_TOLERANCE * facts.sample_time_s:
+        raise RecordingError(f"{path}: is sampled every {interval:g} s, loop.sample_time_s is "
+                             f"{facts.sample_time_s:g} s; make them equal")  # fmt: skip
+
+
+def frame_samples(path: Path, facts: LoopFacts) -> Iterator[Recorded]:
+    """Samples of a log of bus traffic, as a bystander hears them.
+
+    Raises
+    ------
+    RecordingError
+        The log cannot be read, or holds no telemetry of this node.
+    """
+    heard = Overhearing(facts.node, facts.sample_time_s, facts.variable, as_host=False)
+    samples = 0
+    for message in read_frames(path):
+        joined = heard.take(message)
+        if joined is not None:
+            samples += 1
+            yield Recorded(joined.sample, heard.running.gains if heard.running else None)
+    if not samples:
+        what = f"{heard.frames} frames of node {facts.node}, but no" if heard.frames else "no frame of node and no"
+        raise RecordingError(f"{path}: {what} telemetry in it; is bus.node = {facts.node} the right one?")

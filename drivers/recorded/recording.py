@@ -1,0 +1,264 @@
+"""Recorded loops: files with time, setpoint, process value and controller output, read strictly.
+
+A number is what ASCII digits, a point and an exponent make; Python's float() would also take 1_000, nan and Arabic
+digits. A row has as many fields as the header, and a quote does not reach over the end of its line. Every refusal names
+file, line and column.
+"""
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+ROLES = ("t", "sp", "pv", "co")
+REQUIRED = ("t", "pv", "co")
+DELIMITERS = ",;\t"
+SIZE_MAX = 1 << 30
+"""Largest file in bytes; a year at one sample a second is about as long."""
+NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+")
+LARGEST = 1e30
+"""Largest magnitude of a number; the squares of larger ones leave the range of double precision in a fit."""
+DEAD = 1e-9
+"""A signal that varies by less than this share of its magnitude is constant; single precision resolves 1e-7."""
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used; one line: file, line and column, what is wrong, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One recorded loop.
+
+    Parameters
+    ----------
+    source : where it comes from, for messages.
+    t_s, pv, co : time in seconds, process value and controller output in their own units, shape (n,) each.
+    sp : setpoint, shape (n,), or None when the record has none (an open-loop test).
+
+    Raises
+    ------
+    RecordingError
+        Fewer than three samples, shapes that differ, a value that is not finite or beyond LARGEST, or time that does
+        not increase.
+    """
+
+    source: str
+    t_s: FloatArray
+    pv: FloatArray
+    co: FloatArray
+    sp: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            self.window()
+        except ValueError as error:
+            raise RecordingError(f"{self.source}: {error}") from error
+        for name, values in (("t", self.t_s), ("sp", self.sp), ("pv", self.pv), ("co", self.co)):
+            if values is not None and np.max(np.abs(values)) > LARGEST:
+                i = int(np.argmax(np.abs(values)))
+                raise RecordingError(f"{self.source}: sample {i + 1}: {name} = {values[i]:g} is beyond {LARGEST:g}; "
+                                     "give the record in its engineering units")  # fmt: skip
+
+    def window(self) -> Window:
+        """The whole record for a fit; where it has no setpoint, the first pv stands in."""
+        sp = self.sp
+        if sp is None:
+            sp = np.full(len(self.pv), self.pv[0] if len(self.pv) else 0.0)
+        return Window(self.t_s, sp, self.pv, self.co)
+
+
+def require_setpoint(recording: Recording) -> None:
+    """Refuse a record without a setpoint where a controller was at work.
+
+    Raises
+    ------
+    RecordingError
+        It has none.
+    """
+    if recording.sp is None:
+        raise RecordingError(
+            f'{recording.source}: no column "sp"; name it with --columns sp=NAME, or say --open-loop if there was '
+            "no controller"
+        )
+
+
+def require_excitation(recording: Recording) -> None:
+    """Refuse a record from which no process can be identified because nothing moved.
+
+    Raises
+    ------
+    RecordingError
+        co or pv is constant (a dead signal).
+    """
+    for name, values in (("co", recording.co), ("pv", recording.pv)):
+        low, high = float(values.min()), float(values.max())
+        if high - low <= DEAD * max(abs(low), abs(high)):
+            raise RecordingError(
+                f"{recording.source}: {name} is {low:g} in all {len(values)} samples, so there is nothing to identify; "
+                "choose a record in which co and pv move"
+            )
+
+
+def read_recording(path: Path, columns: Mapping[str, str] | None = None) -> Recording:
+    """Read a recorded loop from a CSV file (comma, semicolon or tab) or a .parquet file.
+
+    Parameters
+    ----------
+    path : file.
+    columns : for a role ("t", "sp", "pv", "co") the name of its column, where that is another.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read or is malformed: see the head of this file.
+    """
+    named = dict(columns or {})
+    for role in named:
+        if role not in ROLES:
+            raise RecordingError(f'columns: no role "{role}"; roles are {", ".join(ROLES)}, as in pv=temperature')
+    names = {role: named.get(role, role) for role in ROLES}
+    wanted = [names[role] for role in ROLES if role in REQUIRED or role in named]
+    table = read_columns(path, list(names.values()), wanted)
+    arrays = {role: table[name] for role, name in names.items() if name in table}
+    return Recording(str(path), arrays["t"], arrays["pv"], arrays["co"], arrays.get("sp"))
+
+
+def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
+    """Columns of a CSV or Parquet file by their names in it, shape (n,) each; the first one is the time.
+
+    Parameters
+    ----------
+    names : columns to read where they are there. wanted : those of them that must be there.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read or is malformed: see the head of this file.
+    """
+    _check_file(path)
+    return (_read_parquet if path.suffix == ".parquet" else _read_csv)(path, names, wanted)
+
+
+def _check_file(path: Path) -> None:
+    """Refuse what is no file of a sensible size before it is opened."""
+    try:
+        there = path.is_file()
+        size = path.stat().st_size if there else 0
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from error
+    if not there:
+        raise RecordingError(f"{path}: no such file; give a CSV or Parquet file")
+    if size > SIZE_MAX:
+        raise RecordingError(f"{path}: {size} bytes are more than {SIZE_MAX}; cut the record into pieces")
+
+
+def _missing(path: Path, line: str, name: str, header: list[str]) -> RecordingError:
+    """A column is not there."""
+    there = ", ".join(header) or "nothing"
+    return RecordingError(f'{path}{line}: no column "{name}"; there is {there}; name it as in --columns pv=NAME')
+
+
+def _read_csv(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
+    """Columns of a CSV file by their names in it."""
+    rows = _rows(path)
+    number, text = next(rows, (1, ""))
+    delimiter = max(DELIMITERS, key=text.count)
+    header = [field.strip() for field in _fields(path, number, text, delimiter)]
+    for name in wanted:
+        if name not in header:
+            raise _missing(path, f":{number}", name, header)
+    places = {name: header.index(name) for name in names if name in header}
+    for name in places:
+        if header.count(name) > 1:
+            raise RecordingError(f'{path}:{number}: two columns are called "{name}"; rename one')
+    values: dict[str, list[float]] = {name: [] for name in places}
+    last_t = -math.inf
+    for number, text in rows:
+        fields = _fields(path, number, text, delimiter)
+        if len(fields) != len(header):
+            hint = "; a decimal comma needs ; between fields" if len(fields) == 2 * len(header) else ""
+            raise RecordingError(f"{path}:{number}: {len(fields)} fields, the header has {len(header)}{hint}")
+        for name, place in places.items():
+            values[name].append(_number(path, number, name, fields[place]))
+        t = values[names[0]][-1]
+        if t <= last_t:
+            raise RecordingError(f"{path}:{number}: {names[0]} = {t:g} follows {last_t:g}; time must increase")
+        last_t = t
+    return {name: np.array(column, dtype=np.float64) for name, column in values.items()}
+
+
+def _rows(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines that are not empty with their numbers."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            for number, line in enumerate(stream, start=1):
+                text = line.rstrip("\r\n")
+                if "\0" in text:
+                    raise RecordingError(f"{path}:{number}: a NUL byte; this is no text file")
+                if text.strip():
+                    yield number, text
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"{path}: not UTF-8 text ({error.reason} at byte {error.start}); save it as UTF-8"
+        ) from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _fields(path: Path, number: int, text: str, delimiter: str) -> list[str]:
+    """Fields of one line; quotes must close on it."""
+    if '"' not in text:
+        return text.split(delimiter)
+    try:
+        return next(csv.reader([text], delimiter=delimiter, strict=True))
+    except csv.Error as error:
+        raise RecordingError(f"{path}:{number}: quoting: {error}; close the quote on its line") from error
+
+
+def _number(path: Path, number: int, name: str, field: str) -> float:
+    """A finite number in plain ASCII notation."""
+    text = field.strip(" ")
+    if NUMBER.fullmatch(text):
+        value = float(text)
+        if math.isfinite(value):
+            return value
+    shown = repr(text[:40])
+    if DECIMAL_COMMA.fullmatch(text):
+        raise RecordingError(f"{path}:{number}: {name} = {shown} has a decimal comma; write a point")
+    what = "is empty" if not text else "is not a finite number"
+    raise RecordingError(f"{path}:{number}: {name} = {shown} {what}; give plain numbers such as 12.5 or 1e-3")
+
+
+def _read_parquet(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
+    """Columns of a Parquet file by their names in it."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    except ImportError:
+        raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
+    try:
+        with pq.ParquetFile(path) as file:
+            header = list(file.schema_arrow.names)
+            for name in wanted:
+                if name not in header:
+                    raise _missing(path, "", name, header)
+            table = file.read(columns=[name for name in names if name in header])
+            return {name: _column(path, name, table.column(name).to_pylist()) for name in table.column_names}
+    except (OSError, pa.ArrowException) as error:
+        raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
+
+
+def _column(path: Path, name: str, values: list[object]) -> FloatArray:
+    """A Parquet column as floats: no nulls, no text, no truth values, no infinities."""
+    for row, value in enumerate(values, start=1):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise RecordingError(f"{path}: row {row}: {name} = {value!r} is not a finite number")
+    return np.array(values, dtype=np.float64)

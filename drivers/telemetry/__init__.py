@@ -1,0 +1,1 @@
+"""From frames to samples: joining, plausibility, signals of other nodes."""

@@ -1,0 +1,152 @@
+"""Telemetry to samples: joins the two halves of a sample, unwraps their 8-bit counter and notices what is missing.
+
+The heartbeat carries the full 32-bit sample counter and is the reference; a half belongs to the sample nearest to it
+with these low 8 bits. Older or repeated halves are dropped, and a half without its partner is soon forgotten.
+Telemetry carries one CRC-16 for both halves, so halves that do not belong together make no sample. When two
+heartbeats in a row say that the counter stands far behind, they are right and a stray sample was wrong. Time goes on
+whatever the counter does, across a restart of the device as well.
+"""
+
+import math
+from typing import NamedTuple
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.protocol.checksum import sample_crc
+from retuner.drivers.protocol.frames import RUNNING_TAG, TelemetryPv, TelemetrySp
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
+from retuner.drivers.telemetry.signal_values import SignalTap
+from retuner.drivers.telemetry.telemetry_quality import Arrival, ArrivalCheck
+from retuner.schedule.axis import CAN
+
+WRAP = 256  # of the counter in the telemetry frames
+HALF = WRAP // 2
+PATIENCE = 16  # halves after which one that has met no partner is forgotten
+SEQUENCES = 1 << 16
+LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a restart
+BEHIND = 16  # samples by which a late heartbeat may lag behind the telemetry
+
+
+class Joined(NamedTuple):
+    """A sample, and how many before it never arrived."""
+
+    sample: LoopSample
+    lost: int
+
+
+class SampleJoiner:
+    """Unwrapped and joined telemetry of one device.
+
+    Parameters
+    ----------
+    sample_time_s : of the controller, s.
+    variable : scheduling variable that goes into LoopSample.x: "sp", "pv" or "co"; or ScheduleInputs.
+    node : of the device, for the CRC.
+
+    Raises
+    ------
+    ValueError
+        No such variable.
+    """
+
+    def __init__(self, sample_time_s: float, variable: str | ScheduleInputs = "sp", node: int = 1) -> None:
+        inputs = ScheduleInputs.of(variable)
+        self._sample_time_s, self._node = sample_time_s, node
+        self._variable, self._variable2 = inputs.variable, inputs.variable2
+        self.tap = SignalTap(inputs.signals)
+        self._offset = 0
+        self._reference: int | None = None
+        self._last: int | None = None
+        self._behind: int | None = None
+        self._halves: dict[int, tuple[int, TelemetryPv | TelemetrySp]] = {}
+        self._taken = 0
+        self.arrivals = ArrivalCheck()
+        self.running = 0  # sequence number of the set last known to run
+        self.ordered: int | None = None  # and of the one that is being written
+
+    def set_reference(self, sample: int) -> None:
+        """The device says that its counter stands here; see the head of this file for when it moves back."""
+        if self._last is not None and sample < self._last - BEHIND:
+            if self._behind is not None and sample > self._behind:
+                self.restart(sample, 1)
+                self._behind = None
+            else:
+                self._behind = sample
+            return
+        self._behind = None
+        if self._reference is None or sample > self._reference:
+            self._reference = sample
+
+    def forget(self) -> None:
+        """Contact was lost: the counter may have wrapped any number of times; the next reference tells."""
+        self.arrivals.note(Arrival.TIMEOUT)
+        self._reference = None
+        self._halves.clear()
+
+    def restart(self, sample: int, gap: int) -> None:
+        """The device counts anew from sample; its time goes on gap samples (at least 1) after the last one."""
+        last = self._last
+        if last is not None:
+            self._offset += last + max(gap, 1) - sample
+            self._last = sample - 1
+        self._reference = sample
+        self._halves.clear()
+
+    def restart_after(self, sample: int, silence_s: float) -> int:
+        """The device counts anew from sample, silence_s after the last one; the number of samples between."""
+        intervals = silence_s / self._sample_time_s
+        gap = round(intervals) if 1 < intervals < LONGEST_GAP else 1
+        self.restart(sample, gap)
+        return gap
+
+    def take(self, half: TelemetryPv | TelemetrySp) -> Joined | None:
+        """Note half a sample; the sample once both halves are here."""
+        if self._reference is None:
+            return None
+        ahead = (half.counter - self._reference) % WRAP
+        number = self._reference + (ahead if ahead < HALF else ahead - WRAP)
+        if self._last is not None and number <= self._last:
+            if isinstance(half, TelemetrySp):
+                self.arrivals.ahead(number - self._last)
+            return None
+        self._taken += 1
+        since, other = self._halves.get(number, (self._taken, None))
+        if self._taken - since < PATIENCE:
+            if isinstance(half, TelemetryPv) and isinstance(other, TelemetrySp):
+                return self._join(number, half, other)
+            if isinstance(half, TelemetrySp) and isinstance(other, TelemetryPv):
+                return self._join(number, other, half)
+        self._halves[number] = self._taken, half
+        return None
+
+    def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> Joined | None:
+        """The sample; what is older is given up. None when the halves do not belong together."""
+        if sp.crc != sample_crc(self._node, pv, sp):
+            self.arrivals.note(Arrival.WRONG_CRC)
+            del self._halves[number]
+            return None
+        lost = 0 if self._last is None else number - self._last - 1
+        self.arrivals.ahead(lost + 1)
+        self._last = self._reference = number
+        if len(self._halves) > 1:
+            self._halves = {n: kept for n, kept in self._halves.items() if n > number}
+        else:
+            self._halves.clear()
+        t_s = (number + self._offset) * self._sample_time_s
+        x = _value(self._variable, pv, sp)
+        x2 = _value(self._variable2, pv, sp) if self._variable2 else 0.0
+        sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, x, self._revision(sp.running), x2)
+        return Joined(self.tap.fill(sample), lost)
+
+    def _revision(self, tag: int) -> int:
+        """The sequence number with these low bits: the known one's, the ordered one's, else the next one upwards."""
+        for known in (self.running, self.ordered):
+            if known is not None and known % RUNNING_TAG == tag:
+                return known
+        return (self.running + (tag - self.running) % RUNNING_TAG) % SEQUENCES
+
+
+def _value(variable: str, pv: TelemetryPv, sp: TelemetrySp) -> float:
+    """A scheduling variable as the telemetry has it; NaN for one that comes otherwise."""
+    if variable == "pv":
+        return pv.pv
+    return pv.co if variable == "co" else math.nan if variable == CAN else sp.sp

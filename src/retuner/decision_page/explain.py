@@ -1,0 +1,127 @@
+"""A decision in one readable line: what was seen, the cause, what the process is, what changes.
+
+Each function takes a Decision, or the document of one as the ledger keeps it.
+"""
+
+import math
+
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.supervision.decision import Decision
+from retuner.decision_page.row_values import Document, decided_on, gains_of, number, part, words
+from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
+
+WHOLE_STEP = 0.999
+"""A step of at least this share is the whole one to a reader."""
+VERBS = {"commit": "write", "advise": "advise", "restore": "restore"}
+"""What is done with other gains, by action."""
+INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
+
+
+def document_of(decision: Decision | Document) -> Document:
+    """A decision as plain values."""
+    return decision.to_dict() if isinstance(decision, Decision) else decision
+
+
+def settings_text(gains: PidGains) -> str:
+    """Gains as people write them: series form where it exists, else ideal, else the integral gain alone."""
+    if gains.kp == 0:
+        return f"Ki {gains.ki:.3g}/s (integral only)" if gains.ki else f"Kd {gains.kd:.3g} s (derivative only)"
+    form = "series"
+    try:
+        shown = in_form(gains, form)
+    except ValueError:
+        form = "ideal"
+        shown = in_form(gains, form)
+    text = f"Kc {shown['kc']:.3g}"
+    if shown["tau_i"] is not None:
+        text += f" tau_I {shown['tau_i']:.3g} s"
+    if shown["tau_d"]:
+        text += f" tau_D {shown['tau_d']:.3g} s ({form})"
+    return text
+
+
+def short_settings(gains: PidGains) -> str:
+    """Gains for a narrow table: the numbers of settings_text without their names."""
+    return settings_text(gains).replace("Kc ", "").replace(" tau_I ", ", ").replace(" tau_D ", ", ").replace(" s", "")
+
+
+def response_text(decision: Decision | Document) -> str:
+    """What was recognised."""
+    r = part(document_of(decision), "response")
+    if not r:
+        return ""
+    text = f"{words(r, 'upset') or 'load'} response"
+    overshoot, damping, period = (number(r, name) for name in ("overshoot", "damping", "period_s"))
+    if overshoot is not None:
+        text += f", overshoot {overshoot:.0%}"
+    if damping is not None:
+        text += f", damping {damping:.2f}"
+    if period is not None:
+        text += f", period {period:.3g} s"
+    return text
+
+
+def process_text(m: ProcessModel) -> str:
+    """The parameters that a process has."""
+    gain = "k'" if m.type in INTEGRATING else "k"
+    lags = "".join(f" {name} {lag:.3g} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
+    return f"{gain} {m.k:.3g}{lags} theta {m.theta_s:.3g} s"
+
+
+def model_text(decision: Decision | Document) -> str:
+    """What the process is, and how many records say so."""
+    document = document_of(decision)
+    m = decided_on(document)
+    if m is None:
+        return ""
+    count = int(number(document, "records") or 0)
+    none = "borrowed from its neighbours" if part(document, "known") else "not enough"
+    records = f"{count} record{'s' if count != 1 else ''}" if count else none
+    return f"{process_text(m)} ({records})"
+
+
+def cause_text(decision: Decision | Document) -> str:
+    """The cause, or that there was none to name."""
+    return words(part(document_of(decision), "diagnosis"), "cause").replace("_", " ") or "undecided"
+
+
+def change_text(decision: Decision | Document) -> str:
+    """What changes, from what to what, with Ms."""
+    document = document_of(decision)
+    verb = VERBS.get(words(document, "action"))
+    before, after = (gains_of(part(document, name)) for name in ("gains_before", "gains_after"))
+    if verb is None or before is None or after is None:
+        return "no change"
+    moved = f"{verb} {settings_text(before)} -> {settings_text(after)}"
+    return f"{moved}{_robustness(part(document, 'verdict'))}"
+
+
+def _robustness(verdict: Document) -> str:
+    """Ms before and after; null in a document is an unstable loop."""
+    ms = part(verdict, "ms")
+    if "nominal" not in ms or verdict.get("allowed") == []:  # no model: nothing is known of Ms
+        return ""
+    before, after = (ms_words(number(ms, name)) for name in ("before", "nominal"))
+    worst = number(ms, "worst")
+    at_worst = "unstable at worst" if worst is None else f"at worst {worst:.2f}"
+    step = number(verdict, "step")
+    share = "" if step is None or step > WHOLE_STEP else f", {step:.0%} of the step"
+    return f", Ms {before} -> {after} ({at_worst}{share})"
+
+
+def ms_words(ms: float | None) -> str:
+    """Ms as people read it; null in a document is an unstable loop."""
+    return "unstable" if ms is None or math.isinf(ms) else f"{ms:.2f}"
+
+
+def one_line(decision: Decision | Document) -> str:
+    """The decision in one line."""
+    document = document_of(decision)
+    told = [
+        response_text(document),
+        f"{cause_text(document)}: {words(document, 'reason')}",
+        model_text(document),
+        change_text(document),
+    ]
+    return " | ".join(one for one in told if one)

@@ -1,0 +1,116 @@
+"""What a change promised, and what came of it: later responses against the promise, and the undo if there was one."""
+
+from retuner.decision_page.decision_view import DecisionView
+from retuner.decision_page.explain import change_text
+from retuner.decision_page.html import paragraph, section, text_table
+from retuner.decision_page.row_values import Document, number, numbers_or_none, part, words
+
+MEASURES = {
+    "overshoot": ("overshoot (-E2/E1)", 100.0, " %"), "damping": ("damping", 1.0, ""),
+    "decay": ("ratio of successive peaks", 1.0, ""), "iae": ("IAE per unit of the upset", 1.0, ""),
+    "travel": ("travel of co per unit (told, not judged)", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
+    "ms": ("Ms on every model that is still allowed, at least", 1.0, ""),
+    "cost": ("IAE on them over that of the settings before, at least", 1.0, ""),
+}  # fmt: skip
+"""Numbers of a promise in words, with their factor and unit."""
+UPSETS = ("setpoint", "load")
+FINDINGS = {"better": "better than promised", "as_promised": "as promised", "worse": "worse than promised",
+            "inconclusive": "not judged"}  # fmt: skip
+
+
+def promise_section(view: DecisionView) -> str:
+    """The promise that later responses are judged against."""
+    promise = part(view.document, "promise")
+    rows = [(label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
+            for name, (label, factor, unit) in MEASURES.items()]  # fmt: skip
+    rows = [row for row in rows if any(row[1:])]
+    if not rows:
+        return ""
+    models = number(promise, "models")
+    over = (
+        f" over the {models:.0f} model{'s' * (models != 1)} that the records allow"
+        if models
+        else ", from what was seen"
+    )
+    spread = f"In brackets the least and the greatest{over}.{_promised_ms(promise)}"
+    heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
+    heading = (
+        "The promise of what was taken back" if view.undoes else "Promise, for the next responses to be judged against"
+    )
+    return section(heading, text_table(heads, rows),
+                   paragraph(spread, "muted"))  # fmt: skip
+
+
+def _promised_ms(promise: Document) -> str:
+    """Ms as promised, where models promised it."""
+    ms = numbers_or_none(promise, "ms")
+    if len(ms) != 3:
+        return ""
+    best, low, high = ("unstable" if value is None else _in(value) for value in ms)
+    return f" Ms promised: {best} ({low} .. {high})."
+
+
+def _promised(promise: Document, upset: str, name: str, factor: float, unit: str) -> tuple[str, str]:
+    """One number for one kind of upset: promised with its spread, and the settings before."""
+    spread = numbers_or_none(part(promise, upset), name)
+    before = numbers_or_none(part(promise, f"{upset}_before"), name)
+    was = _in(before[0], factor, unit) if before else ""
+    if len(spread) != 3:
+        return "", was
+    best, low, high = (_in(value, factor) for value in spread)
+    return f"{best}{unit if spread[0] is not None else ''} ({low} .. {high})", was
+
+
+def _in(value: float | None, factor: float = 1.0, unit: str = "") -> str:
+    """A number with its unit; null in a document is a loop that never comes to rest."""
+    return "never at rest" if value is None else f"{factor * value:.4g}{unit}"
+
+
+def judgement_section(view: DecisionView) -> str:
+    """The response against the promise of the settings that it ran under."""
+    judgement = part(view.document, "judgement")
+    if not judgement:
+        return ""
+    rows = judged_rows(part(judgement, "numbers"))
+    shown = text_table(("", "measured", "promised", "limit", "the settings before"), rows) if rows else ""
+    lead = paragraph(_told(judgement))
+    return section("The trial: this response against the promise", lead, shown)
+
+
+def _told(judgement: Document) -> str:
+    """The finding and its reason, which begins with it as a rule."""
+    finding, reason = FINDINGS.get(words(judgement, "finding"), ""), words(judgement, "reason")
+    told = reason if reason.lower().startswith(finding.lower()) else f"{finding}: {reason}"
+    return f"{told[:1].upper()}{told[1:]}." if told else ""
+
+
+def judged_rows(found: Document) -> list[tuple[str, ...]]:
+    """Measured, promised, limit and before, a row for each number that was weighed."""
+    rows = []
+    for name, (label, factor, unit) in MEASURES.items():
+        if number(found, name) is None:
+            continue
+        beside = (number(found, f"{name}{which}") for which in ("", "_promised", "_limit", "_before"))
+        rows.append((label, *("" if one is None else _judged(name, one, factor, unit) for one in beside)))
+    return rows
+
+
+def _judged(name: str, value: float, factor: float, unit: str) -> str:
+    """A number that was weighed; below 0 stands for infinite, but an overshoot may be."""
+    if value >= 0 or name == "overshoot":
+        return _in(value, factor, unit)
+    return "unstable" if name == "ms" else _in(None)
+
+
+def later_section(view: DecisionView) -> str:
+    """What came of a change: the later responses that were judged, and the undo."""
+    rows = []
+    for later in view.later:
+        undone = words(later, "action") == "restore"
+        told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
+        reason = " UNDONE: ".join(one for one in told if one)
+        when = f"{number(later, 't_s') or 0.0:,.0f}"
+        rows.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
+    return section(
+        "What came of it", text_table(("decision", "time [s]", "what it showed", "then"), rows) if rows else ""
+    )

@@ -1,0 +1,274 @@
+"""One decision on one page: what was seen, learned, blamed, proposed, proved and promised, and what came of it.
+
+The page tells what stands in the decision's document; only curves and margins are worked out again from the process in
+it. A section for which there is nothing is left out.
+"""
+
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.rules.explanation import explanation
+from retuner.adaptive.rules.registry import RULES, settings
+from retuner.adaptive.rules.rule import ControllerKind, Wishes
+from retuner.decision_page.decision_view import DecisionView
+from retuner.decision_page.evidence_words import evidence_table
+from retuner.decision_page.explain import process_text, settings_text
+from retuner.decision_page.html import document, escaped, pairs, paragraph, section, table, text_table
+from retuner.decision_page.outcome import judgement_section, later_section, promise_section
+from retuner.decision_page.response_drawing import response_svg
+from retuner.decision_page.robustness_drawing import new_name, old_name, robustness_svg
+from retuner.decision_page.row_values import finite, gains_of, number, numbers, part, parts, words
+from retuner.decision_page.text import DONE, footing, headline, margin_rows, parameters, structure
+from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
+
+MS_LIMIT = 1.8
+"""Design limit of Ms, for the circle where the document names none (Astrom & Hagglund 2006: 1.4 to 2)."""
+COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
+BASES = {
+    "model": "from the process as known", "borrowed": "from the neighbours' process (borrowed)",
+    "pattern": "from the pattern of the response, without a model",
+    "slow_oscillation": "from the slow oscillation, without a model", "pretune": "from a commanded step",
+}  # fmt: skip
+"""What a proposal rests on, in words."""
+FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
+"""Groups of evidence that are shown at once; the others unfold."""
+LARGE = 1e4
+"""Numbers from here on are written out in full."""
+SAME = 1e-6
+"""Gains that a formula gives are the proposal's to this share, or the formula is not shown."""
+
+
+def page(view: DecisionView) -> str:
+    """The page as an HTML document of its own."""
+    loop = words(view.document, "loop")
+    title = f"{loop}: decision {view.number}"
+    return document(title, f"<h1>{escaped(title)}</h1>{article(view)}")
+
+
+def article(view: DecisionView) -> str:
+    """The page as a part of another."""
+    response = response_svg(view)
+    drawing = robustness_svg(view, ms_limit(view))
+    body = [
+        f'<p>{badge(view)} <span class="muted">{escaped(_place(view))}</span></p>',
+        paragraph(headline(view), "lead"),
+        section("The response", response, paragraph(_how_it_ended(view), "muted")),
+        judgement_section(view),
+        '<div class="columns">',
+        section("What is known of the process", _learned(view)),
+        section("Cause", _cause(view)),
+        section("Settings" if view.undoes else "Proposal", _proposal(view)),
+        "" if view.undoes else section("Proof", _proof(view)),
+        "</div>",
+        section("Robustness and predicted responses", paragraph(footing(view)), drawing, _margins(view)),
+        promise_section(view),
+        later_section(view),
+        section("Where it stands", _whereabouts(view)),
+    ]
+    return f"<article>{''.join(body)}</article>"
+
+
+def badge(view: DecisionView) -> str:
+    """What became of it, in a word or two and a colour."""
+    colour = COLOURS.get(view.action, COLOURS["none"])
+    return f'<span class="badge" style="color:{colour}">{escaped(DONE.get(view.action, view.action))}</span>'
+
+
+def ms_limit(view: DecisionView) -> float:
+    """The limit of the nominal Ms that the guard held it to."""
+    limits = [number(check, "limit") for check in parts(view.verdict, "checks")
+              if words(check, "name").startswith("ms_nominal")]  # fmt: skip
+    return next((limit for limit in limits if limit and limit > 1), MS_LIMIT)
+
+
+def _place(view: DecisionView) -> str:
+    """Where and when."""
+    mode = words(view.document, "mode")
+    parts_ = [f"region {words(view.document, 'region')}", f"{view.t_s:,.0f} s", f"mode {mode}" if mode else ""]
+    return ", ".join(one for one in parts_ if one)
+
+
+def _how_it_ended(view: DecisionView) -> str:
+    """How the recogniser ended, in words, and the numbers of the peaks."""
+    response = view.response
+    if not response:
+        return ""
+    band, start, end = (number(response, name) for name in ("band", "t_start_s", "t_end_s"))
+    length = f"From {start:,.0f} to {end:,.0f} s. " if start is not None and end is not None else ""
+    endings = {"complete": "three peaks were verified", "quiet": "the error came to rest",
+               "timeout": "no further peak came within the waiting time",
+               "setpoint": "the next setpoint change cut it short"}  # fmt: skip
+    ended = endings.get(words(response, "ending"), "")
+    near = f" Errors below {band:.3g} {view.unit} count as none." if band is not None else ""
+    return f"{length}It ended when {ended}.{near}" if ended else f"{length}{near}"
+
+
+def _learned(view: DecisionView) -> str:
+    """Structure, parameters, how many records, how this one stood to what was known."""
+    model = view.model
+    if model is None:
+        return paragraph(words(view.estimate, "reason"))
+    records = number(view.document, "records")
+    surprise = words(view.document, "surprise").upper()
+    rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, view.spread, view.unit)]
+    none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
+    rows += [("records behind it", f"{records:.0f}" if records else none),
+             ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
+             ("the fit", words(view.estimate, "reason")), ("left by the fit", _residual(view)),
+             ("other models still allowed", str(len(view.allowed)) if view.allowed else "")]  # fmt: skip
+    if part(view.document, "known") and view.of_record:
+        rows.append(("the record's own estimate", process_text(view.of_record)))
+    return pairs(rows)
+
+
+def _residual(view: DecisionView) -> str:
+    """What the fit leaves against the noise."""
+    residual, noise = number(view.estimate, "residual"), number(view.estimate, "noise")
+    if residual is None or not noise:
+        return ""
+    return f"{residual:.3g} {view.unit} (one standard deviation), {residual / noise:.2g} times the noise"
+
+
+def _cause(view: DecisionView) -> str:
+    """The cause, how sure, and its evidence."""
+    diagnosis = part(view.document, "diagnosis")
+    if not diagnosis:
+        return ""
+    confidence = number(diagnosis, "confidence")
+    sure = f" (confidence {confidence:.0%})" if confidence is not None else ""
+    name = words(diagnosis, "cause").replace("_", " ")
+    lead = f"<p><b>{escaped(name)}</b>{escaped(sure)}: {escaped(words(diagnosis, 'reason'))}</p>"
+    evidence = {key: value for key, raw in part(diagnosis, "evidence").items() if (value := finite(raw)) is not None}
+    groups = evidence_table(evidence)
+    first = [row for name in FIRST_GROUPS for row in groups.pop(name, [])]
+    rest = [row for rows in groups.values() for row in rows]
+    heads = ("evidence", "value", "how to read it")
+    shown = text_table(heads, first) if first else ""
+    more = f"<details><summary>{len(rest)} more numbers</summary>{text_table(heads, rest)}</details>" if rest else ""
+    return f"{lead}{shown}{more}"
+
+
+def _proposal(view: DecisionView) -> str:
+    """The rule with its formula and numbers; settings in force, of the rule, and let through."""
+    proposal = {} if view.undoes else part(view.document, "proposal")
+    wanted = gains_of(part(proposal, "parallel"))
+    names = ("on trial", "", "put back") if view.undoes else ("in force", "rule", "let through")
+    columns = zip(names, (view.before, wanted, view.after), strict=True)
+    shown = [(name, gains) for name, gains in columns if gains is not None]
+    basis = BASES.get(words(view.document, "basis"), "")
+    rule, tau_c = words(proposal, "rule"), number(proposal, "tau_c")
+    if not rule and view.after is None:
+        return ""
+    lead = f"Rule {rule}" if rule else ""
+    lead += f", tau_c {tau_c:.4g} s" if tau_c is not None else ""
+    lead += f", {basis}." if lead and basis else "." if lead else ""
+    rows = [(label, *(_setting(gains, label) for _, gains in shown)) for label in SETTINGS_SHOWN]
+    rows = [row for row in rows if any(cell not in {"-", "0"} for cell in row[1:])]
+    return (
+        paragraph(lead)
+        + (_formula(view, wanted) if wanted else "")
+        + text_table(("", *(name for name, _ in shown)), rows)
+    )
+
+
+SETTINGS_SHOWN = {"Kc (series)": ("kc", ""), "tau_I": ("tau_i", " s"), "tau_D": ("tau_d", " s"),
+                  "kp": ("kp", ""), "ki": ("ki", " /s"), "kd": ("kd", " s")}  # fmt: skip
+"""Rows of the table of settings: label, name and unit; series form where it exists, and parallel, as it is sent."""
+
+
+def _setting(gains: PidGains, label: str) -> str:
+    """One number of one set of gains."""
+    name, unit = SETTINGS_SHOWN[label]
+    if name in {"kp", "ki", "kd"}:
+        value: float | None = getattr(gains, name)
+    else:
+        try:
+            value = in_form(gains, "series")[name]
+        except ValueError:
+            return "-"
+    return "-" if value is None else "0" if value == 0 else f"{value:.5g}{unit}"
+
+
+def _formula(view: DecisionView, wanted: PidGains) -> str:
+    """The rule's formula with the numbers that give the proposal; nothing where they do not give just that."""
+    proposal = part(view.document, "proposal")
+    rule, model = RULES.get(words(proposal, "rule")), view.model
+    tau_c = number(proposal, "tau_c")
+    if rule is None or model is None or view.process is None:
+        return ""
+    wishes = Wishes(tau_c_s=tau_c if "tau_c_s" in rule.wishes else None)
+    sampled = type(model)(model.type, model.k, model.tau1_s, model.tau2_s, view.process.theta_s, model.zeta)
+    for kind in ControllerKind:
+        if kind not in rule.formulas:
+            continue
+        try:
+            found = settings(rule, kind, sampled, None, wishes)
+        except ValueError:
+            continue
+        if _same(found.gains, wanted):
+            told = explanation(rule, kind, sampled, None, wishes, found)
+            lines = [*told.formula, *(line for line in told.with_numbers if line not in told.formula)]
+            source = paragraph(f"{_put_in(view, model, kind)} {told.source}".strip(), "muted")
+            return f"<pre>{escaped(chr(10).join(lines))}</pre>{source}"
+    return ""
+
+
+def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> str:
+    """How the numbers of the formula come from those of the process."""
+    told = ["half a sampling interval in theta"] if view.sample_time_s else []
+    if model.tau2_s and kind == ControllerKind.PI:
+        told.append("half of tau2 in theta" + (" and half in tau1 (half rule)" if model.tau1_s else " (half rule)"))
+    return f"Put in with {', '.join(told)}." if told else ""
+
+
+def _same(one: PidGains, other: PidGains) -> bool:
+    """Whether two sets are one."""
+    pairs_ = ((one.kp, other.kp), (one.ki, other.ki), (one.kd, other.kd))
+    return all(abs(a - b) <= SAME * max(abs(a), abs(b)) for a, b in pairs_)
+
+
+def _proof(view: DecisionView) -> str:
+    """What the guard asked and what the answers were."""
+    verdict = view.verdict
+    if not verdict:
+        return ""
+    rows = []
+    for check in parts(verdict, "checks"):
+        passed = check.get("passed")
+        mark = "passed" if passed is True else "NOT passed" if passed is False else ""
+        words_ = words(check, "words") or words(check, "name").replace("_", " ")
+        none = "unstable" if words(check, "name").startswith("ms_") else "none"
+        rows.append((escaped(words_), _value(check.get("value"), none), _value(check.get("limit"), "none"),
+                     f'<span class="{"good" if passed else "bad"}">{mark}</span>'))  # fmt: skip
+    shown = table(("asked", "value", "limit", ""), rows) if rows else ""
+    reason = words(verdict, "reason")
+    return paragraph(f"{reason[:1].upper()}{reason[1:]}.") * bool(reason) + shown
+
+
+def _value(value: object, none: str) -> str:
+    """A number, or what its absence means."""
+    known = finite(value)
+    if known is None:
+        return none
+    return f"{known:,.0f}" if abs(known) >= LARGE else f"{known:.4g}"
+
+
+def _margins(view: DecisionView) -> str:
+    """Margins before, after, at worst."""
+    rows = margin_rows(view)
+    if not rows:
+        return ""
+    new = new_name(view)
+    middle = (old_name(view), new, f"{new}, worst model")[: len(rows[0]) - 2]
+    return text_table(("", *middle, "usual"), rows)
+
+
+def _whereabouts(view: DecisionView) -> str:
+    """Where the ledger has it."""
+    loads = len(numbers(view.estimate, "loads"))
+    return pairs([
+        ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
+        ("gains in force then", settings_text(view.before) if view.before else ""),
+        ("code", words(view.document, "code")), ("load steps in the record", str(loads) if loads else ""),
+        ("the region then", words(view.document, "trial")),
+    ])  # fmt: skip

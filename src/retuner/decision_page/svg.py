@@ -1,0 +1,62 @@
+"""Line drawings as SVG text for a page: sharp on paper, a few ten kilobytes each, alike for equal numbers.
+
+Coordinates keep one decimal (a tenth of a point), curves of many samples keep the extremes of every stretch, and the
+font is the reader's own: what takes room and cannot be seen is left out.
+"""
+
+import io
+import re
+from contextlib import AbstractContextManager
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from retuner.adaptive.signals.sample import FloatArray
+
+BEFORE, AFTER, MODEL, SETPOINT, FAINT, LIMIT = "#d55e00", "#0072b2", "#d55e00", "#222222", "#9a9a9a", "#cc79a7"
+"""Colours that colour-blind readers tell apart (Okabe & Ito 2008), each with a line style of its own beside it."""
+MOST_POINTS = 900
+"""Points of a drawn curve."""
+_PATH = re.compile(r' d="[^"]*"')
+_DECIMALS = re.compile(r"(\.\d)\d+")
+_HEAD = re.compile(r"^.*?(?=<svg)", re.DOTALL)
+_METADATA = re.compile(r"\s*<metadata>.*?</metadata>", re.DOTALL)
+_SIZE = re.compile(r'<svg ([^>]*?)width="[^"]*" height="[^"]*"', re.DOTALL)
+
+
+def settings(name: str) -> AbstractContextManager[None]:
+    """The look of these drawings; name : tells the ids of one drawing on a page from those of another."""
+    return rc_context({
+        "svg.fonttype": "none", "text.parse_math": False, "font.size": 9.0, "axes.titlesize": 9.5,
+        "axes.spines.top": False, "axes.spines.right": False, "font.family": ["DejaVu Sans", "sans-serif"],
+        "axes.grid": True, "grid.alpha": 0.35, "grid.linewidth": 0.6, "axes.axisbelow": True,
+        "legend.frameon": False, "legend.fontsize": 8.5, "axes.xmargin": 0.0, "svg.hashsalt": name,
+    })  # fmt: skip
+
+
+def svg(figure: Figure, alt: str) -> str:
+    """The drawing as an <svg> element that fills the width it is given."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = _METADATA.sub("", _HEAD.sub("", buffer.getvalue()))
+    text = _PATH.sub(lambda found: _DECIMALS.sub(r"\1", found[0]), text)
+    label = alt.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    return _SIZE.sub(rf'<svg role="img" aria-label="{label}" \1', text, count=1)
+
+
+def thinned(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+    """A curve with at most about so many points: the lowest and the highest of every stretch are kept in order."""
+    stretch = 2 * len(x) // most
+    if stretch < 2:
+        return x, y
+    whole = len(x) // stretch * stretch
+    rows = y[:whole].reshape(-1, stretch)
+    places = np.stack([rows.argmin(axis=1), rows.argmax(axis=1)], axis=1) + stretch * np.arange(len(rows))[:, None]
+    kept = np.unique(np.concatenate([[0], places.ravel(), [len(x) - 1]]))
+    return x[kept], y[kept]
+
+
+def steps(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A held signal as a line: the value stays until the next sample."""
+    return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]

@@ -1,0 +1,178 @@
+"""A decision in sentences: what was seen, what follows, how robust the loop is before and after."""
+
+import math
+
+from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.update import Surprise
+from retuner.decision_page.decision_view import DecisionView
+from retuner.decision_page.explain import process_text, settings_text
+from retuner.decision_page.row_values import number, part, words
+from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
+
+STRUCTURES = {
+    ProcessType.FOPDT: "first order with dead time",
+    ProcessType.SOPDT: "second order with dead time",
+    ProcessType.INTEGRATING: "integrating with dead time",
+    ProcessType.INTEGRATING_LAG: "integrating with a lag and dead time",
+    ProcessType.DOUBLE_INTEGRATING: "double integrating with dead time",
+    ProcessType.DELAY: "pure dead time",
+}
+DONE = {
+    "commit": "Written to the controller",
+    "advise": "Advised, not written",
+    "restore": "The settings from before were put back",
+    "none": "Nothing was changed",
+}
+"""What became of a decision."""
+WITHOUT_MODEL = {"pattern", "slow_oscillation"}
+"""What a proposal rests on that needs no model."""
+SAME = 1e-3
+"""Numbers closer than this share are one to a reader."""
+WHOLE_STEP = 0.999
+
+
+def seen(view: DecisionView) -> str:
+    """What the response looked like."""
+    response = view.response
+    if not response:
+        return ""
+    upset = "a setpoint change" if words(response, "upset") == "setpoint" else "a load change"
+    overshoot, damping, period = (number(response, name) for name in ("overshoot", "damping", "period_s"))
+    if overshoot is None:
+        return f"After {upset} the error came back without a second peak: no overshoot beyond the noise."
+    swing = f", damping {damping:.2f} (0 dead-beat, 1 undamped)" if damping is not None else ""
+    time = f", period {period:.3g} s" if period is not None else ""
+    return f"After {upset} the loop overshot by {overshoot:.0%} of the first peak{swing}{time}."
+
+
+def done(view: DecisionView) -> str:
+    """What follows, with the numbers."""
+    what = DONE.get(view.action, view.action)
+    if view.before is None or view.after is None:
+        return f"{what}."
+    return f"{what}: {moves(view.before, view.after)}."
+
+
+def moves(before: PidGains, after: PidGains) -> str:
+    """From where to where, each setting that moves by its name and with its factor."""
+    try:
+        old, new = in_form(before, "series"), in_form(after, "series")
+    except ValueError:
+        return f"{settings_text(before)} becomes {settings_text(after)}"
+    told = []
+    for name, label, unit in (("kc", "Kc", ""), ("tau_i", "tau_I", " s"), ("tau_d", "tau_D", " s")):
+        was, now = old[name], new[name]
+        if (was or 0.0) == (now or 0.0):
+            continue
+        if not was or not now:
+            told.append(f"{label} from {_or_none(was, unit)} to {_or_none(now, unit)}")
+        elif abs(now / was - 1) > SAME:
+            told.append(f"{label} from {was:.3g} to {now:.3g}{unit} (x {now / was:.3g})")
+    return ", ".join(told) or "the same settings"
+
+
+def _or_none(value: float | None, unit: str) -> str:
+    return f"{value:.3g}{unit}" if value else "none"
+
+
+def how_far(view: DecisionView) -> str:
+    """What share of the rule's step was taken, and what the guard said of it."""
+    step = number(view.verdict, "step")
+    if view.after is None or step is None or step > WHOLE_STEP:
+        return ""
+    notes = view.verdict.get("notes")
+    cut = "; ".join(one for one in notes if isinstance(one, str)) if isinstance(notes, list) else ""
+    why = f" ({cut})" if cut else ""
+    return f"This is {step:.0%} of the way, in the logarithms of the gains, to what the rule gives{why}."
+
+
+def robustness(view: DecisionView) -> str:
+    """Ms before, after and at worst, as the guard had them."""
+    ms = part(view.verdict, "ms")
+    if "nominal" not in ms or view.verdict.get("allowed") == []:  # no model: nothing is known of Ms
+        return ""
+    known = "the process as known" + ", which this record contradicts" * view.contradicted
+    before, after, worst = (_ms(number(ms, name)) for name in ("before", "nominal", "worst"))
+    if view.after is None:
+        return f"With the settings in force: {before} on {known}, at worst {worst} on the models allowed."
+    return f"On {known}: {before} before, {after} after; at worst, on the models still allowed, {worst}."
+
+
+def _ms(ms: float | None) -> str:
+    """Ms by its name, or that there is none: null in a document is an unstable loop."""
+    return "unstable" if ms is None or math.isinf(ms) else f"Ms {ms:.2f}"
+
+
+def headline(view: DecisionView) -> str:
+    """The first paragraph of a page."""
+    reason = words(view.document, "reason")
+    why = f"{reason[:1].upper()}{reason[1:]}." if reason else ""
+    return " ".join(one for one in (seen(view), why, done(view), how_far(view), robustness(view)) if one)
+
+
+def footing(view: DecisionView) -> str:
+    """On which model curves and margins rest, where this record does not bear it out; empty where it does."""
+    model, shown = view.model, view.of_record
+    settled = view.estimate.get("identifiable") is not False
+    if model is None or view.before is None or (settled and not view.contradicted):
+        return ""
+    known = ", ".join(f"{label.split()[0]} {value}" for label, value in parameters(model, view.spread, view.unit))
+    reason = words(view.estimate, "reason")
+    if view.contradicted:
+        own = f": by itself it shows {process_text(shown)}" if shown else ""
+        told = f"what was known before this record ({known}). This record contradicts that{own}"
+        told += "" if settled else f" (not settled either: {reason})"
+    elif words(view.document, "surprise").upper() == Surprise.SILENT.name:
+        told = f"what was known before this record ({known}), which shows nothing of the process"
+    else:
+        told = f"a process that the records do not settle yet ({known}): {reason}"
+    apart = words(view.document, "basis") in WITHOUT_MODEL
+    return f"Curves, margins and predictions rest on {told}." + " The proposal does not rest on it." * apart
+
+
+def structure(model: ProcessModel) -> str:
+    """The structure in words."""
+    text = STRUCTURES[model.type]
+    return f"{text}, swinging (zeta {model.zeta:.2f})" if model.zeta < 1 else text
+
+
+def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tuple[str, str]]:
+    """Name and value with standard deviation of each parameter that the structure has; unit : of pv."""
+    integrating = model.type in {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
+    gain, per = ("k' (slope gain)", f" {unit}/(% s)") if integrating else ("k (gain)", f" {unit}/%")
+    rows = [(gain, "k", model.k, per),
+            ("tau1 (lag)", "tau1", model.tau1_s, " s"), ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
+            ("theta (dead time)", "theta", model.theta_s, " s")]  # fmt: skip
+    return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]
+
+
+def _spread(value: float, std: float | None) -> str:
+    return "" if std is None else f" +- {std:.2g} ({abs(std / value):.1%})"
+
+
+def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
+    """Name, before, after, worst of the models still allowed (where there are any), what is usual."""
+    if view.process is None or view.before is None:
+        return []
+    columns = [margins(view.process, view.before)]
+    if view.tried:
+        found = [margins(model, view.tried) for model in (view.process, *view.allowed)]
+        columns += [found[0], *([max(found, key=lambda one: one.ms)] if view.allowed else [])]
+    rows = []
+    for label, name, unit, usual in (
+        ("Ms", "ms", "", "at most 1.8"), ("gain margin", "gm", "", "at least 2"),
+        ("phase margin", "pm_deg", " deg", "at least 45 deg"),
+        ("delay margin", "delay_margin_s", " s", f"more than theta, {view.process.theta_s:.3g} s"),
+    ):  # fmt: skip
+        rows.append((label, *(_margin(one, name, unit) for one in columns), usual))
+    return rows
+
+
+def _margin(found: Margins, name: str, unit: str) -> str:
+    """A margin as people read it."""
+    if not found.stable:
+        return "unstable"
+    value: float = getattr(found, name)
+    return f"{value:.3g}{unit}" if math.isfinite(value) else "no limit"

@@ -1,0 +1,288 @@
+"""One experiment on a controller: takes over, excites, and leaves the loop as it was, whatever happens meanwhile.
+
+Like a session it is driven by `poll(now_s)` and never waits. What the controller should be in each phase is a target
+(target.py) that is sent when a phase is entered and again until telemetry and read-back show it; so the way back hangs
+on the phase, not on the edge that led to it. Everything is told to the recorder before it takes effect.
+"""
+
+from collections.abc import Callable, Mapping
+
+from retuner.adaptive.experiments.phases import Cause, Happening, Phase, after
+from retuner.adaptive.experiments.plan import (
+    Kind,
+    Plan,
+    RelayState,
+    Rest,
+    at_rest,
+    enough,
+    relay_start,
+    relay_step,
+)
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, finite
+from retuner.adaptive.supervision.decision import gains_dict
+from retuner.drivers.device import (
+    CommandFailed,
+    Device,
+    DeviceRestarted,
+    Event,
+    LeaseChanged,
+    LinkChanged,
+    LinkState,
+    Reverted,
+    RunningChanged,
+    SamplesLost,
+    WriteFailed,
+)
+from retuner.errors import LedgerError
+from retuner.experiment.limits import Following, cannot_begin, out_of_band, out_of_time
+from retuner.experiment.target import Before, Helm, Target, target
+from retuner.session.session import Recorder
+
+FEWEST_PATIENT = 6
+"""Samples that a new output, setpoint or mode may take to show at least."""
+LOST_MOST = 3
+"""Samples in a row that may be missing from the record of an experiment."""
+VERIFY_SAMPLES = 3
+"""Samples in a row that must show the old state before it counts as restored."""
+RESTORE_SAMPLES, RESTORE_SILENCES = 200, 10
+"""Samples, and lengths of silence, within which the old state must have been verified; the longer of the two counts."""
+LIMITED = {Phase.RESTING, Phase.PREPARING, Phase.EXCITING}
+"""Phases that a limit or silence ends."""
+TAKING_OVER = {Phase.PREPARING, Phase.EXCITING}
+"""Phases in which a refused command ends the experiment; on the way back it is sent again."""
+
+
+def restore_patience_s(sample_time_s: float, silent_s: float) -> float:
+    """How long to wait for the controller to show what it was told."""
+    return max(RESTORE_SAMPLES * sample_time_s, RESTORE_SILENCES * silent_s)
+
+
+class Conductor:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    device : the controller. plan : what to do. sample_time_s : of the controller. silent_s : without telemetry for so
+        long, an experiment is given up; as long may a new target take to show.
+    record : keeps rows for good. on_sample : told of every sample and the phase.
+    """
+
+    def __init__(
+        self, device: Device, plan: Plan, sample_time_s: float, silent_s: float, record: Recorder,
+        on_sample: Callable[[LoopSample, Phase], None] | None = None,
+    ) -> None:  # fmt: skip
+        self.device, self.plan = device, plan
+        self.phase = Phase.CONNECTING
+        self.cause: Cause | None = None
+        self.detail = ""
+        self.before: Before | None = None
+        self.rest: Rest | None = None
+        self.samples: list[LoopSample] = []
+        self.excited_from = self.excited_to = 0
+        self.touched = False
+        self.lost_ledger: LedgerError | None = None
+        self._dt_s, self._silent_s = sample_time_s, silent_s
+        self._patience_s = restore_patience_s(sample_time_s, silent_s)
+        self._record = record
+        self._on_sample = on_sample
+        self._helm = Helm(device, sample_time_s)
+        self._following = Following(plan.kind, self._helm, max(round(silent_s / sample_time_s), FEWEST_PATIENT))
+        self._relay = RelayState(high=True, switches=0)
+        self._parking = False
+        self._now_s = self._heard_s = self._phase_s = 0.0
+        self._shown = 0
+
+    @property
+    def excited(self) -> list[LoopSample]:
+        """The samples of the excitation, with the last ones before it, so that the record begins at rest."""
+        lead = min(self.excited_from, self.plan.rest_samples)
+        return self.samples[self.excited_from - lead : self.excited_to]
+
+    @property
+    def text(self) -> str:
+        """How it ended, in one line."""
+        if self.cause is None:
+            return str(self.phase.value)
+        return f"{self.cause.value}: {self.detail}" if self.detail else self.cause.value
+
+    def poll(self, now_s: float) -> None:
+        """Take what the device has to tell and do what is due.
+
+        Raises
+        ------
+        DeviceError
+            Before the first connection: nobody answers, or the wrong controller does.
+        """
+        self._now_s = now_s
+        for event in self.device.poll(now_s):
+            if isinstance(event, LoopSample):
+                self._sample(event)
+            elif not self.phase.over:
+                self._event(event)
+        if not self.phase.over:
+            self._watch_time()
+            self._steer()
+
+    def abort(self, cause: Cause, detail: str = "") -> None:
+        """Leave for the old state; the first cause is the one that is told."""
+        if self.phase.over:
+            return
+        if self.cause is None:
+            self.cause, self.detail = cause, detail
+        self._move(Happening.ABORTED)
+
+    def _move(self, happening: Happening) -> None:
+        """Go where the table says, and begin what belongs to the new phase."""
+        old, self.phase = self.phase, after(self.phase, happening)
+        if self.phase is old:
+            return
+        self._phase_s = self._now_s
+        self._shown = 0
+        self.touched = self.touched or self.phase.touched
+        if old is Phase.EXCITING:
+            self.excited_to = len(self.samples)
+        if self.phase is Phase.EXCITING:
+            self.excited_from = len(self.samples)
+            self._relay = relay_start()
+        if self.phase is Phase.PARKING:
+            last = self.samples[-1] if self.samples else None
+            self._parking = last is not None and last.mode == LoopMode.MANUAL and self.cause is not Cause.RESTARTED
+        self._note({"phase": self.phase.name.lower(), "cause": self.text if self.cause else None})
+
+    def _note(self, body: Mapping[str, object]) -> None:
+        """Record a row; a ledger that fails ends the experiment, but not the way back."""
+        if self.lost_ledger is not None:
+            return
+        try:
+            self._record("experiment", self.samples[-1].t_s if self.samples else 0.0, body)
+        except LedgerError as error:
+            self.lost_ledger = error
+            self.abort(Cause.RECORDER, str(error))
+
+    def _event(self, event: Event) -> None:
+        """Everything that is not a sample."""
+        match event:
+            case LinkChanged() if event.state is not LinkState.UP:
+                self.abort(Cause.SILENT, event.reason)
+            case DeviceRestarted():
+                self._helm.forget()
+                self._parking = False
+                self.abort(Cause.RESTARTED, f"boot epoch {event.epoch}")
+            case RunningChanged():
+                if self.before is not None:  # theirs from now on, and none of ours to undo
+                    self.before = self.before._replace(gains=event.running.gains)
+                self.abort(Cause.FOREIGN, "another gain set was written")
+            case LeaseChanged() if not event.ours:
+                self.abort(Cause.FOREIGN, f"host {event.owner} holds the lease")
+            case CommandFailed() | WriteFailed() if self.phase in TAKING_OVER:
+                self.abort(Cause.REFUSED, event.reason)
+            case Reverted() if self.phase in TAKING_OVER:
+                self.abort(Cause.REFUSED, "it went back to its confirmed gains")
+            case SamplesLost() if event.count > LOST_MOST and self.phase is Phase.EXCITING:
+                self.abort(Cause.SILENT, f"{event.count} samples are missing at {event.t_s:g} s")
+
+    def _watch_time(self) -> None:
+        """Limits that count even when nothing arrives."""
+        since = self._now_s - self._phase_s
+        if self.phase in LIMITED:
+            age = self._now_s - self._heard_s
+            if age > self._silent_s:
+                self.abort(Cause.SILENT, f"no sample for {age:.3g} s")
+        if self.phase in {Phase.PARKING, Phase.RESTORING} and since > self._patience_s:
+            self._move(Happening.GIVEN_UP)
+
+    def _sample(self, sample: LoopSample) -> None:
+        """One sample of the loop."""
+        self._heard_s = self._now_s
+        if not finite(sample):
+            self.abort(Cause.SILENT, "telemetry is not a number")
+            return
+        self.samples.append(sample)
+        if self._on_sample is not None:
+            self._on_sample(sample, self.phase)
+        trouble = out_of_band(self.plan, sample) if self.phase in LIMITED else None
+        if trouble:
+            self.abort(*trouble)
+            return
+        work = {
+            Phase.CONNECTING: self._connect, Phase.RESTING: self._wait_for_rest,
+            Phase.PREPARING: self._wait_for_control,
+            Phase.EXCITING: self._excite, Phase.PARKING: self._park, Phase.RESTORING: self._verify,
+        }.get(self.phase)  # fmt: skip
+        if work is not None:
+            work(sample)
+
+    def _connect(self, sample: LoopSample) -> None:  # noqa: ARG002  that there is one is what counts
+        """The first sample: heard, and what runs has been read back."""
+        if self.device.connected:
+            self.samples = self.samples[-1:]
+            self._move(Happening.CONNECTED)
+
+    def _wait_for_rest(self, sample: LoopSample) -> None:
+        """Watch until pv rests; what is seen then is the state to come back to."""
+        running = self.device.running
+        if running is None:
+            return
+        rest = at_rest(self.plan, self.samples)
+        if rest is None:
+            watched = self._now_s - self._phase_s
+            if watched > self.plan.rest_time_s + self.plan.rest_samples * self._dt_s:
+                self.abort(Cause.NOT_AT_REST, f"pv still moves after {watched:.4g} s; wait, or widen the pv band")
+            return
+        self.rest, self.plan = rest, self.plan.about(rest.pv)
+        co = sample.co if sample.mode == LoopMode.MANUAL else rest.co
+        self.before = Before(running.gains, sample.sp, sample.mode, co)
+        trouble = cannot_begin(self.plan, rest, sample)
+        if trouble:
+            self.abort(*trouble)
+            return
+        self._note({"phase": "before", "gains": gains_dict(running.gains), "sp": sample.sp, "mode": sample.mode,
+                    "co": rest.co, "kind": self.plan.kind, "amplitude": self.plan.amplitude})  # fmt: skip
+        if self.lost_ledger is None:
+            self._move(Happening.AT_REST)
+
+    def _wait_for_control(self, sample: LoopSample) -> None:
+        """Until the controller is as the experiment needs it."""
+        if self._helm.shows(self._target(), sample):
+            self._move(Happening.PREPARED)
+        elif self._now_s - self._phase_s > self._patience_s:
+            self.abort(Cause.REFUSED, "it does not show what it was told")
+
+    def _excite(self, sample: LoopSample) -> None:
+        """Play the experiment, and see whether it has shown enough or has to end."""
+        plan, rest, before = self.plan, self.rest, self.before
+        assert rest is not None
+        assert before is not None
+        trouble = self._following.trouble(self._target(), sample)
+        if trouble is None:
+            if plan.kind == Kind.RELAY:
+                self._relay = relay_step(self._relay, sample.pv, rest, before.gains.direction)
+            since = self.samples[self.excited_from :]
+            if enough(plan, since, rest, self._relay):
+                self._move(Happening.FINISHED)
+                return
+            trouble = out_of_time(plan, self._relay, len(since) * self._dt_s)
+        if trouble:
+            self.abort(*trouble)
+
+    def _park(self, sample: LoopSample) -> None:
+        """Until the output is back where it was, unless the controller has the output already."""
+        if not self._parking or sample.mode == LoopMode.AUTO or self._helm.shows(self._target(), sample):
+            self._move(Happening.PARKED)
+
+    def _verify(self, sample: LoopSample) -> None:
+        """Count samples that show the old state."""
+        self._shown = self._shown + 1 if self._helm.shows(self._target(), sample) else 0
+        if self._shown >= VERIFY_SAMPLES:
+            self._move(Happening.VERIFIED)
+
+    def _target(self) -> Target:
+        """What the controller should be now."""
+        return target(self.phase, self.plan, self.before, self.rest, self._relay, parking=self._parking)
+
+    def _steer(self) -> None:
+        """Send what is wanted and not shown yet; during the excitation once is enough, or somebody else has spoken."""
+        last = self.samples[-1] if self.samples else None
+        refusal = self._helm.steer(self._target(), last, self._now_s, insist=self.phase is not Phase.EXCITING)
+        if refusal and self.phase in TAKING_OVER:
+            self.abort(Cause.REFUSED, refusal)

@@ -1,0 +1,1 @@
+"""A session or a log decided again."""

@@ -1,0 +1,206 @@
+"""Deciding again: recorded frames and events through a fresh retuner, every decision compared byte for byte.
+
+    bus log -> codec, joiner -> samples  \
+                                          > fresh Retuner -> decisions == decisions of the ledger?
+    ledger -> events in their places     /
+
+Every row says how many samples had been seen when it was written, so an event enters between the same two samples as
+it did then; and it says the time of the last one, so a log that lacks frames is found at the first row after them.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from retuner.adaptive.supervision.decision import Decision
+from retuner.drivers.bus.link_faults import LinkFault
+from retuner.drivers.recorded.bus_log_samples import Overhearing
+from retuner.drivers.recorded.frame_log import read_frames
+from retuner.drivers.recorded.recording import RecordingError
+from retuner.errors import UserError
+from retuner.ledger import Row
+from retuner.session.assembly import make_retuner, schedule_inputs
+from retuner.session.ledger_rows import feed
+from retuner.session.recorded_session import RecordedSession, canonical, without_place
+from retuner.session.session_identity import file_sha256
+
+MISSING = "nothing"
+"""Stands for the side of a difference that has no such key or decision."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Where a replay first leaves its session.
+
+    decision : its number. row : of the ledger; None when the ledger has no such decision. key : path inside the
+    decision. recorded, replayed : both values.
+    """
+
+    decision: int
+    row: int | None
+    key: str
+    recorded: object
+    replayed: object
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        return {"decision": self.decision, "row": self.row, "key": self.key, "recorded": self.recorded,
+                "replayed": self.replayed}  # fmt: skip
+
+
+@dataclass(slots=True)
+class Replayed:
+    """What a replay has come to.
+
+    samples : taken from the log. decisions : made again. compared : of these with the ledger. difference : the first.
+    stopped : why the rest could not be compared; empty when all was.
+    """
+
+    samples: int = 0
+    decisions: list[Decision] = field(default_factory=list)
+    compared: int = 0
+    difference: Difference | None = None
+    stopped: str = ""
+
+    @property
+    def identical(self) -> bool:
+        """Whether every decision of the ledger was made again with the same bytes, and no other."""
+        return self.difference is None and not self.stopped
+
+
+class Replay:
+    """A session decided again; see the head of this file. Made for one run()."""
+
+    def __init__(self, session: RecordedSession) -> None:
+        self._session = session
+        self._retuner = make_retuner(session.config, session.mode)
+        loop, bus = session.config.loop, session.config.bus
+        gaps = [int(row.body["gap"]) for row in session.rows if row.kind == "restart"]
+        self._heard = Overhearing(bus.node, loop.sample_time_s, schedule_inputs(session.config), gaps=gaps)
+        self._rows = [row for row in session.rows if row.kind != "session"]
+        self._next = 0
+        self._t_s = 0.0
+        self._waiting: list[Decision] = []  # made again, and not yet met in the ledger
+        self._result = Replayed()
+
+    def run(self) -> Replayed:
+        """Take the whole log, or what there is of it.
+
+        Raises
+        ------
+        UserError
+            There is no log.
+        """
+        result, end = self._result, self._session.end
+        log = self._session.bus_log
+        if not log.is_file():
+            raise UserError(f"{log}: no such file; a session is decided again from its bus log")
+        if end is not None and end.get("bus_log_sha256") not in {None, file_sha256(log)}:
+            result.stopped = f"{log}: is not the log of this session, or was changed after it"
+            return result
+        try:
+            self._rows_here()
+            self._take_frames()
+        except RecordingError as error:
+            result.stopped = str(error)
+        if result.identical and self._next < len(self._rows):
+            row = self._rows[self._next]
+            result.stopped = (
+                f"{log}: ends after sample {result.samples}, and row {row.seq} of the ledger stands after sample "
+                f"{row.body.get('samples')}{self._log_trouble()}"
+            )
+        return result
+
+    def _take_frames(self) -> None:
+        """Frames to samples, samples to decisions."""
+        for message in read_frames(self._session.bus_log):
+            joined = self._heard.take(message)
+            if joined is None:
+                continue
+            if self._next >= len(self._rows):  # the session ended here; what came later was heard by nobody
+                return
+            self._result.samples += 1
+            self._t_s = joined.sample.t_s
+            self._decided(self._retuner.observe(joined.sample))
+            self._rows_here()
+            if not self._result.identical:
+                return
+
+    def _decided(self, decision: Decision | None) -> None:
+        """A decision was made again."""
+        if decision is not None:
+            self._waiting.append(decision)
+            self._result.decisions.append(decision)
+
+    def _rows_here(self) -> None:
+        """The rows that were written after this sample and before the next one."""
+        for row in self._at(self._result.samples):
+            if row.clock_s != self._t_s:
+                self._result.stopped = (
+                    f"{self._session.bus_log}: lacks frames: row {row.seq} of the ledger stands after sample "
+                    f"{self._result.samples} at {row.clock_s:g} s, which the log has at {self._t_s:g} s"
+                    f"{self._log_trouble()}"
+                )
+                return
+            try:
+                self._row(row)
+            except (KeyError, TypeError, ValueError) as error:
+                self._result.stopped = (
+                    f"row {row.seq} of the ledger is not what a session of this release writes: {error}"
+                )
+            if not self._result.identical:
+                return
+        if self._waiting:
+            made = self._waiting[0]
+            self._result.difference = Difference(made.number, None, "", MISSING, made.reason)
+
+    def _at(self, samples: int) -> Iterator[Row]:
+        """Rows of this place, in their order."""
+        while self._next < len(self._rows) and self._rows[self._next].body.get("samples") == samples:
+            self._next += 1
+            yield self._rows[self._next - 1]
+
+    def _row(self, row: Row) -> None:
+        """One row: a decision to compare, or something that the retuner was told."""
+        if row.kind == "decision":
+            self._compare(row)
+        elif row.kind == "link" and row.body["state"] != "up":
+            self._heard.contact_lost()
+        else:
+            self._decided(feed(self._retuner, row.kind, row.body, row.clock_s))
+
+    def _compare(self, row: Row) -> None:
+        """A decision of the ledger with the one that was made again in its place."""
+        recorded = without_place(row.body)
+        if not self._waiting:
+            self._result.difference = Difference(recorded["number"], row.seq, "", recorded["reason"], MISSING)
+            return
+        made = self._waiting.pop(0)
+        self._result.compared += 1
+        if made.canonical() != canonical(recorded):
+            key, then, now = first_difference(recorded, json.loads(made.canonical()))
+            self._result.difference = Difference(made.number, row.seq, key, then, now)
+
+    def _log_trouble(self) -> str:
+        """What the ledger says of trouble with the log."""
+        rows = [r.seq for r in self._session.rows if r.kind == "bus" and r.body.get("fault") == LinkFault.LOG]
+        return f"; row {rows[0]} tells that the log could not be written" if rows else ""
+
+
+def first_difference(then: object, now: object, path: str = "") -> tuple[str, object, object]:
+    """Path, and both values, of the first place in which two JSON values differ; an empty path when they do not."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        for key in sorted({*then, *now}):
+            inner = f"{path}.{key}" if path else key
+            if key not in then or key not in now:
+                return inner, then.get(key, MISSING), now.get(key, MISSING)
+            if then[key] != now[key]:
+                return first_difference(then[key], now[key], inner)
+    if isinstance(then, list) and isinstance(now, list):
+        for i in range(max(len(then), len(now))):
+            inner = f"{path}[{i}]"
+            if i >= len(then) or i >= len(now):
+                return inner, then[i] if i < len(then) else MISSING, now[i] if i < len(now) else MISSING
+            if then[i] != now[i]:
+                return first_difference(then[i], now[i], inner)
+    return path, then, now

@@ -1,0 +1,139 @@
+"""What a run shows on the screen: progress, each decision in a line, and at the end a table per region."""
+
+import sys
+from collections.abc import Iterable, Mapping
+from typing import TextIO, cast
+
+from rich.console import Console
+from rich.markup import escape
+from rich.measure import Measurement
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision
+from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings
+from retuner.report.report import ms_text
+from retuner.report.scores import RegionScore
+from retuner.streams import LastingStream
+
+UNDONE = "UNDONE"
+COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
+MOST_CHARACTERS = 1000
+"""Longer lines of a table are folded all the same."""
+REFRESH_SAMPLES = 50
+"""The progress line is renewed every so many samples; more would cost more than the control loop."""
+
+
+def screen_console(*, stderr: bool) -> Console:
+    """A console on stdout, or stderr, that may go away under a run without ending it."""
+    return Console(file=cast("TextIO", LastingStream(sys.stderr if stderr else sys.stdout)), highlight=False)
+
+
+class RunScreen:
+    """Progress and decisions of one run.
+
+    Parameters
+    ----------
+    console : where to. unit : of pv. quiet : show nothing (for --json).
+    """
+
+    def __init__(self, console: Console, unit: str, *, quiet: bool = False) -> None:
+        self.console = console
+        self._unit = unit
+        self._quiet = quiet
+        self._progress = Progress(
+            TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.fields[state]}"), TimeElapsedColumn(), console=console,
+            disable=quiet or not console.is_terminal, transient=True,
+        )  # fmt: skip
+        self._task: TaskID | None = None
+        self._samples = 0
+
+    def __enter__(self) -> "RunScreen":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def pause(self) -> None:
+        """No more progress: a question is going to be asked."""
+        self._progress.stop()
+
+    def begin(self, text: str) -> None:
+        """Start a bar."""
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._task = self._progress.add_task(text, total=1.0, state="waiting for the controller")
+        self._samples = 0
+
+    def sample(self, sample: LoopSample, progress: float, region: str) -> None:
+        """One sample has passed."""
+        self._samples += 1
+        if self._task is not None and self._samples % REFRESH_SAMPLES == 0:
+            values = f"sp {sample.sp:.1f}  pv {sample.pv:.1f} {self._unit}  co {sample.co:.0f} %"
+            state = f"t {sample.t_s:,.0f} s  {region}  {values}"
+            self._progress.update(self._task, completed=progress, state=state)
+
+    def decision(self, decision: Decision) -> None:
+        """A decision was taken."""
+        if not self._quiet:
+            self._progress.console.print(live_line(decision), highlight=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """A line of plain text."""
+        if not self._quiet:
+            self._progress.console.print(escape(text), highlight=False, soft_wrap=True)
+
+    def table(self, table: Table) -> None:
+        """A table with all its numbers: where the screen is narrower its lines run over, and nothing is cut."""
+        if not self._quiet:
+            wide = self.console.options.update(max_width=MOST_CHARACTERS)
+            table.width = Measurement.get(self.console, wide, table).maximum
+            self._progress.console.print(table, crop=False)
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things, as people write it."""
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def told_values(body: Mapping[str, object], names: Iterable[str]) -> str:
+    """The named values of a row that say something, in the order of the names."""
+    values = {name: body[name] for name in names if body.get(name) not in (None, "")}
+    words = {name: ("yes" if v else "no") if isinstance(v, bool) else v for name, v in values.items()}
+    return ", ".join(f"{name} {value}" for name, value in words.items())
+
+
+def live_line(decision: Decision) -> str:
+    """A decision as it is shown when it is taken, in rich's markup: when, where, cause, what is done or why not."""
+    undone = decision.action == Action.RESTORE
+    cause = UNDONE if undone else cause_text(decision)
+    colour = COLOURS.get(cause, "magenta")
+    head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):6}[/] [{colour}]{cause:10}[/]"
+    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(decision.reason)]
+    told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
+    judged = decision.judgement.reason if decision.judgement and not undone else ""
+    told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
+    model = model_text(decision)
+    return f"{head} {'; '.join(told)}{f' [dim]{escape(model)}[/]' if model else ''}"
+
+
+def scores_table(scores: list[RegionScore], unit: str) -> Table:
+    """Gains, Ms and IAE per region, before and after."""
+    compared = ", against the same run with fixed gains" if any(s.iae_fixed is not None for s in scores) else ""
+    title = f"\nGains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s{compared}"
+    table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
+    for name in ("region", "commissioned", "final"):
+        table.add_column(name, no_wrap=True)
+    for name in ("writes", "Ms", "Ms now", "IAE fixed", "IAE now"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for s in scores:
+        fixed = "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}"
+        same = s.iae_fixed is None or s.iae == s.iae_fixed
+        colour = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
+        retuned = f"{s.iae:,.0f}" if same else f"[{colour}]{s.iae:,.0f}[/]"
+        table.add_row(escape(s.region), short_settings(s.before), short_settings(s.after), str(s.changes),
+                      ms_text(s.ms_before), ms_text(s.ms_after), fixed, retuned)  # fmt: skip
+    return table

@@ -1,0 +1,112 @@
+"""The pictures of a report, as PNG bytes: trend with region bands and retune marks, and before/after per region."""
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from retuner.report.scores import Columns, Twin
+from retuner.schedule.regions import Regions
+
+BANDS = ("#e8f1fb", "#fdf3e3", "#fbe9e7", "#e9f5ec", "#f1ebf8", "#fdf9d8", "#e3f4f4", "#f3ece4", "#fbe6f1")
+PV, SP, FIXED, MARK = "#1f5fa8", "#333333", "#d08a3c", "#c0392b"
+DPI = 110
+
+
+def _png(figure: Figure) -> bytes:
+    """Draw to PNG; without the date, so that equal runs give equal bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _bands(axes: Axes, hours: np.ndarray, region: np.ndarray, regions: Regions) -> None:
+    """Colour the time spent in each region, with its name once at the top."""
+    starts = np.flatnonzero(np.diff(region, prepend=region[0] - 1))
+    ends = [*starts[1:].tolist(), len(region) - 1]
+    named: set[int] = set()
+    for start, end in zip(starts.tolist(), ends, strict=True):
+        i = int(region[start])
+        axes.axvspan(hours[start], hours[end], color=BANDS[i % len(BANDS)], lw=0)
+        if i not in named and hours[end] - hours[start] > 0.05 * (hours[-1] - hours[0]):
+            named.add(i)
+            axes.text((hours[start] + hours[end]) / 2, 1.01, regions.names[i], transform=axes.get_xaxis_transform(),
+                      ha="center", va="bottom", fontsize=10)  # fmt: skip
+
+
+def time_axis(t_s: np.ndarray) -> tuple[np.ndarray, str]:
+    """Time in the unit that suits the length: hours, minutes or seconds."""
+    span = float(t_s[-1] - t_s[0]) if len(t_s) else 0.0
+    for seconds, name in ((3600.0, "hours"), (60.0, "minutes")):
+        if span > 3 * seconds:
+            return (t_s - t_s[0]) / seconds, name
+    return t_s - t_s[0], "seconds"
+
+
+def trend_png(
+    run: Columns, fixed: Columns | None, commits: list[float], regions: Regions, unit: str, undone: Sequence[float] = ()
+) -> bytes:
+    """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone)."""
+    top, bottom, *further = _panels("x2" in run and len(regions.axes) > 1)
+    x, x_unit = time_axis(run["t"])
+    for axes, axis in zip(further, regions.axes[1:], strict=False):
+        axes.plot(x, run["x2"], color=PV, lw=0.5)
+        axes.set_ylabel(f"{axis.label} [{axis.unit}]")
+    _bands(top, x, run["region"], regions)
+    if fixed is not None:
+        n = min(len(x), len(fixed["t"]))
+        top.plot(x[:n], fixed["pv"][:n], color=FIXED, lw=0.8, label="pv with fixed gains")
+        bottom.plot(x[:n], fixed["co"][:n], color=FIXED, lw=0.5)
+    top.plot(x, run["pv"], color=PV, lw=0.9, label="pv retuned")
+    top.plot(x, run["sp"], color=SP, lw=0.9, ls="--", label="sp")
+    bottom.plot(x, run["co"], color=PV, lw=0.5)
+    scale = (run["t"][-1] - run["t"][0]) / max(float(x[-1]), 1e-12)
+    for times, style, name in ((commits, "-", "gains changed"), (undone, ":", "change taken back")):
+        for i, t_s in enumerate(times):
+            for axes in (top, bottom, *further):
+                axes.axvline((t_s - run["t"][0]) / scale, color=MARK, lw=1.1, ls=style, label=None if i else name)
+    top.set_ylabel(f"pv, sp [{unit}]")
+    bottom.set_ylabel("co [%]")
+    (bottom, *further)[-1].set_xlabel(f"time [{x_unit}]")
+    top.legend(loc="upper left", fontsize=9, framealpha=0.9)
+    for axes in (top, bottom, *further):
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)
+    figure = top.get_figure()
+    assert isinstance(figure, Figure)
+    return _png(figure)
+
+
+def _panels(with_second: bool) -> tuple[Axes, ...]:
+    """The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one."""
+    heights = (2.4, 1.0, 0.7) if with_second else (2.4, 1.0)
+    figure = Figure(figsize=(13, 7.4 if with_second else 6.2))
+    return tuple(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+
+
+def twin_png(run: Columns, twin: Twin, name: str, unit: str) -> bytes:
+    """The same setpoint step before and after learning, on one time axis."""
+    figure = Figure(figsize=(6.3, 4.4))
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    length = min(twin.first[1] - twin.first[0], twin.last[1] - twin.last[0])
+    for (start, _), colour, label in ((twin.first, FIXED, "first"), (twin.last, PV, "last")):
+        lead = min(start, length // 20)
+        part = slice(start - lead, start + length)
+        t = run["t"][part] - run["t"][start]
+        top.plot(t, run["pv"][part], color=colour, lw=1.4, label=f"{label} time")
+        bottom.plot(t, run["co"][part], color=colour, lw=0.9)
+    start, _ = twin.last
+    lead = min(start, length // 20)
+    part = slice(start - lead, start + length)
+    top.plot(run["t"][part] - run["t"][start], run["sp"][part], color=SP, lw=0.9, ls="--", label="sp")
+    top.set_title(f"{name}: {twin.text} {unit}", fontsize=10)
+    top.set_ylabel(f"pv [{unit}]")
+    bottom.set_ylabel("co [%]")
+    bottom.set_xlabel("seconds after the step")
+    top.legend(fontsize=9)
+    for axes in (top, bottom):
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)
+    return _png(figure)

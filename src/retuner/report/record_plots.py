@@ -1,0 +1,153 @@
+"""The picture of one record: setpoint, pv and its explanations, co, what is left, pv over co, evidence."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.report.plots import DPI, MARK, PV, SP, time_axis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FAR = 2.0
+"""A setpoint further from pv than this many ranges of pv would leave no room for the curves."""
+MODEL, LIMIT, BEFORE = "#d08a3c", "#999999", "#bbbbbb"
+LINE_WIDTH, MOST_LINES = 72, 27
+"""Characters in a line of the text beside the curves, and lines that fit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """pv as something explains it. t_s, pv : shape (m,), m samples of the record or as many as it was condensed to."""
+
+    name: str
+    t_s: FloatArray
+    pv: FloatArray
+
+    @classmethod
+    def of(cls, name: str, window: Window, pv: FloatArray) -> "Explanation":
+        """An explanation of every n-th sample of a window."""
+        every = -(-len(window.t_s) // len(pv))
+        return cls(name, window.t_s[::every], np.asarray(pv, dtype=np.float64))
+
+
+@dataclass(frozen=True, slots=True)
+class RecordPicture:
+    """What is drawn.
+
+    window : the record. title, subtitle : the finding and its sentence. lines : text beside the curves.
+    explanations : pv as rivals explain it, the one that is believed last. loads_s : when load steps entered.
+    limits : of co, None where not known. noise_std : of pv's noise, for the band round the remainder.
+    closed_loop : there was a controller with a setpoint.
+    """
+
+    window: Window
+    title: str
+    subtitle: str
+    lines: Sequence[str]
+    explanations: Sequence[Explanation] = ()
+    loads_s: Sequence[float] = ()
+    limits: tuple[float | None, float | None] = (None, None)
+    noise_std: float = 0.0
+    closed_loop: bool = True
+
+
+def record_png(picture: RecordPicture) -> bytes:
+    """Draw it as PNG."""
+    figure = Figure(figsize=(15, 8.2))
+    figure.suptitle(picture.title, x=0.06, ha="left", fontsize=14, weight="bold")
+    figure.text(0.06, 0.935, picture.subtitle, ha="left", va="top", fontsize=10.5, wrap=True)
+    grid = figure.add_gridspec(3, 2, width_ratios=(2.1, 1), height_ratios=(2, 1.3, 1), hspace=0.12, wspace=0.08,
+                               left=0.06, right=0.955, top=0.88, bottom=0.07)  # fmt: skip
+    top = figure.add_subplot(grid[0, 0])
+    middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
+    x, unit = time_axis(picture.window.t_s)
+    _signals(top, picture, x)
+    _output(middle, picture, x)
+    _remainder(bottom, picture, x)
+    _events(picture, x, (top, middle, bottom))
+    for axes in (top, middle):
+        axes.tick_params(labelbottom=False)
+    for axes in (top, middle, bottom):
+        axes.margins(x=0)
+        axes.grid(alpha=0.3)
+    bottom.set_xlabel(f"time [{unit}]")
+    _curve(figure.add_subplot(grid[0, 1]), picture.window)
+    words = figure.add_subplot(grid[1:, 1])
+    words.set_axis_off()
+    lines = [part for line in picture.lines for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
+    words.text(0, 0.95, "\n".join(lines[:MOST_LINES]), va="top", fontsize=7.8, family="monospace", linespacing=1.3)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
+    """pv, setpoint, and the explanations of pv."""
+    window = picture.window
+    axes.plot(x, window.pv, color=PV, lw=0.9, label="pv")
+    near = abs(float(window.sp[0]) - float(np.mean(window.pv))) < FAR * float(np.ptp(window.pv))
+    if picture.closed_loop and (near or np.ptp(window.sp) > 0):
+        axes.plot(x, window.sp, color=SP, lw=0.9, ls="--", label="sp")
+    for i, curve in enumerate(picture.explanations):
+        believed = i == len(picture.explanations) - 1
+        place = np.interp(curve.t_s, window.t_s, x)
+        axes.plot(place, curve.pv, color=MODEL if believed else LIMIT, lw=1.3 if believed else 1.0, label=curve.name)
+    axes.set_ylabel("pv, sp")
+    _legend(axes)
+
+
+def _legend(axes: "Axes") -> None:
+    """Names of the curves above them, where they hide nothing."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=9, frameon=False, ncols=6)
+
+
+def _output(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
+    """co with its limits where it comes near them."""
+    co = picture.window.co
+    axes.plot(x, co, color=PV, lw=0.9, drawstyle="steps-post")
+    room = 0.3 * float(np.ptp(co))
+    for limit in picture.limits:
+        if limit is not None and np.min(co) - room <= limit <= np.max(co) + room:
+            axes.axhline(limit, color=LIMIT, lw=1.0, ls=":")
+    axes.set_ylabel("co")
+
+
+def _remainder(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:
+    """What the explanations leave, in the band of the noise; without one the control error."""
+    window = picture.window
+    if not picture.explanations:
+        axes.plot(x, window.sp - window.pv, color=PV, lw=0.8)
+        axes.set_ylabel("sp - pv")
+    for i, curve in enumerate(picture.explanations):
+        believed = i == len(picture.explanations) - 1
+        left = window.pv[np.searchsorted(window.t_s, curve.t_s)] - curve.pv
+        axes.plot(np.interp(curve.t_s, window.t_s, x), left, color=PV if believed else BEFORE, lw=0.8)
+        axes.set_ylabel("pv left over")
+    axes.axhspan(-2 * picture.noise_std, 2 * picture.noise_std, color=MODEL, alpha=0.2, lw=0)
+    axes.axhline(0, color=LIMIT, lw=0.8)
+
+
+def _events(picture: RecordPicture, x: FloatArray, panels: Sequence["Axes"]) -> None:
+    """Load steps that were found, as vertical lines."""
+    for j, t_s in enumerate(picture.loads_s):
+        for axes in panels:
+            place = float(np.interp(t_s, picture.window.t_s, x))
+            axes.axvline(place, color=MARK, lw=0.9, ls="--", label="load step" if not j else None)
+    if picture.loads_s:
+        _legend(panels[0])
+
+
+def _curve(axes: "Axes", window: Window) -> None:
+    """pv over co: an ellipse, a parallelogram, a cloud."""
+    axes.plot(window.co, window.pv, color=BEFORE, lw=0.6)
+    axes.scatter(window.co, window.pv, c=np.arange(len(window.co)), s=3, cmap="viridis", linewidths=0)
+    axes.set_title("pv over co", fontsize=10)
+    axes.yaxis.tick_right()
+    axes.grid(alpha=0.3)

@@ -1,0 +1,85 @@
+"""What stands in each region now: gains, what is known of the process, where a trial or a lock stands.
+
+Made from the documents of the decisions, the newest that says something of its region; a map of two scheduling
+variables is a grid of cells besides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from retuner.decision_page.explain import cause_text, model_text, settings_text
+from retuner.decision_page.html import escaped, paragraph, text_table
+from retuner.decision_page.row_values import Document, decided_on, number, part, words
+from retuner.schedule.table import GainTable
+
+IDLE = "idle"
+BORROWED = "borrowed"
+
+
+@dataclass(frozen=True, slots=True)
+class RegionNow:
+    """One region as its decisions leave it. The counts are of decisions; borrowed : the last change came from a
+    neighbour's model.
+    """
+
+    name: str
+    seen: int
+    changes: int
+    undone: int
+    cause: str
+    process: str
+    borrowed: bool
+    trial: str
+    mode: str
+
+
+def regions_now(names: Sequence[str], decisions: Sequence[Document]) -> list[RegionNow]:
+    """Every region in the order of the table."""
+    return [_region(name, [one for one in decisions if words(one, "region") == name]) for name in names]
+
+
+def _region(name: str, own: list[Document]) -> RegionNow:
+    """One region out of its decisions."""
+    known = next((one for one in reversed(own) if decided_on(one) is not None
+                  and (number(one, "records") or part(one, "known"))), {})  # fmt: skip
+    judged = next((one for one in reversed(own) if part(one, "diagnosis")), {})
+    changed = [one for one in own if words(one, "action") == "commit"]
+    last = own[-1] if own else {}
+    return RegionNow(
+        name, len(own), len(changed), sum(words(one, "action") == "restore" for one in own),
+        cause_text(judged) if judged else "", model_text(known) if known else "",
+        bool(changed) and words(changed[-1], "basis") == BORROWED, words(last, "trial"), words(last, "mode"),
+    )  # fmt: skip
+
+
+def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[str] = ()) -> str:
+    """The table, and the grid where there are two scheduling variables, as HTML.
+
+    advice : sentences that propose to split or merge regions.
+    """
+    names = table.regions.names
+    rows = [(now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
+            for now in regions_now(names, decisions)]  # fmt: skip
+    heads = ("region", "responses", "process as known", "last cause", "state")
+    return text_table(heads, rows) + "".join(map(paragraph, advice)) + _grid(table)
+
+
+def _marks(now: RegionNow) -> str:
+    """What a person should know of a region besides."""
+    told = [f"mode {now.mode}" if now.mode else "", now.trial if now.trial != IDLE else "",
+            "settings borrowed from a neighbour's model" if now.borrowed else "",
+            f"{now.undone} undone" if now.undone else ""]  # fmt: skip
+    return ", ".join(one for one in told if one)
+
+
+def _grid(table: GainTable) -> str:
+    """Settings by cell, the first variable down and the second across; nothing for one variable."""
+    regions = table.regions
+    if len(regions.axes) < 2:
+        return ""
+    down, across = regions.axes
+    heads = (f"{down.label} \\ {across.label}", *(across.text(j) for j in range(len(across))))
+    rows = [(down.text(i), *(f"{regions.names[at]}: {settings_text(table.gains_of(at))}"
+                             for at in range(i * len(across), (i + 1) * len(across))))
+            for i in range(len(down))]  # fmt: skip
+    return f"<h3>{escaped('Settings over both variables')}</h3>{text_table(heads, rows)}"

@@ -1,0 +1,188 @@
+"""report.html: one self-contained page, read from the top: result, pictures, every decision, provenance.
+
+Each decision that changes something, or that a proof decided, has a page of its own further down, reached from its row.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from retuner.adaptive.supervision.decision import Decision
+from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
+from retuner.decision_page.explain import (
+    cause_text,
+    change_text,
+    document_of,
+    model_text,
+    one_line,
+    response_text,
+    settings_text,
+)
+from retuner.decision_page.html import OPEN_TARGET, escaped, image, paragraph, table
+from retuner.decision_page.html import document as html_document
+from retuner.decision_page.page import article
+from retuner.decision_page.row_values import Document, number, words
+from retuner.report.plots import trend_png, twin_png
+from retuner.report.region_overview import overview
+from retuner.report.scores import Columns, RegionScore, twin_steps
+from retuner.schedule.table import GainTable
+
+MOST_PAGES = 40
+"""Decisions with a page of their own, the newest ones: about 130 kB and a quarter of a second each."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """What a report tells of.
+
+    run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
+    events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
+    decisions : of the run, or their documents out of a ledger. stopped : the run did not have its whole length.
+    advice : sentences that propose to split or merge regions.
+    """
+
+    loop: str
+    unit: str
+    before: GainTable
+    after: GainTable
+    scores: list[RegionScore]
+    decisions: Sequence[Decision | Document]
+    run: Columns
+    fixed: Columns | None
+    commits: list[float]
+    events: list[float] = field(default_factory=list)
+    facts: dict[str, str] = field(default_factory=dict)
+    stopped: bool = False
+    advice: Sequence[str] = ()
+
+
+def render(data: ReportData) -> str:
+    """The page as text."""
+    documents = [document_of(decision) for decision in data.decisions]
+    views = [view_of(one, data.run, data.unit, later=what_came_of(one, documents))
+             for one in worth_pages(documents, MOST_PAGES)]  # fmt: skip
+    body = [
+        f"<h1>{escaped(data.loop)}: retuning report</h1>",
+        paragraph(_lead(data, documents), "lead"),
+        "<h2>Regions</h2>",
+        _scores_table(data),
+        overview(data.after, documents, data.advice),
+        "<h2>The whole run</h2>",
+        image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit, _undone(documents)),
+              "Trend with region bands"),
+        _twins(data),
+        "<h2>Decisions</h2>",
+        paragraph("One row per recognised response; rows that write or advise other gains are shaded. A number with a "
+                  "link has a page that shows the whole reasoning.", "muted"),
+        _decisions_table(documents, {view.number for view in views}),
+        _pages(views),
+        "<h2>Provenance</h2>",
+        table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
+        OPEN_TARGET if views else "",
+    ]  # fmt: skip
+    return html_document(f"{data.loop}: retuning report", "".join(body))
+
+
+def _undone(documents: Sequence[Document]) -> list[float]:
+    """When changes were taken back, s."""
+    return [number(one, "t_s") or 0.0 for one in documents if words(one, "action") == "restore"]
+
+
+def _lead(data: ReportData, documents: Sequence[Document]) -> str:
+    """The result in a few sentences."""
+    hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
+    parts = ["The run was stopped before its end."] if data.stopped else []
+    parts.append(
+        f"{_counted(sum(bool(d.get('response')) for d in documents), 'response')} recognised in {hours:.2g} h."
+    )
+    parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
+    undone = len(_undone(documents))
+    if undone:
+        parts.append(f"{_counted(undone, 'change')} taken back: the verified gains were restored.")
+    advised = sum(words(d, "action") == "advise" for d in documents)
+    if advised:
+        parts.append(f"{_counted(advised, 'change')} advised and not written.")
+    worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
+    if worst is not None:
+        stable = f"is at most {worst:.2f}" if math.isfinite(worst) else "is not finite: the loop is UNSTABLE"
+        parts.append(f"Ms of the final gains on the true process {stable}.")
+    saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
+    if saved:
+        share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
+        much = f"{abs(share):.0%} {'smaller' if share > 0 else 'LARGER'} than" if round(share, 2) else "the same as"
+        parts.append(f"The integrated error is {much} with fixed gains.")
+    return " ".join(parts)
+
+
+def _counted(count: int, what: str) -> str:
+    """A number and its noun with its verb."""
+    return f"{count} {what}{' was' if count == 1 else 's were'}"
+
+
+def ms_text(ms: float | None) -> str:
+    """Ms as people read it."""
+    return "-" if ms is None else "unstable" if ms == float("inf") else f"{ms:.2f}"
+
+
+def _scores_table(data: ReportData) -> str:
+    unit = escaped(data.unit)
+    heads = ("region", "commissioned gains", "final gains", "changes", "Ms before", "Ms after",
+             f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")  # fmt: skip
+    rows = []
+    for s in data.scores:
+        fixed = s.iae if s.iae_fixed is None else s.iae_fixed
+        mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
+        rows.append((*map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
+                     ms_text(s.ms_before), ms_text(s.ms_after), "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
+                     f'<span class="{mark}">{s.iae:,.0f}</span>'))  # fmt: skip
+    note = ('<p class="muted">Settings in series form unless marked. Ms is the peak of the sensitivity on the true '
+            "process, the largest over the operating points visited; 1.8 is the limit.</p>")  # fmt: skip
+    return table(heads, rows) + note
+
+
+def _twins(data: ReportData) -> str:
+    """The same step before and after, per region."""
+    names = data.after.regions.names
+    images = [image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
+              for twin in twin_steps(data.run, data.events)]  # fmt: skip
+    if not images:
+        return ""
+    return f'<h2>The same step, first and last time</h2><div class="twins">{"".join(images)}</div>'
+
+
+def _decisions_table(documents: Sequence[Document], paged: set[int]) -> str:
+    """A row for each decision; paged : numbers of those that have a page."""
+    heads = ("no.", "time [s]", "region", "response", "cause", "reason", "process", "change")
+    rows, classes = [], []
+    for document in documents:
+        name = f"{number(document, 'number') or 0:.0f}"
+        link = f'<a href="#{_anchor(int(name))}">{name}</a>' if int(name) in paged else name
+        when = f"{number(document, 't_s') or 0.0:,.0f}"
+        told = (when, words(document, "region"), response_text(document), cause_text(document),
+                words(document, "reason"), model_text(document), change_text(document))  # fmt: skip
+        rows.append((link, *map(escaped, told)))
+        classes.append("" if words(document, "action") == "none" else "commit")
+    return table(heads, rows, classes)
+
+
+def _anchor(decision: int) -> str:
+    """Name of a page within the report."""
+    return f"decision-{decision}"
+
+
+def _pages(views: list[DecisionView]) -> str:
+    """The pages, folded; which ones have none is said."""
+    if not views:
+        return ""
+    left = len(views) == MOST_PAGES
+    note = (f"The newest {MOST_PAGES} decisions that propose, write, restore or were refused by the proof."
+            if left else "Every decision that proposes, writes, restores or was refused by the proof.")  # fmt: skip
+    more = f" {note} `retuner report FOLDER --decision N` makes the page of any other."
+    return f"<h2>Decision pages</h2>{paragraph(more.strip(), 'muted')}{''.join(map(_folded, views))}"
+
+
+def _folded(view: DecisionView) -> str:
+    """A page that opens with a click on its line."""
+    line = f"{view.number}. {view.t_s:,.0f} s, {words(view.document, 'region')}: {one_line(view.document)}"
+    return (f'<details class="page" id="{_anchor(view.number)}"><summary>{escaped(line)}</summary>'
+            f"{article(view)}</details>")  # fmt: skip

@@ -1,0 +1,167 @@
+"""How a run went, region by region: gains, Ms on the true process, and integrated absolute error (IAE).
+
+IAE is compared with the same run (same noise, same scenario) under fixed gains. Where the plant is simulated its true
+linear model is known at every operating point, and Ms is the largest over the setpoints visited in the region, with
+half a sampling interval of dead time added for the sampled controller; under the gains in force there, which with an
+interpolated table are no region's own.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.supervision.decision import gains_dict
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+
+Linearise = Callable[..., LinearProcess]
+"""True process at a pv, and at a load where that is not 0."""
+Columns = dict[str, FloatArray]
+SETTLING = 10
+"""Samples after a setpoint step in which another event still counts as the same one."""
+POINTS = 9
+"""Operating points per region at which the true Ms is looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionScore:
+    """One region of a run. iae in pv units times seconds; ms NaN-free: None where the true process is not known."""
+
+    region: str
+    before: PidGains
+    after: PidGains
+    changes: int
+    ms_before: float | None
+    ms_after: float | None
+    iae: float
+    iae_fixed: float | None
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values; an infinite Ms (unstable) is null with stable_... false."""
+        return {
+            "region": self.region, "before": gains_dict(self.before), "after": gains_dict(self.after),
+            "changes": self.changes,
+            "ms_before": _finite(self.ms_before), "ms_after": _finite(self.ms_after),
+            "stable_before": _stable(self.ms_before), "stable_after": _stable(self.ms_after),
+            "iae": self.iae, "iae_fixed": self.iae_fixed,
+        }  # fmt: skip
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _stable(value: float | None) -> bool | None:
+    return None if value is None else math.isfinite(value)
+
+
+def region_scores(
+    before: GainTable, after: GainTable, commits: list[tuple[float, int]], run: Columns, fixed: Columns | None,
+    linearise: Linearise | None, half_sample_s: float, tau_f_s: float = 0.0, loads: FloatArray | None = None,
+) -> list[RegionScore]:  # fmt: skip
+    """Score every region.
+
+    before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column.
+    linearise : true linear process at a pv, where the plant is simulated. tau_f_s : filter of the derivative, s.
+    loads : load on the plant in each row of run, percent; None for none.
+    """
+    scores = []
+    for i, name in enumerate(before.regions.names):
+        truths = _truths(linearise, run, i, half_sample_s, loads)
+
+        def worst(table: GainTable, truths: list[Truth] = truths, region: int = i) -> float | None:
+            return max((sensitivity_peak(t.process, t.gains(table, region), tau_f_s) for t in truths), default=None)
+
+        scores.append(
+            RegionScore(
+                region=name,
+                before=before.gains_of(i),
+                after=after.gains_of(i),
+                changes=sum(1 for _, region in commits if region == i),
+                ms_before=worst(before),
+                ms_after=worst(after),
+                iae=iae(run, i),
+                iae_fixed=None if fixed is None else iae(fixed, i),
+            )
+        )
+    return scores
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The true process at one operating point, and the scheduling values there."""
+
+    process: LinearProcess
+    x: float
+    x2: float
+
+    def gains(self, table: GainTable, region: int) -> PidGains:
+        """What the table puts in force there; the region's own set where a scheduling value was not known."""
+        known = math.isfinite(self.x) and math.isfinite(self.x2)
+        return table.at(region, self.x, self.x2) if known else table.gains_of(region)
+
+
+def _truths(
+    linearise: Linearise | None, run: Columns, region: int, half_sample_s: float, loads: FloatArray | None
+) -> list[Truth]:
+    """True processes over the setpoints visited in a region, under each load that was on it."""
+    inside = np.flatnonzero(run["region"] == region)
+    if linearise is None or not inside.size:
+        return []
+    found = []
+    loaded = np.zeros(len(inside)) if loads is None else loads[inside]
+    for load in np.unique(loaded).tolist():
+        rows = inside[loaded == load]
+        visited = run["sp"][rows]
+        for pv in np.linspace(visited.min(), visited.max(), POINTS).tolist():
+            process = linearise(pv, load) if load else linearise(pv)
+            row = int(rows[np.argmin(np.abs(visited - pv))])
+            x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
+            found.append(Truth(replace(process, theta_s=process.theta_s + half_sample_s), x, x2))
+    return found
+
+
+def iae(columns: Columns, region: int) -> float:
+    """Integral of |sp - pv| over the time spent in a region, pv units times seconds."""
+    t, inside = columns["t"], columns["region"] == region
+    dt = np.diff(t, append=t[-1])
+    return float(np.sum(np.abs(columns["sp"] - columns["pv"])[inside] * dt[inside]))
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """The same step twice in one region: indexes of the samples [start, end) of its first and its last occurrence."""
+
+    region: int
+    first: tuple[int, int]
+    last: tuple[int, int]
+    text: str
+
+
+def twin_steps(columns: Columns, events_s: list[float]) -> list[Twin]:
+    """For each region the setpoint step that occurs twice with the longest time between: before and after learning.
+
+    events_s : times at which something else begins (loads), where a step's response is cut off.
+    """
+    sp, region = columns["sp"], columns["region"].astype(int)
+    moves = np.flatnonzero(np.diff(sp)) + 1
+    others = np.searchsorted(columns["t"], np.asarray(events_s, dtype=np.float64))
+    cuts = np.unique(np.concatenate([moves, others, [len(sp)]]))
+    seen: dict[tuple[int, float, float], list[tuple[int, int]]] = {}
+    for start in moves.tolist():
+        end = int(cuts[np.searchsorted(cuts, start + SETTLING, side="left")])
+        if region[start - 1] == region[min(start + 1, len(sp) - 1)]:
+            seen.setdefault((int(region[start]), float(sp[start - 1]), float(sp[start])), []).append((start, end))
+    best: dict[int, Twin] = {}
+    for (i, low, high), places in seen.items():
+        if len(places) > 1:
+            twin = Twin(i, places[0], places[-1], f"setpoint {low:g} to {high:g}")
+            held = best.get(i)
+            if held is None or twin.last[0] - twin.first[0] > held.last[0] - held.first[0]:
+                best[i] = twin
+    return [best[i] for i in sorted(best)]

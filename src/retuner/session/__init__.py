@@ -1,0 +1,1 @@
+"""The live session: what runs, writes, records and takes orders."""

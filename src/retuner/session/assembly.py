@@ -1,0 +1,205 @@
+"""From the configuration to the objects of the rooms, each made in one place."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from retuner.adaptive.guard import GuardSettings, Locks, change_factor
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.supervision.admission import AdmissionSettings
+from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.without_model.pattern_rule import PatternSettings
+from retuner.config import Config
+from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
+from retuner.config.loading import signal_source
+from retuner.drivers.bus.bus import LinkSettings
+from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
+from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
+from retuner.drivers.host.key_file import read_key
+from retuner.drivers.plants.boiler_plant import BoilerPlant
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.plants.oven_plant import OvenPlant
+from retuner.drivers.plants.plant import Plant
+from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
+from retuner.errors import UserError
+from retuner.schedule.table import GainTable
+
+REGION_ROOM = 4.0
+"""The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
+
+
+def guard_settings(config: Config) -> GuardSettings:
+    """The guard's limits: those of [adaptation] and of [adaptation.limits]; what is absent is no limit."""
+    a = config.adaptation
+    further = a.limits.model_dump(exclude_none=True)
+    general = {
+        name: getattr(a, name)
+        for name in ("ms_nominal", "ms_worst", "tau_c_max_ratio", "step_up_max", "step_down_max", "kc_min", "kc_max")
+        if getattr(a, name) is not None
+    }
+    general["ms_target"] = min(GuardSettings().ms_target, a.ms_nominal)
+    return GuardSettings(**general, **further)
+
+
+def locks(names: Sequence[str]) -> Locks:
+    """Parameters that stay as they are, by name."""
+    return Locks(kc="kc" in names, tau_i="tau_i" in names, tau_d="tau_d" in names)
+
+
+def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
+    """The retuner's settings; mode overrides the configured one."""
+    a, loop = config.adaptation, config.loop
+    trial = TrialSettings(
+        responses=a.trial_responses,
+        level=a.trial_level,
+        timeout_s=a.trial_timeout_s,
+        cool_down_s=a.cool_down_s,
+        lock_out_after=a.lock_out_after,
+    )
+    return RetunerSettings(
+        sample_time_s=loop.sample_time_s,
+        pv_span=loop.pv_max - loop.pv_min,
+        mode=mode or Mode(a.mode),
+        region_modes=region_modes(config, mode),
+        band=a.noise_band,
+        wait_s=a.wait_s,
+        setpoint_weight=loop.b,
+        filter_s=loop.tau_f_s,
+        trial=trial,
+        guard=guard_settings(config),
+        locks=locks(a.locked),
+        region_locks=tuple(
+            None if region.locked is None else locks(region.locked) for region in config.schedule.regions
+        ),
+        admission=AdmissionSettings(**a.admission.model_dump()),
+        without_model=without_model_settings(config),
+    )
+
+
+def region_modes(config: Config, mode: Mode | None = None) -> tuple[Mode | None, ...]:
+    """What may be done in single regions; a mode given for the run is the most that any region may do."""
+    own = tuple(None if region.mode is None else Mode(region.mode) for region in config.schedule.regions)
+    if mode is None:
+        return own
+    rising = list(Mode)
+    return tuple(None if region is None else min(region, mode, key=rising.index) for region in own)
+
+
+def without_model_settings(config: Config) -> WithoutModelSettings:
+    """What may be done where no process can be identified: [adaptation.pattern]."""
+    pattern = config.adaptation.pattern
+    return WithoutModelSettings(PatternSettings(**pattern.model_dump(exclude={"allowed"})), allowed=pattern.allowed)
+
+
+def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
+    """A retuner that knows nothing yet, on the table as commissioned."""
+    return Retuner(config.gain_table(), retuner_settings(config, mode))
+
+
+def make_plant(config: Config) -> Plant:
+    """The simulated plant behind the virtual device.
+
+    Raises
+    ------
+    UserError
+        The configuration has no [device] section.
+    """
+    if config.device is None:
+        raise UserError(
+            "the configuration has no [device] section: there is no virtual device to run; add one, or give "
+            "--interface and --channel of the bus that the controller hangs on"
+        )
+    plant, seed = config.device.plant, config.device.seed
+    if isinstance(plant, OvenPlantConfig):
+        return OvenPlant(plant.settings(), plant.start_c, seed)
+    if isinstance(plant, BoilerPlantConfig):
+        return BoilerPlant(plant.settings(), plant.start_c, seed)
+    process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
+    return LinearPlant(process, start_pv=plant.start_pv, start_co=plant.start_co_pct, noise=plant.noise, seed=seed,
+                       co_min=config.loop.co_min_pct, co_max=config.loop.co_max_pct)  # fmt: skip
+
+
+def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
+    """The virtual device's firmware; it starts on the gains of the region in which the plant starts."""
+    loop, table = config.loop, config.gain_table()
+    return VirtualDeviceSettings(
+        gains=table.gains[0],
+        node=config.bus.node,
+        sample_time_s=loop.sample_time_s,
+        box=certified_box(table),
+        sp_min=loop.pv_min,
+        sp_max=loop.pv_max,
+        co_min=loop.co_min_pct,
+        co_max=loop.co_max_pct,
+        co_rate_per_s=loop.co_rate_pct_per_s,
+        b=loop.b,
+        tau_f_s=loop.tau_f_s,
+        trial_samples=round(config.device.confirm_within_s / loop.sample_time_s) if config.device else 0,
+        key=commit_key(config),
+    )
+
+
+def schedule_inputs(config: Config) -> ScheduleInputs:
+    """What the scheduling variables are, and where on the bus those come from that are other signals there.
+
+    Raises
+    ------
+    DbcError
+        A DBC has not what the configuration names (loading a configuration from a file says so first, by line and key).
+    """
+    axes, node = config.schedule.axes, config.bus.node
+    signals = [signal_source(axis, node) for axis in axes]
+    names = [str(axis.variable) for axis in axes]
+    return ScheduleInputs(names[0], names[1] if len(names) > 1 else "", tuple(signals))
+
+
+def commit_key(config: Config) -> bytes | None:
+    """The key that commits are authenticated with; None without one.
+
+    Raises
+    ------
+    KeyFileError
+        The configured file cannot be used.
+    """
+    return read_key(Path(config.bus.key_file)) if config.bus.key_file else None
+
+
+def certified_box(table: GainTable) -> GainBox:
+    """Limits that the virtual device's maker would certify: changing from any region to any other is one write."""
+    steps = [change_factor(a, b) for a in table.gains for b in table.gains]
+    widest = max((step for step in steps if math.isfinite(step)), default=1.0)
+    return GainBox(ratio_max=max(GainBox().ratio_max, REGION_ROOM * widest), direction=table.gains[0].direction)
+
+
+def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
+    """How to open the bus; patience is in the far side's seconds."""
+    bus = config.bus
+    patience = max(10.0 * speed, 10.0 * config.loop.sample_time_s)
+    return LinkSettings(bus.interface, bus.channel, bus.hop_limit, silent_after_s=patience,
+                        reopen_first_s=0.2 * speed, reopen_max_s=5.0 * speed)  # fmt: skip
+
+
+def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
+    """The host's address book entry for the controller; floors are machine seconds, so they grow with speed.
+
+    On a bus inside this process nobody else can be, and equal runs give equal bytes: the host is number 1 there.
+    """
+    standard = CanDeviceSettings()
+    return replace(
+        standard,
+        node=config.bus.node,
+        sample_time_s=config.loop.sample_time_s,
+        variable=schedule_inputs(config),
+        reply_floor_s=standard.reply_floor_s * speed,
+        connect_floor_s=standard.connect_floor_s * speed,
+        lease_floor_s=config.bus.lease_s * speed,
+        probation_samples=config.bus.probation_samples,
+        key=commit_key(config),
+        owner=standard.owner if config.bus.interface == "virtual" else fresh_owner(),
+    )

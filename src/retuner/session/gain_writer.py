@@ -1,0 +1,295 @@
+"""Has the controller run what it should, one two-phase write at a time, each recorded before it begins:
+
+    1  the verified set, while a change is being taken back: before everything else, until it has been read back
+    2  a decision of the retuner, when the loop is still in its region and the link has been sound for a while
+    3  the schedule: another region, other gains
+
+While a set is being taken back the table has the verified one already, so no way leads to the tried one.
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from retuner.adaptive.guard import change_factor
+from retuner.adaptive.supervision.decision import Decision, gains_dict
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.drivers.device import Device, RunningSet, WriteDone, WriteFailed, WriteRefusedError
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import Lookup
+from retuner.session.ledger_rows import Recorder
+
+SAME_GAINS = 1.00001
+"""Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
+INTERPOLATION_STEP = 1.02
+"""An interpolated schedule is written when a gain has moved by this factor: a write costs about ten frames."""
+RETRY_SAMPLES = 30
+"""Samples to wait after a refused or failed write before the schedule asks again."""
+RESTORE_RETRY_SAMPLES = 5
+"""Sample times to wait after a refused write of the verified set before it is tried again; doubled each time,"""
+RESTORE_DOUBLINGS = 5
+"""and so many times at the most."""
+HOLD_SAMPLES = 30
+"""Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
+
+
+class Why(StrEnum):
+    """What asked for a write."""
+
+    RESTORE = "restore"
+    RETUNE = "retune"
+    SCHEDULE = "schedule"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A set that should run. stored : what the region's place in the table holds then, for a decision."""
+
+    why: Why
+    region: int
+    gains: PidGains
+    decision: Decision | None = None
+    stored: PidGains | None = None
+
+
+class GainWriter:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    device : the controller. retuner : whose table and decisions count. record : keeps rows for good.
+    """
+
+    def __init__(self, device: Device, retuner: Retuner, record: Recorder) -> None:
+        self.device, self.retuner = device, retuner
+        self.commits: list[tuple[float, int]] = []
+        self.frozen = False  # begin nothing any more but the way back
+        self.t_s = 0.0
+        self._record = record
+        self._under_way: Wanted | None = None
+        self._pending: Wanted | None = None
+        self._retry_at_s = self._hold_until_s = 0.0
+        self._restore_at_s = float("-inf")
+        self._refusals = 0  # of the verified set, in a row
+        self._put_back = False  # the verified set was written since there is something to take back
+        self._holding = ""
+
+    @property
+    def open(self) -> bool:
+        """Whether a write has not come to its end."""
+        return self._under_way is not None
+
+    @property
+    def free(self) -> bool:
+        """Whether what is asked for now would be begun at once: nothing under way, waiting, held or being restored."""
+        sound = self.t_s >= self._hold_until_s and not self.frozen and self.device.connected
+        return sound and not self.open and self._pending is None and not self.restoring
+
+    @property
+    def ready(self) -> bool:
+        """Whether a decision could be written now: none waits, the wire is free, the link has been sound."""
+        return self._pending is None and not self.open and not self.frozen and self.t_s >= self._hold_until_s
+
+    @property
+    def restoring(self) -> bool:
+        """Whether a verified set is not known to run again."""
+        return bool(self.retuner.desk.restoring)
+
+    def ask(self, decision: Decision) -> None:
+        """A decision wants its gains written; it waits for the wire, unless another one is ahead of it.
+
+        What a person ordered is not on trial: the set before it would count as verified for the change behind it.
+        """
+        if decision.gains_after is None:
+            return
+        region = self.retuner.table.regions.names.index(decision.region)
+        wanted = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after)
+        if self._pending is not None or (self._under_way is not None and self._under_way.why == Why.RETUNE):
+            self._dropped(wanted, "another change is on its way")
+        else:
+            self._pending = wanted
+
+    def hold(self, reason: str) -> None:
+        """Write no decision for a while."""
+        self._holding = reason
+        self._hold_until_s = self.t_s + self._span_s(HOLD_SAMPLES)
+
+    def wait(self) -> None:
+        """Let the schedule wait before it asks again."""
+        self._retry_at_s = self.t_s + self._span_s(RETRY_SAMPLES)
+
+    def keep(self, now_s: float) -> None:
+        """Have the controller run what it should."""
+        running = self.device.running
+        if self.open or self.device.writing or not self.device.connected or running is None:
+            return
+        wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)
+        if wanted is not None and (not self.frozen or wanted.why == Why.RESTORE):
+            self._start(running, wanted, now_s)
+
+    def done(self, event: WriteDone) -> None:
+        """The controller runs the set, as read back; only now does the table change."""
+        write, self._under_way = self._under_way, None
+        if write is None:
+            return
+        body = {"why": write.why, "region": self._name(write.region), "sequence": event.seq,
+                "gains": gains_dict(event.gains), "crc": event.running.crc}  # fmt: skip
+        mixed = self.retuner.table.lookup == Lookup.INTERPOLATED
+        stored = write.stored if mixed and write.stored is not None else event.gains
+        if write.why == Why.RETUNE and mixed:
+            body["stored"] = gains_dict(stored)
+        self._record("committed", self.t_s, body)
+        self._put_back = write.why == Why.RESTORE
+        if write.why != Why.RETUNE:
+            return
+        before = self.retuner.table
+        if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
+            return
+        self.commits.append((self.t_s, write.region))
+        trial = self.retuner.desk.trial(write.region)
+        if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
+            row = {"region": self._name(write.region), "gains": gains_dict(stored),
+                   "verified": gains_dict(trial.old), "promise": trial.promise.to_dict() if trial.promise else None,
+                   "decision": write.decision.digest() if write.decision else None}  # fmt: skip
+            self._record("trial", self.t_s, row)
+
+    def failed(self, event: WriteFailed, now_s: float) -> TrialEvent | None:
+        """A write did not come about; the cause when that ends a trial, because something unexpected runs.
+
+        That may be the tried set, in a region that the loop has come to and the schedule could not write for.
+        """
+        write, self._under_way = self._under_way, None
+        if write is None:
+            return None
+        wanted = self._in_table()
+        known = wanted is not None and change_factor(event.running.gains, wanted) <= self._tolerance
+        self._give_up(write, event.reason, now_s, event.running.gains, written=not known)
+        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE and not known else None
+
+    def _start(self, running: RunningSet, wanted: Wanted, now_s: float) -> None:
+        """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.
+
+        Leaving gains in force that nothing vouches for would be worse than a missing row.
+        """
+        decision = wanted.decision
+        body = {"why": wanted.why, "region": self._name(wanted.region), "gains": gains_dict(wanted.gains),
+                "base": running.seq, "before": gains_dict(running.gains),
+                "decision": decision.digest() if decision else None}  # fmt: skip
+        self._record("intent", self.t_s, body)
+        if self.frozen and wanted.why != Why.RESTORE:
+            return
+        try:
+            self.device.begin_write(wanted.gains, now_s, back=wanted.why == Why.RESTORE)
+        except WriteRefusedError as error:
+            self._give_up(wanted, str(error), now_s)
+            return
+        self._under_way = wanted
+
+    def _to_restore(self, running: RunningSet, now_s: float) -> Wanted | None:
+        """The verified set, unless it runs: then this is the proof of it.
+
+        It has run before, so it needs no probation; but the controller must hold it for confirmed, for else it may go
+        back to the tried set, which was confirmed when the trial began.
+        """
+        self._drop("the gains before are being restored")
+        region, gains = self.retuner.region, self._in_table()
+        if region is None or gains is None:
+            return None
+        near = self._tolerance if self._put_back else SAME_GAINS  # a tried set may lie within the schedule's step
+        if change_factor(running.gains, gains) <= near:
+            if self.device.confirm(now_s):
+                self._restored(running)
+            return None
+        return Wanted(Why.RESTORE, region, gains) if now_s >= self._restore_at_s else None
+
+    def _restored(self, running: RunningSet) -> None:
+        """What the controller reports is the verified set: recorded, and told."""
+        desk = self.retuner.desk
+        regions = desk.restoring
+        body = {"regions": [self._name(region) for region in regions], "gains": gains_dict(running.gains),
+                "sequence": running.seq, "crc": running.crc}  # fmt: skip
+        self._record("restored", self.t_s, body)
+        self._refusals = 0
+        self._restore_at_s = float("-inf")
+        self.retuner.restored()
+        for region in regions:
+            if desk.phase(region) == TrialPhase.LOCKED:
+                self._record("lockout", self.t_s, {"region": self._name(region), "undos": desk.trial(region).undos})
+
+    def _wanted(self, running: PidGains) -> Wanted | None:
+        """What should be written now, if anything: a decision for the region in force first, then the schedule."""
+        region = self.retuner.region
+        if region is None:
+            return None
+        if self._pending is not None:
+            held = self.t_s < self._hold_until_s
+            if self._given_up(self._pending):
+                self._drop("it was given up before it could be written")
+            elif self._pending.region == region and not held and not self.frozen:
+                wanted, self._pending = self._pending, None
+                return self._here(wanted)
+            else:
+                self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
+        if self.t_s < self._retry_at_s:
+            return None
+        gains = self._in_table()
+        far = gains is not None and change_factor(running, gains) > self._tolerance
+        return Wanted(Why.SCHEDULE, region, gains) if gains is not None and far else None
+
+    def _given_up(self, pending: Wanted) -> bool:
+        """Whether a change that was to be on trial no longer is: nothing is written that nobody would watch."""
+        promised = pending.decision is not None and pending.decision.promise is not None
+        return promised and self.retuner.desk.phase(pending.region) != TrialPhase.WRITING
+
+    def _here(self, wanted: Wanted) -> Wanted:
+        """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""
+        table = self.retuner.table
+        if table.lookup != Lookup.INTERPOLATED:
+            return wanted
+        new = table.with_gains(wanted.region, wanted.gains)
+        return replace(wanted, gains=new.at(wanted.region, *self.retuner.scheduled))
+
+    def _drop(self, reason: str) -> None:
+        """A decision that waited for the wire is not written."""
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            self._dropped(pending, reason)
+
+    def _dropped(self, wanted: Wanted, reason: str) -> None:
+        """A decision is not written: recorded, and told."""
+        if wanted.decision is not None:
+            self._record("dropped", self.t_s, {"why": wanted.why, "region": self._name(wanted.region),
+                                               "decision": wanted.decision.digest(), "reason": reason})  # fmt: skip
+            self.retuner.not_written(wanted.region)
+
+    def _give_up(
+        self, wanted: Wanted, reason: str, now_s: float, running: PidGains | None = None, *, written: bool = False
+    ) -> None:
+        """A write that did not come about. written : something else than before runs."""
+        self.wait()
+        if wanted.why == Why.RESTORE:
+            self._restore_at_s = now_s + self._span_s(RESTORE_RETRY_SAMPLES << min(self._refusals, RESTORE_DOUBLINGS))
+            self._refusals += 1
+        body = {"why": wanted.why, "region": self._name(wanted.region), "reason": reason,
+                "running": gains_dict(running) if running else None, "unchanged": not written}  # fmt: skip
+        self._record("refused", self.t_s, body)
+        if wanted.why == Why.RETUNE and not written:
+            self.retuner.not_written(wanted.region)
+
+    def _in_table(self) -> PidGains | None:
+        """What the table says should run here and now."""
+        region = self.retuner.region
+        return None if region is None else self.retuner.table.at(region, *self.retuner.scheduled)
+
+    @property
+    def _tolerance(self) -> float:
+        """Factor within which what runs is what the table says."""
+        return INTERPOLATION_STEP if self.retuner.table.lookup == Lookup.INTERPOLATED else SAME_GAINS
+
+    def _span_s(self, samples: int) -> float:
+        """So many samples in seconds."""
+        return samples * self.retuner.settings.sample_time_s
+
+    def _name(self, region: int) -> str:
+        """Name of a region."""
+        return self.retuner.table.regions.names[region]

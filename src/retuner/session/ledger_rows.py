@@ -1,0 +1,151 @@
+"""What the ledger keeps of a controller's events, and which of them end a trial."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.supervision.decision import Decision, gains_dict
+from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
+from retuner.adaptive.supervision.pending_proposal import Proposal
+from retuner.adaptive.supervision.pretune import pretune
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.drivers.device import (
+    CommandFailed,
+    DeviceConflict,
+    DeviceRestarted,
+    Event,
+    ForeignHost,
+    LeaseChanged,
+    LinkChanged,
+    LinkState,
+    Reverted,
+    RunningChanged,
+    SamplesLost,
+    VariableChanged,
+    WriteUnknown,
+)
+from retuner.schedule.gains import PidGains
+
+HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
+"""Events after which no decision is written for a while."""
+
+
+class Recorder(Protocol):
+    """Keeps rows for good before it returns: the ledger, seen from here."""
+
+    def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        """Record one row."""
+        ...
+
+
+def trouble(event: Event) -> tuple[str, dict[str, object]]:
+    """The row that tells of an event which is neither a sample nor the end of a write or command."""
+    match event:
+        case WriteUnknown():
+            return "unknown", {"sequence": event.seq, "reason": event.reason}
+        case LinkChanged():
+            return "link", {"state": event.state.name.lower(), "reason": event.reason}
+        case DeviceRestarted():
+            return "restart", {"epoch": event.epoch, "gains": gains_dict(event.running.gains), "gap": event.gap}
+        case RunningChanged() | Reverted():
+            kind = "reverted" if isinstance(event, Reverted) else "foreign"
+            return kind, {"gains": gains_dict(event.running.gains)}
+        case LeaseChanged() | VariableChanged():
+            return "lease" if isinstance(event, LeaseChanged) else "variable", asdict(event)
+        case ForeignHost():
+            return "foreign_host", {"commands": event.count}
+        case DeviceConflict():
+            return "conflict", {"node": event.node}
+        case SamplesLost():
+            return "lost", {"samples": event.count}
+        case CommandFailed():
+            return "command", {"command": event.command, "reason": event.reason}
+        case _:
+            raise TypeError(f"{type(event).__name__} is not an event that a session records")
+
+
+def abort_cause(event: Event) -> TrialEvent | None:
+    """Why an event ends an undecided trial; None when it does not. What samples tell, the retuner sees by itself."""
+    match event:
+        case LinkChanged():
+            return None if event.state is LinkState.UP else TrialEvent.LINK_LOST
+        case DeviceConflict():
+            return TrialEvent.LINK_LOST
+        case DeviceRestarted():
+            return TrialEvent.RESTARTED
+        case Reverted():
+            return TrialEvent.DEVICE_REVERTED
+        case RunningChanged():
+            return TrialEvent.OPERATOR_EDIT
+        case LeaseChanged():
+            return None if event.ours else TrialEvent.OPERATOR_EDIT
+        case WriteUnknown():
+            return TrialEvent.WRITE_UNKNOWN
+        case VariableChanged():  # nobody can say in which region its responses would be
+            return None if event.known else TrialEvent.LOST_TELEMETRY
+        case _:
+            return None
+
+
+# What enters the pure retuner beside samples, as the ledger keeps it: the rows from which a replay feeds it again.
+#
+# The session tells the retuner what happened and records a row of it at the same place in the order of samples. Here is
+# the way back, a line a kind of row; a kind that is not here told the retuner nothing.
+
+
+def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> Decision | None:
+    """Tell the retuner what a row says that it was told; the decision that this led to, if any.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        The row is not what a session writes.
+    """
+    match kind, body.get("why"):
+        case "committed", "retune":
+            retuner.committed(retuner.table.index(str(body["region"])), gains_of(body.get("stored") or body["gains"]))
+        case ("refused", "retune") | ("dropped", "retune"):
+            if body.get("unchanged", True):
+                retuner.not_written(retuner.table.index(str(body["region"])))
+        case "abort", _:
+            return retuner.abort(TrialEvent[str(body["cause"]).upper()])
+        case "restored", _:
+            retuner.restored()
+        case "pretune", _:
+            return pretune(retuner, retuner.table.index(str(body["region"])), record_of(body["record"]))
+        case "order", _:
+            return _order(retuner, body, t_s) if body["accepted"] and body["due"] else None
+        case _:
+            pass
+    return None
+
+
+def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:
+    """What a person ordered."""
+    region = retuner.table.index(str(body["region"]))
+    match body["order"]:
+        case "approve" if body["proposal"] is not None:
+            return approve(retuner, Proposal.from_dict(body["proposal"]), t_s)
+        case "approve":
+            accept(retuner, region, t_s)
+        case "revert":
+            return revert(retuner, region, gains_of(body["gains"]), t_s)
+        case "unlock":
+            unlock(retuner, region, t_s)
+        case _:
+            pass
+    return None
+
+
+def record_of(body: Mapping[str, Any]) -> Window:
+    """The record of a commanded step as rows keep it; errors as Window."""
+    return Window(*(np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co")))
+
+
+def gains_of(body: Mapping[str, Any]) -> PidGains:
+    """Gains as rows keep them: parallel form by name; errors as PidGains."""
+    return PidGains(float(body["kp"]), float(body["ki"]), float(body["kd"]))

@@ -1,0 +1,300 @@
+"""Where a session takes in what people order: looked at, recorded with who and why, then told to the retuner.
+
+Nothing is told that is not in the ledger first, and it is told by the function that a replay uses (retuner_events.py).
+What a person may refer to is what the session itself has shown: proposals by their hash, decisions by their number;
+and, at the start, the proposals and decisions of the session before it in the same folder.
+"""
+
+import hashlib
+from collections import deque
+from collections.abc import Iterable, Mapping, Reversible
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from retuner.adaptive.supervision.decision import Action, Decision, Mode, gains_dict
+from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.errors import LedgerError, one_line
+from retuner.ledger import Row
+from retuner.schedule.gains import PidGains
+from retuner.session.ledger_rows import feed, gains_of
+from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
+from retuner.session.outputs import LEDGER, ORDERS
+from retuner.session.recorded_session import believed_rows, canonical, without_place
+
+# What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
+#
+# Whether a proposal is still open is said here as far as the ledger goes; the session that takes the order looks again.
+# Of a region's proposals only the newest may be taken up: it knows more than those before it.
+
+
+SHORT = 8
+"""Hexadecimal digits of a hash by which people are told of a proposal."""
+
+
+class Change(NamedTuple):
+    """What a decision stood for: its region, and the gains before it."""
+
+    region: str
+    before: PidGains
+
+
+@dataclass(slots=True)
+class Shown:
+    """proposals : by hash. newest : hash of the newest proposal, by region. changes : by number of the decision.
+    tried : region by hash of the decision that changed it. waiting : hash of the change that has passed and waits for
+    a person, by region. in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row,
+    s. approved : hashes that were taken already. files : names of order files that it has dealt with.
+    """
+
+    proposals: dict[str, Proposal] = field(default_factory=dict)
+    newest: dict[str, str] = field(default_factory=dict)
+    changes: dict[int, Change] = field(default_factory=dict)
+    tried: dict[str, str] = field(default_factory=dict)
+    waiting: dict[str, str] = field(default_factory=dict)
+    in_force: dict[str, PidGains] = field(default_factory=dict)
+    last_s: float = 0.0
+    approved: set[str] = field(default_factory=set)
+    files: set[str] = field(default_factory=set)
+
+    def standing(self, proposal: Proposal, expires_after_s: float) -> Standing:
+        """Whether a proposal is open, as far as the ledger tells."""
+        return proposal.standing(self.in_force.get(proposal.region, proposal.before), self.last_s, expires_after_s)
+
+    def successor(self, proposal: Proposal) -> str:
+        """Hash of the newest proposal of its region, empty when it is the newest itself."""
+        newest = self.newest.get(proposal.region, "")
+        return "" if newest == proposal.digest else newest
+
+    def open(self, expires_after_s: float) -> list[Proposal]:
+        """The ones that could be taken up, were they not superseded, and nobody has approved yet, oldest first."""
+        return [p for p in self.proposals.values()
+                if p.digest not in self.approved and self.standing(p, expires_after_s) is Standing.OPEN]  # fmt: skip
+
+
+def superseded(successor: str) -> str:
+    """Why a proposal is not taken up that has a successor (its hash); empty without one."""
+    return f"a newer proposal of its region supersedes it: {successor[:SHORT]}" if successor else ""
+
+
+def shown(rows: Iterable[Row]) -> Shown:
+    """Read it off the rows of a ledger."""
+    found = Shown()
+    for row in rows:
+        found.last_s = max(found.last_s, row.clock_s)
+        body = row.body
+        if row.kind == "decision":
+            _decision(found, without_place(body))
+        elif row.kind == "committed" and body.get("why") == "retune":
+            found.in_force[str(body["region"])] = gains_of(body["gains"])
+        elif row.kind == "restore":
+            found.in_force[str(body["region"])] = gains_of(body["gains"])
+            found.waiting.pop(str(body["region"]), None)
+        elif row.kind == "judged" and body.get("trial") == TrialPhase.WAITING:
+            found.waiting[str(body["region"])] = _last_tried(found, str(body["region"]))
+        elif row.kind == "order":
+            _order(found, body)
+    return found
+
+
+def _last_tried(found: Shown, region: str) -> str:
+    """Hash of the newest change of a region."""
+    return next((digest for digest in reversed(found.tried) if found.tried[digest] == region), "")
+
+
+def _order(found: Shown, body: Mapping[str, Any]) -> None:
+    """One order that was dealt with."""
+    found.files.add(str(body.get("file")))
+    if body.get("accepted") is True:
+        found.approved.add(str(body.get("digest")))
+        if found.waiting.get(str(body.get("region"))) == body.get("digest"):
+            del found.waiting[str(body["region"])]
+
+
+def _decision(found: Shown, body: Mapping[str, Any]) -> None:
+    """One decision."""
+    number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
+    digest = hashlib.sha256(canonical(body)).hexdigest()
+    found.changes[number] = Change(region, before)
+    found.in_force[region] = before
+    if body["action"] == Action.ADVISE and body["gains_after"] is not None:
+        found.newest[region] = digest
+        found.proposals[digest] = Proposal(digest, number, region, float(body["t_s"]), before,
+                                           gains_of(body["gains_after"]), body.get("promise"))  # fmt: skip
+    elif body["action"] == Action.COMMIT:
+        found.tried[digest] = region
+
+
+class Recorder(Protocol):
+    """Keeps rows for good before it returns; session.py has the same."""
+
+    def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        """Record one row."""
+        ...
+
+
+class Waiting(NamedTuple):
+    """An order that waits until the loop is in its region: what is written must be seen to work. past_s : time of the
+    session before, which counts for what it had proposed.
+    """
+
+    region: str
+    body: dict[str, object]
+    past_s: float
+
+
+class Before(NamedTuple):
+    """Orders left for a session that has ended: its box, and what it had shown; trouble: why that is not known."""
+
+    box: OrderBox
+    shown: Shown
+    trouble: str = ""
+
+
+def left_before(folder: Path | None) -> Before | None:
+    """Orders that a session which was there before has left undone; None without one, or when there are none."""
+    if folder is None or not (folder / ORDERS).is_dir():
+        return None
+    try:
+        past = shown(believed_rows(folder / LEDGER))
+    except LedgerError as error:
+        return Before(OrderBox(folder), Shown(), str(error))
+    return Before(OrderBox(folder, past.files), past)
+
+
+class OrderDesk:
+    """Orders to one session.
+
+    Parameters
+    ----------
+    box : where orders lie. retuner : is told. record : keeps rows for good. decisions : of this session, as it goes on.
+    expires_after_s : how long a proposal may be approved after it was made. before : what was left before it.
+    """
+
+    def __init__(
+        self, box: OrderBox, retuner: Retuner, record: Recorder, decisions: Reversible[Decision],
+        expires_after_s: float, before: Before | None = None,
+    ) -> None:  # fmt: skip
+        self._box = box
+        self._retuner = retuner
+        self._record = record
+        self._decisions = decisions
+        self._expires_after_s = expires_after_s
+        self._before = before
+        self._queue: deque[tuple[Found, Before | None]] = deque()
+        self._waiting: list[Waiting] = []
+
+    def take(self, t_s: float) -> tuple[Decision, ...]:
+        """Take in the next order, one a turn, since each may want a write; the decision that follows, if one does."""
+        if self._before is not None:
+            before, self._before = self._before, None
+            self._queue += [(found, before) for found in before.box.take()]
+        self._queue += [(found, None) for found in self._box.take()]
+        here = next((order for order in self._waiting if self._is_here(order)), None)
+        decision = None
+        if here is not None:
+            self._waiting.remove(here)
+            decision = self._due(here, t_s)
+        elif self._queue:
+            decision = self._one(*self._queue.popleft(), t_s)
+        return (decision,) if decision is not None else ()
+
+    def _one(self, found: Found, before: Before | None, t_s: float) -> Decision | None:
+        """Record an order, then tell the retuner of it, or keep it until the loop is in its region."""
+        body: dict[str, object] = {"file": one_line(found.name)[:LONGEST], "accepted": False, "due": False}
+        if found.order is None:
+            self._record("order", t_s, {**body, "reason": found.refused})
+            return None
+        meant, reason = self._meant(found.order, before)
+        body |= {**found.order.to_dict(), **meant}
+        reason = reason or self._closed(str(body["region"]))
+        past_s = before.shown.last_s if before else 0.0
+        order = Waiting(str(body["region"]), {**body, "accepted": not reason, "reason": reason}, past_s)
+        if reason or self._is_here(order) or not (body.get("proposal") or body.get("gains")):
+            return self._due(order, t_s)
+        self._waiting.append(order)
+        self._record("order", t_s, {**order.body, "reason": f"waits until the loop is in {order.region}"})
+        return None
+
+    def _due(self, order: Waiting, t_s: float) -> Decision | None:
+        """Tell the retuner of an order, after it was recorded."""
+        body = {**order.body, "due": True}
+        proposal: Any = body.get("proposal")
+        if body["accepted"] and proposal:
+            standing = Proposal.from_dict(proposal).standing(
+                self._retuner.table.gains_of(order.region), order.past_s + t_s, self._expires_after_s
+            )
+            reason = str(standing) if standing is not Standing.OPEN else self._superseded(Proposal.from_dict(proposal))
+            if reason:
+                body |= {"accepted": False, "reason": reason}
+        self._record("order", t_s, body)
+        return feed(self._retuner, "order", body, t_s)
+
+    def _is_here(self, order: Waiting) -> bool:
+        """Whether the loop is in the order's region."""
+        region = self._retuner.region
+        return region is not None and self._retuner.table.regions.names[region] == order.region
+
+    def _meant(self, order: Order, before: Before | None) -> tuple[dict[str, object], str]:
+        """What an order means in full, and why it means nothing."""
+        if before is not None and before.trouble:
+            return {}, before.trouble
+        if order.kind is OrderKind.APPROVE:
+            return self._approved(order.digest, before)
+        if order.kind is OrderKind.REVERT:
+            change = self._change(order.decision, before)
+            if change is None:
+                return {}, f"no decision {order.decision} in that session"
+            return {"region": change.region, "gains": gains_dict(change.before)}, ""
+        return {}, self._closed(order.region) or self._not_at(order.region, TrialPhase.LOCKED)
+
+    def _change(self, number: int, before: Before | None) -> Change | None:
+        """What the decision of this number stood for."""
+        if before is not None:
+            return before.shown.changes.get(number)
+        found = (Change(d.region, d.gains_before) for d in self._decisions if d.number == number)
+        return next(found, None)
+
+    def _approved(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
+        """A proposal, or a change that has passed its trial and waits for a person."""
+        if before is not None:
+            past = before.shown.proposals.get(digest)
+            if past is None:
+                return {"proposal": None}, f"no proposal {digest[:8]} in that session"
+            reason = superseded(before.shown.successor(past)) or self._superseded(past)
+            return {"region": past.region, "proposal": past.to_dict()}, reason
+        decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
+        if decision is None:
+            return {"proposal": None}, f"no proposal {digest[:8]} in this session"
+        proposal = Proposal.of(decision)
+        if proposal is None:
+            reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
+            return {"region": decision.region, "proposal": None}, reason
+        return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
+
+    def _superseded(self, proposal: Proposal) -> str:
+        """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""
+        made = (d for d in reversed(self._decisions) if d.region == proposal.region and d.action is Action.ADVISE)
+        newest = next((one for one in map(Proposal.of, made) if one is not None), proposal)
+        return superseded("" if newest.digest == proposal.digest else newest.digest)
+
+    def _not_tried(self, decision: Decision) -> str:
+        """Why an approval finds nothing to release, empty when the decision is the region's newest change."""
+        changes = (d for d in reversed(self._decisions) if d.region == decision.region and d.action is Action.COMMIT)
+        named = next(changes, None) is decision
+        return "" if named else f"{decision.region} waits for a word on another change than this one"
+
+    def _not_at(self, region: str, phase: TrialPhase) -> str:
+        """Why an order finds nothing to do, empty when the region is in the phase that it is for."""
+        now = self._retuner.desk.phase(self._retuner.table.index(region))
+        return "" if now == phase else f"{region} is not {phase}, it is {now}"
+
+    def _closed(self, region: str) -> str:
+        """Why nothing may be ordered for a region, empty when it may."""
+        names = self._retuner.table.regions.names
+        if region not in names:
+            return f"there is no region {region or 'without a name'}; there are {', '.join(names)}"
+        off = self._retuner.settings.mode_of(names.index(region)) == Mode.OFF
+        return f"region {region} is off: nothing is written there" if off else ""

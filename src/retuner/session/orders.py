@@ -1,0 +1,217 @@
+"""What people want done, as files in a session's folder: orders/NAME.json, written whole, taken once.
+
+    approve : write a proposal, named by its hash          revert : back to the gains before a decision, in its region
+    unlock  : let a locked-out region change again
+
+A running session looks for them at its samples; without one, the next session into the same folder finds them. A taken
+file is moved to orders/taken/, one that is no order to orders/refused/: nothing that lies there can be taken again, and
+nothing in it is trusted before every field has been looked at. Who ordered what and when goes into the ledger.
+"""
+
+import contextlib
+import json
+import os
+import re
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from retuner.errors import UserError
+from retuner.files import write_whole
+from retuner.session.outputs import ORDERS
+
+TAKEN, REFUSED = "taken", "refused"
+LARGEST = 4096
+"""Bytes of an order file."""
+LONGEST = 200
+"""Characters of a text in it."""
+MOST_DECISIONS = 10**9
+"""Largest number of a decision."""
+MOST_AT_ONCE = 16
+"""Files looked at in one turn; the rest waits for the next one."""
+LOOK_ANYWAY = 32
+"""Turns after which the folder is listed even if its time has not changed: two files within one tick look like one."""
+HASH = re.compile(r"[0-9a-f]{64}")
+MOMENT = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
+
+
+class OrderKind(StrEnum):
+    """What is wanted."""
+
+    APPROVE = "approve"
+    REVERT = "revert"
+    UNLOCK = "unlock"
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """One order.
+
+    by : who. at : when, UTC, as 2030-01-31T12:00:00Z. note : why, may be empty. digest : of the decision that is
+    approved. decision : number of the one that is undone with all after it in its region. region : that is unlocked.
+
+    Raises
+    ------
+    ValueError
+        A field is missing for this kind, too long, or not of its form; the message names it.
+    """
+
+    kind: OrderKind
+    by: str
+    at: str
+    note: str = ""
+    digest: str = ""
+    decision: int = 0
+    region: str = ""
+
+    def __post_init__(self) -> None:
+        for name, text in (("by", self.by), ("note", self.note), ("region", self.region)):
+            if len(text) > LONGEST or not text.isprintable():
+                raise ValueError(f"{name} must be at most {LONGEST} characters that can be printed on one line")
+        if not self.by.strip():
+            raise ValueError("by is empty: an order names who gives it")
+        if not MOMENT.fullmatch(self.at):
+            raise ValueError("at must be a moment in UTC, as 2030-01-31T12:00:00Z")
+        if self.kind is OrderKind.APPROVE and not HASH.fullmatch(self.digest):
+            raise ValueError("digest must be the 64 hexadecimal digits of the proposal's hash")
+        if not (self.kind is OrderKind.REVERT) <= self.decision <= MOST_DECISIONS:
+            raise ValueError("decision must be the number of a decision, 1 or more")
+        if self.kind is OrderKind.UNLOCK and not self.region:
+            raise ValueError("region must name the region to unlock")
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values."""
+        return {"order": str(self.kind), "by": self.by, "at": self.at, "note": self.note, "digest": self.digest,
+                "decision": self.decision, "region": self.region}  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, body: Mapping[str, Any]) -> "Order":
+        """And back, every field of its kind.
+
+        Raises
+        ------
+        ValueError
+            A field is missing, unknown, or no value of its kind.
+        """
+        known = {"order": str, "by": str, "at": str, "note": str, "digest": str, "decision": int, "region": str}
+        if set(body) != set(known):
+            raise ValueError(f"fields must be {', '.join(known)}")
+        for name, kind in known.items():
+            if type(body[name]) is not kind:
+                raise ValueError(f"{name} must be {'text' if kind is str else 'a whole number'}")
+        if body["order"] not in tuple(OrderKind):
+            raise ValueError(f"order must be {', '.join(OrderKind)}")
+        return cls(OrderKind(body["order"]), body["by"], body["at"], body["note"], body["digest"], body["decision"],
+                   body["region"])  # fmt: skip
+
+
+def put_order(session: Path, order: Order) -> Path:
+    """Put an order into a session's folder, whole or not at all; its file.
+
+    Raises
+    ------
+    UserError
+        There are too many orders of this moment. OSError: the system refuses.
+    """
+    folder = session / ORDERS
+    folder.mkdir(exist_ok=True)
+    stem = f"{order.at.replace(':', '').replace('-', '')}-{order.kind}"
+    names = {path.name for path in (*folder.glob("*.json"), *folder.glob("*/*.json"))}
+    for number in range(1, 1000):
+        name = f"{stem}-{number:03d}.json"
+        if name not in names:
+            write_whole(folder / name, json.dumps(order.to_dict(), indent=2) + "\n")
+            return folder / name
+    raise UserError(f"{folder}: holds a thousand orders of this moment; wait a second")
+
+
+def read_order(path: Path) -> Order:
+    """The order in a file.
+
+    Raises
+    ------
+    ValueError
+        It is no plain file, too large, no JSON, or no order; the message says which.
+    OSError
+        It cannot be read.
+    """
+    state = path.lstat()
+    if not stat.S_ISREG(state.st_mode):
+        raise ValueError("is no plain file")
+    if state.st_size > LARGEST:
+        raise ValueError(f"has {state.st_size} bytes; an order has at most {LARGEST}")
+    with path.open("rb") as stream:
+        raw = stream.read(LARGEST + 1)
+    try:
+        body = json.loads(raw.decode("utf-8"))
+    except (ValueError, RecursionError):
+        raise ValueError("is no JSON document") from None
+    return Order.from_dict(body if isinstance(body, dict) else {})
+
+
+class Found(NamedTuple):
+    """A file in the folder: its name, and the order in it or why there is none."""
+
+    name: str
+    order: Order | None
+    refused: str
+
+
+class OrderBox:
+    """The orders of one session's folder.
+
+    Parameters
+    ----------
+    session : the folder; orders/ in it need not exist. done : names of files there that were dealt with before.
+    """
+
+    def __init__(self, session: Path, done: Iterable[str] = ()) -> None:
+        self._folder = session / ORDERS
+        self._text = str(self._folder)
+        self._changed = -1
+        self._turns = 0
+        self._more = False
+        self._done = set(done)
+
+    def take(self) -> list[Found]:
+        """Orders that came since the last call, oldest first; most turns cost one look at the folder's time."""
+        self._turns += 1
+        try:
+            changed = os.stat(self._text).st_mtime_ns  # noqa: PTH116  at every sample; a Path costs three times as much
+        except OSError:
+            return []
+        if changed == self._changed and not self._more and self._turns % LOOK_ANYWAY:
+            return []
+        self._changed = changed
+        names = sorted(self._waiting())
+        self._more = len(names) > MOST_AT_ONCE
+        return [self._one(name) for name in names[:MOST_AT_ONCE]]
+
+    def _waiting(self) -> Iterator[str]:
+        """Names of what lies there and is not half written; subfolders are where the taken ones are."""
+        with contextlib.suppress(OSError), os.scandir(self._text) as entries:
+            for entry in entries:
+                if not entry.name.startswith(".") and entry.name not in self._done | {TAKEN, REFUSED}:
+                    yield entry.name
+
+    def _one(self, name: str) -> Found:
+        """Read a file and put it away; what cannot be put away is remembered."""
+        self._done.add(name)
+        try:
+            found = Found(name, read_order(self._folder / name), "")
+        except ValueError as error:
+            found = Found(name, None, str(error))
+        except OSError as error:
+            found = Found(name, None, f"cannot be read: {error.strerror}")
+        self._put_away(name, TAKEN if found.order else REFUSED)
+        return found
+
+    def _put_away(self, name: str, where: str) -> None:
+        """Move a file out of the way."""
+        with contextlib.suppress(OSError):
+            (self._folder / where).mkdir(exist_ok=True)
+            (self._folder / name).rename(self._folder / where / name)
+            self._done.discard(name)

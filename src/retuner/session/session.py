@@ -1,0 +1,227 @@
+"""One loop under supervision: device events in, decisions and writes out, everything recorded before it takes effect.
+
+The same object serves simulated and real time: it is driven by `poll(now_s)` and never waits. What the controller shall
+run is gain_writer.py's business; here it is decided what ends a trial, and how a session ends: an undecided change is
+taken back first, for as long as patience lasts and the link holds.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.drivers.bus.link_faults import HOLDING, FaultNews
+from retuner.drivers.device import CommandDone, Device, Event, Reverted, WriteDone, WriteFailed
+from retuner.report.trend import Trend
+from retuner.schedule.table import GainTable
+from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
+from retuner.session.ledger_rows import HELD_BY, Recorder, abort_cause, trouble
+from retuner.session.scenario import ScenarioPlayer
+
+__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "SAME_GAINS", "Recorder", "Session"]
+
+DECISIONS_KEPT = 5000
+"""Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""
+UNSEEN_SAMPLES = 30
+"""Sample times without a sample after which nobody watches a trial any more, though the link may live."""
+END_PATIENCE_SAMPLES = 200
+"""Sample times that the end of a session waits for an open write and for the verified set to run again."""
+
+
+def no_orders(t_s: float) -> Iterable[Decision]:
+    """Nobody orders anything."""
+    del t_s
+    return ()
+
+
+class Session:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    device : the controller. retuner : watches it. scenario : what to do to it. record : keeps rows for good.
+    on_sample : told of every sample (progress).
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        retuner: Retuner,
+        scenario: ScenarioPlayer,
+        record: Recorder,
+        on_sample: Callable[[LoopSample], None] | None = None,
+    ) -> None:
+        self.device = device
+        self.retuner = retuner
+        self.scenario = scenario
+        self.trend = Trend(two=retuner.table.regions.second is not None)
+        self.decisions: deque[Decision] = deque(maxlen=DECISIONS_KEPT)
+        self.writer = GainWriter(device, retuner, record)
+        self._record = record
+        self._on_sample = on_sample
+        self.frozen = ""
+        self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
+        self.samples = 0  # seen so far: the place of a row in the order of events, for replay
+        self._stopping = ""
+        self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
+        self._broken = False
+        self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
+        self._ends_at_s: float | None = None  # when patience is over, once the end has begun
+        self._over = False
+        self.left_open = ""  # what the session could not bring to its end, in a sentence
+
+    @property
+    def table(self) -> GainTable:
+        """The gain table as it stands."""
+        return self.retuner.table
+
+    @property
+    def commits(self) -> list[tuple[float, int]]:
+        """Changes of the table: time and region."""
+        return self.writer.commits
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end has begun and neither a write is open nor a set to be restored, or patience is over."""
+        settled = not self.writer.open and not self.writer.restoring
+        return self._ends_at_s is not None and (settled or self._over)
+
+    def freeze(self, reason: str) -> None:
+        """Begin no write any more: what cannot be recorded must not be done, but the way back to the verified set.
+
+        A write under way goes to its end.
+        """
+        self.frozen = self.frozen or reason
+        self.writer.frozen = True
+
+    def stop(self, reason: str) -> None:
+        """Come to an end: an undecided change is taken back, and `finished` says when that is done."""
+        self._stopping = self._stopping or reason
+
+    def fail(self, reason: str) -> None:
+        """Come to an end after a defect: no sample is looked at any more, and the verified set comes back."""
+        self._broken = True
+        self.stop(reason)
+
+    def poll(self, now_s: float) -> int:
+        """Take what the device has to tell; returns the number of samples among it.
+
+        Raises
+        ------
+        DeviceError
+            Before the first connection: nobody answers, or the wrong controller does.
+        """
+        samples = 0
+        self._events += self.device.poll(now_s)
+        while self._events:
+            event = self._events.popleft()
+            if isinstance(event, LoopSample):
+                samples += 1
+                self._sampled_s = now_s
+                self._sample(event, now_s)
+            else:
+                self._event(event, now_s)
+        if now_s - self._sampled_s > UNSEEN_SAMPLES * self.retuner.settings.sample_time_s:
+            self._abort(TrialEvent.LOST_TELEMETRY)
+        self._end(now_s)
+        self.writer.keep(now_s)
+        return samples
+
+    def link_faults(self, news: Iterable[FaultNews]) -> None:
+        """Record what the link has to tell, and hold the adaptation where frames may be missing or stale."""
+        for fault, times in news:
+            self._record("bus", self.writer.t_s, {"fault": fault, "times": times})
+            if fault in HOLDING:
+                self.writer.hold(fault)
+
+    def _sample(self, sample: LoopSample, now_s: float) -> None:
+        """One sample of the loop: play the scenario, watch, decide."""
+        self.writer.t_s = sample.t_s
+        self.samples += 1
+        if self._broken:
+            return
+        for step in self.scenario.due(sample.t_s):
+            if step.sp is not None:
+                self.device.send_setpoint(step.sp, now_s)
+            if step.load is not None:
+                self.device.send_load(step.load, now_s)
+        decision = self.retuner.observe(sample)
+        if self.retuner.region is not None and self.device.running is not None:
+            self.trend.add(sample, self.retuner.region, self.device.running.gains)
+        if self._on_sample is not None:
+            self._on_sample(sample)
+        if decision is not None:
+            self._decided(decision)
+        if self.writer.free:
+            for ordered in self.orders(sample.t_s):
+                self._decided(ordered)
+
+    def _decided(self, decision: Decision) -> None:
+        """Record a decision; what it wants written waits for the wire."""
+        self.decisions.append(decision)
+        self._record("decision", decision.t_s, decision.to_dict())
+        judged = decision.judgement
+        if judged is not None:
+            self._record(
+                "judged", decision.t_s, {"region": decision.region, **judged.to_dict(), "trial": decision.trial}
+            )
+        if decision.action == Action.RESTORE and decision.gains_after is not None:
+            body = {"region": decision.region, "cause": decision.code.removeprefix("undo_"), "reason": decision.reason,
+                    "gains": gains_dict(decision.gains_after), "decision": decision.digest()}  # fmt: skip
+            self._record("restore", decision.t_s, body)
+        elif decision.action == Action.COMMIT:
+            self.writer.ask(decision)
+
+    def _event(self, event: Event, now_s: float) -> None:
+        """Everything that is not a sample."""
+        match event:
+            case WriteDone():
+                self.writer.done(event)
+            case WriteFailed():
+                self._abort(self.writer.failed(event, now_s))
+            case CommandDone():
+                pass
+            case _:
+                if isinstance(event, Reverted):  # it was not confirmed in time: no hurry to write it again
+                    self.writer.wait()
+                kind, body = trouble(event)
+                self._record(kind, self.writer.t_s, body)
+                if isinstance(event, HELD_BY):
+                    self.writer.hold(kind)
+                self._abort(abort_cause(event))
+
+    def _abort(self, cause: TrialEvent | None) -> None:
+        """End every undecided trial, if there is a cause and a trial: recorded, then the verified sets come back."""
+        if cause is None or not self.retuner.desk.undecided:
+            return
+        self._record("abort", self.writer.t_s, {"cause": cause.name.lower(), "reason": str(cause)})
+        decision = self.retuner.abort(cause)
+        if decision is not None:
+            self._decided(decision)
+
+    def _end(self, now_s: float) -> None:
+        """Begin the end when it is time; end the wait when patience is over, and say what is left open."""
+        if self._ends_at_s is None:
+            if not (self.scenario.finished or self.frozen or self._stopping):
+                return
+            self.writer.frozen = True
+            self._ends_at_s = now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s
+        self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
+        if now_s >= self._ends_at_s and not self._over and not self.finished:
+            self._over = True
+            self.tell_what_is_open()
+
+    def tell_what_is_open(self) -> None:
+        """Record that the session ends without knowing that the verified set runs, if it is so."""
+        desk = self.retuner.desk
+        if not self.left_open and (self.writer.open or desk.busy):
+            self.left_open = "the controller has not reported that it runs the verified gains"
+            running = self.device.running
+            names = self.table.regions.names
+            body = {"regions": [names[region] for region in (*desk.undecided, *desk.restoring)],
+                    "write_open": self.writer.open, "running": gains_dict(running.gains) if running else None,
+                    "reason": self.left_open}  # fmt: skip
+            self._record("unrestored", self.writer.t_s, body)

@@ -1,0 +1,82 @@
+"""What a run was made with: enough to do it again, and to say for which versions byte identity may be claimed.
+
+The same frames give the same decisions byte for byte where all of this is equal: linear algebra libraries round
+differently from release to release and from processor to processor.
+"""
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from retuner import adaptive, drivers, schedule
+from retuner.config.loading import text_as_run
+from retuner.config.model import Config
+
+ROOMS = (schedule, adaptive, drivers)
+"""The code that lies between frames and decisions."""
+PACKAGES = ("retuner", "numpy", "scipy", "filterpy", "python-can", "cantools")
+"""What the way from frames to decisions goes through."""
+BLOCK = 1 << 20  # bytes read at a time
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything between frames and decisions, by name; code: a hash of the rooms' own, which tells more
+    than the number of a release.
+    """
+    made_with = {name: version(name) for name in PACKAGES}
+    return {**made_with, "code": code(), "python": platform.python_version(), "system": platform.system(),
+            "machine": platform.machine()}  # fmt: skip
+
+
+def code() -> str:
+    """The first 12 digits of a SHA-256 over the source of the rooms."""
+    digest = hashlib.sha256()
+    for room in ROOMS:
+        folder = Path(next(iter(room.__path__)))
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def differences(recorded: Mapping[str, str]) -> list[str]:
+    """Which versions are others here, in words; empty when all are equal."""
+    here = versions()
+    names = sorted({*recorded, *here})
+    return [
+        f"{name} {recorded.get(name, 'none')} then, {here.get(name, 'none')} here"
+        for name in names
+        if recorded.get(name) != here.get(name)
+    ]
+
+
+def session_identity(
+    config: Config, text: str, changes: Mapping[tuple[str, str], str | bool]
+) -> tuple[str, dict[str, object]]:
+    """The configuration as it is run, as text, and what a session's first row says of all that it is made with.
+
+    config : as read, with the bus that is meant. text : as its author wrote it. changes : (section, key) to its value,
+    as the command line has it.
+    """
+    mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
+    as_run = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
+    text = text_as_run(text, as_run, changes)
+    return text, {
+        "versions": versions(),
+        "seed": config.device.seed if config.device else None,
+        "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "overrides": {".".join(place): value for place, value in changes.items()},
+    }
+
+
+def file_sha256(path: Path) -> str | None:
+    """SHA-256 of a file, None when it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as stream:
+            while block := stream.read(BLOCK):
+                digest.update(block)
+    except OSError:
+        return None
+    return digest.hexdigest()

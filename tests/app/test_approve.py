@@ -1,0 +1,293 @@
+"""People's orders: approve, the way back, the lock; to a running session and to the next one; all of it replayed."""
+
+import json
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.cli import main
+from retuner.commands import run as run_command
+from retuner.commands.approve import Desk
+from retuner.config import load_config
+from retuner.session.running import Run
+from retuner.session.session import Session
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import SHORT, bodies, run_short
+
+BY = ["--by", "Ada", "--note", "as discussed"]
+
+
+class Person:
+    """Someone at another terminal: gives orders while a run goes on, each at a sample after a condition holds."""
+
+    def __init__(self, folder: Path, orders: list[tuple[str, Any]]) -> None:
+        self.folder, self.orders = folder, orders
+        self.statuses: list[int] = []
+
+    def watch(self, session: Session, sample: LoopSample) -> None:
+        """Called at every sample."""
+        if not self.orders:
+            return
+        what, when = self.orders[0]
+        if not when(session, sample):
+            return
+        self.orders.pop(0)
+        if what == "manual":
+            session.device.send_mode(auto=False, co=30.0, now_s=sample.t_s)
+        elif what == "auto":
+            session.device.send_mode(auto=True, co=0.0, now_s=sample.t_s)
+        elif what == "accept":
+            (waiting,) = Desk(self.folder).shown.waiting.values()
+            self.statuses.append(main(["approve", str(self.folder), waiting[:8], *BY]))
+        elif what == "approve":
+            asked = session.decisions[-1].digest()[:8]
+            self.statuses.append(main(["approve", str(self.folder), asked, *BY]))
+        else:
+            self.statuses.append(main(["ledger", "revert", str(self.folder), "--decision", "1", *BY]))
+
+
+def advised(session: Session, sample: LoopSample) -> bool:
+    del sample
+    return any(d.action == "advise" for d in session.decisions)
+
+
+def written(session: Session, sample: LoopSample) -> bool:
+    return bool(session.commits) and sample.t_s > session.commits[-1][0] + 2.0
+
+
+@pytest.fixture
+def with_person(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """`retuner run` of the short loop with a person who gives orders."""
+
+    def run(orders: list[tuple[str, Any]], *arguments: str) -> tuple[Path, Person]:
+        person = Person(tmp_path / "run", orders)
+
+        class Watched(Run):
+            def _sampled(self, sample: LoopSample) -> None:
+                super()._sampled(sample)
+                assert self.session is not None
+                person.watch(self.session, sample)
+
+        monkeypatch.setattr(run_command, "Run", Watched)
+        run_short(tmp_path, *arguments)
+        monkeypatch.undo()
+        return person.folder, person
+
+    return run
+
+
+def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(
+    with_person: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, person = with_person([("approve", advised)])
+    assert person.statuses == [0]
+    assert "the running session takes it" in capsys.readouterr().out
+    (order,) = bodies(folder, "order")
+    assert (order["by"], order["note"], order["accepted"], order["due"]) == ("Ada", "as discussed", True, True)
+    decisions = bodies(folder, "decision")
+    approved = next(d for d in decisions if d["code"] == "approved")
+    assert approved["action"] == "commit"
+    assert approved["gains_after"] == order["proposal"]["after"]
+    committed = bodies(folder, "committed")
+    assert committed[0]["gains"]["kp"] == pytest.approx(approved["gains_after"]["kp"], rel=1e-6)
+    assert not list((folder / "orders").glob("*.json"))
+    assert len(list((folder / "orders" / "taken").glob("*.json"))) == 1
+    assert main(["replay", str(folder)]) == 0
+    assert "identical" in capsys.readouterr().out
+
+
+def test_the_way_back_is_taken_and_replayed(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, person = with_person([("revert", written)], "--mode", "auto")
+    assert person.statuses == [0]
+    (order,) = bodies(folder, "order")
+    assert order["order"] == "revert"
+    assert order["accepted"] is True
+    first = bodies(folder, "decision")[0]
+    last = bodies(folder, "committed")
+    assert any(row["gains"]["kp"] == pytest.approx(first["gains_before"]["kp"]) for row in last[1:])
+    assert main(["replay", str(folder)]) == 0
+    assert "identical" in capsys.readouterr().out
+
+
+def on_trial(session: Session, sample: LoopSample) -> bool:
+    return written(session, sample) and session.retuner.desk.phase(0) == TrialPhase.TRIAL
+
+
+def in_manual(session: Session, sample: LoopSample) -> bool:
+    del sample
+    return session.retuner.desk.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
+
+
+def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(
+    with_person: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = with_person([("approve", advised), ("manual", on_trial), ("auto", in_manual)])
+    decisions = bodies(folder, "decision")
+    codes = [d["code"] for d in decisions]
+    assert codes.index("approved") < codes.index("undo_manual")
+    undone = decisions[codes.index("undo_manual")]
+    assert undone["action"] == "restore"
+    assert undone["gains_after"]["kp"] == pytest.approx(5.0)
+    restored = bodies(folder, "restored")
+    assert restored[0]["gains"]["kp"] == pytest.approx(5.0)
+    capsys.readouterr()
+    first = main(["replay", str(folder), "--json"]), capsys.readouterr().out
+    assert first[0] == 0
+    assert json.loads(first[1])["compared"] == len(decisions)
+    assert (main(["replay", str(folder), "--json"]), capsys.readouterr().out) == first
+
+
+def waits(session: Session, sample: LoopSample) -> bool:
+    del sample
+    return bool(session.decisions) and session.decisions[-1].trial == TrialPhase.WAITING
+
+
+def test_a_change_that_was_tried_waits_for_a_person(with_person: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, person = with_person([("accept", waits)], "--mode", "trial")
+    assert person.statuses == [0]
+    (order,) = bodies(folder, "order")
+    assert (order["accepted"], order["due"], order["proposal"]) == (True, True, None)
+    assert bodies(folder, "judged")[0]["trial"] == TrialPhase.WAITING
+    assert main(["approve", str(folder), order["digest"][:9]]) == 1
+    assert "approved before" in capsys.readouterr().out
+    assert main(["replay", str(folder)]) == 0
+
+
+def test_an_order_for_an_ended_session_is_taken_by_the_next_one_and_only_once(
+    with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = with_person([])
+    capsys.readouterr()
+    assert main(["approve", str(folder), "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["proposals"]
+    assert listed
+    assert main(["approve", str(folder), listed[-1]["hash"][:12], *BY]) == 0
+    assert "the next run with --out" in capsys.readouterr().out
+    with_person([])
+    assert (tmp_path / "run-1" / "orders" / "taken").is_dir()
+    (order,) = bodies(folder, "order")
+    assert order["accepted"] is True
+    assert order["proposal"]["digest"] == listed[-1]["hash"]
+    decisions = bodies(folder, "decision")
+    assert decisions[0]["code"] == "approved"
+    assert decisions[0]["gains_after"] == listed[-1]["gains_after"]
+    assert bodies(folder, "committed")[0]["why"] == "retune"
+    assert main(["replay", str(folder)]) == 0
+    assert "identical" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def advice(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An ended session with open proposals."""
+    return run_short(tmp_path_factory.mktemp("advice"))
+
+
+@pytest.fixture
+def copy(advice: Path, tmp_path: Path) -> Path:
+    shutil.copytree(advice, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["1234567"], "at least 8"), (["zzzzzzzz"], "at least 8"), (["00000000"], "no proposal begins like this"),
+        (["--unlock", "nowhere"], "there is no such region; there are all"),
+        (["00000000", "--unlock", "all"], "names a region"), (["--by", "x\ny", "--unlock", "all"], "by must be"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_approved_is_one_line(
+    copy: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["approve", str(copy), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error
+    assert not (copy / "orders").exists()
+
+
+def test_a_hash_says_no_when_its_proposal_has_ended(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = copy / "config.toml"
+    config.write_text(config.read_text().replace("[adaptation]", "[adaptation]\napproval_s = 1.0"))
+    capsys.readouterr()
+    assert main(["approve", str(copy), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["proposals"] == []
+    first = bodies(copy, "decision")[0]
+    first.pop("samples")
+    digest = digest_of(first)
+    assert main(["approve", str(copy), digest[:10], "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["approved"] is None
+    assert "expired" in told["reason"]
+
+
+def digest_of(document: dict[str, Any]) -> str:
+    from hashlib import sha256
+
+    from retuner.session.recorded_session import canonical
+
+    return sha256(canonical(document)).hexdigest()
+
+
+def test_a_revert_names_a_decision_that_is_there(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ledger", "revert", str(copy), "--decision", "99"]) == 2
+    assert "no such decision" in capsys.readouterr().err
+    assert main(["ledger", "revert", str(copy), "--to", "1", "--json", *BY]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["gains"]["kp"] == pytest.approx(5.0)
+    assert json.loads(Path(told["file"]).read_text())["decision"] == 1
+
+
+def test_what_is_no_order_is_refused_with_a_row_and_nothing_else_happens(
+    with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def litter(session: Session, sample: LoopSample) -> bool:
+        del session
+        if sample.t_s > 20.0 and not (tmp_path / "run" / "orders").exists():
+            orders = tmp_path / "run" / "orders"
+            orders.mkdir()
+            (orders / "huge.json").write_bytes(b" " * 5000)
+            (orders / "foreign.txt").write_text("hello")
+            (orders / "list.json").write_text("[1, 2]")
+            (orders / "folder.json").mkdir()
+            (orders / ".half.tmp").write_text("{")
+        return False
+
+    folder, _ = with_person([("none", litter)])
+    rows = bodies(folder, "order")
+    assert sorted(row["file"] for row in rows) == ["folder.json", "foreign.txt", "huge.json", "list.json"]
+    assert all(row["accepted"] is False and row["reason"] for row in rows)
+    assert bodies(folder, "committed") == []
+    assert main(["replay", str(folder)]) == 0
+    del capsys
+
+
+def test_an_approval_of_a_session_that_is_off_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "short.toml").write_text(SHORT)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    rows: list[tuple[str, dict[str, Any]]] = []
+
+    def record(kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        assert t_s >= 0
+        rows.append((kind, dict(body)))
+
+    run = Run(load_config(tmp_path / "short.toml"), record, mode=Mode.OFF, folder=folder)
+    (folder / "orders").mkdir()
+    order = {"order": "unlock", "by": "Ada", "at": "2030-01-31T12:00:00Z", "note": "", "digest": "", "decision": 0,
+             "region": "all"}  # fmt: skip
+    (folder / "orders" / "one.json").write_text(json.dumps(order))
+    run.simulated()
+    told = [body for kind, body in rows if kind == "order"]
+    assert len(told) == 1
+    assert told[0]["accepted"] is False
+    assert "off" in told[0]["reason"]

@@ -1,0 +1,258 @@
+"""retuner diagnose and identify on records: the JSON contract, the words, the pictures, what a record lacks."""
+
+import json
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from retuner import api
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.enough_data import shortcomings
+from retuner.adaptive.indexes.screening import screen
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import Window
+from retuner.cli import main
+from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, renamed
+from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
+from retuner.errors import UserError
+from retuner.tuning import tune
+
+SERVO = Path(__file__).parents[1] / "data" / "servo" / "pid_step.csv"
+HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
+PNG = b"\x89PNG\r\n\x1a\n"
+Capture = pytest.CaptureFixture[str]
+KEYS = {"cause", "confidence", "retune", "evidence", "gains", "form", "margins", "reason", "gains_in_force", "model",
+        "std", "identifiable", "notes"}  # fmt: skip
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
+    """A double of the diagnosis that notes what it was asked; aggressive when it is told the gains, else unknown."""
+    calls: list[dict] = []
+
+    def double(window, *, gains=None, co_min=None, co_max=None):
+        calls.append({"window": window, "gains": gains, "co_min": co_min, "co_max": co_max})
+        if gains is None:
+            nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the settings in force are not known")
+            return SimpleNamespace(diagnosis=nothing, settings=None, estimate=None, fits={})
+        told = Diagnosis(Cause.AGGRESSIVE, 0.97, {"ms": 3.1, "gm": float("inf")}, "Ms 3.10 is over 1.8")
+        cure = tune(ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 3.0))
+        return SimpleNamespace(diagnosis=told, settings=cure, estimate=None, fits={"linear": window.pv[::2]})
+
+    monkeypatch.setattr(api, "diagnose_record", double, raising=False)
+    return calls
+
+
+def loop(path: Path, n: int = 400, noise: float = 0.02, kc: float = 2.0, **spoilt: np.ndarray) -> Path:
+    """PI with Kc 2, tau_I 20 s on a lag of 20 s, gain 1, dead time 3 s, sampled every second, setpoint steps."""
+    rng = np.random.default_rng(1)
+    sp = np.where((np.arange(n) // 100) % 2 == 0, 10.0, 12.0)
+    pv, co = np.zeros(n), np.zeros(n)
+    x, integral, queue = 10.0, 10.0, [10.0] * 3
+    for i in range(n):
+        pv[i] = x + noise * rng.normal()
+        co[i] = kc * (sp[i] - pv[i]) + integral
+        integral += kc / 20 * (sp[i] - pv[i])
+        queue.append(co[i])
+        x += (queue.pop(0) - x) / 20
+    columns = {"t": np.arange(float(n)), "sp": sp, "pv": pv, "co": co, **spoilt}
+    np.savetxt(path, np.stack(list(columns.values()), axis=1), delimiter=",", header=",".join(columns), comments="")
+    return path
+
+
+def answer(capsys: Capture, *arguments: str, status: int = 0) -> dict:
+    assert main([*arguments, "--json"]) == status
+    found = capsys.readouterr()
+    assert found.err == ""
+    return json.loads(found.out)
+
+
+def refused(capsys: Capture, *arguments: str) -> str:
+    assert main(list(arguments)) == 2
+    found = capsys.readouterr()
+    assert found.out == ""
+    assert found.err.count("\n") == 1
+    return found.err
+
+
+@pytest.mark.parametrize(("kc", "cause"), [(7.0, "aggressive"), (0.5, "sluggish"), (3.0, "ok")])
+def test_the_whole_way_from_a_file_to_a_cause(tmp_path, capsys, kc, cause):
+    """No double: settings read off the record, rivals fitted, margins judged."""
+    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", kc=kc)), "--co-min", "-50", "--co-max", "100")
+    assert found["cause"] == cause
+    assert found["retune"] == (cause != "ok")
+    assert found["gains_in_force"]["forms"]["series"]["kc"] == pytest.approx(kc, rel=0.05)
+    assert found["model"]["theta"] + found["model"]["tau2"] == pytest.approx(3.0, abs=0.8)
+    if found["retune"]:
+        assert 2.0 < found["gains"]["kc"] < 4.5
+        assert found["margins"]["ms"] < 1.8
+    else:
+        assert found["gains"] is None
+
+
+def test_json_has_its_keys_and_gains_only_where_a_retune_is_right(tmp_path, capsys, asked):
+    path = str(loop(tmp_path / "a.csv"))
+    found = answer(capsys, "diagnose", path, "--kc", "2", "--tau-i", "20", "--co-min", "0", "--co-max", "100")
+    assert set(found) == KEYS
+    assert (found["cause"], found["confidence"], found["retune"]) == ("aggressive", 0.97, True)
+    assert found["gains"]["tau_i"] == pytest.approx(20.0)
+    assert found["form"] == "series"
+    assert found["margins"]["ms"] < 1.7
+    assert found["evidence"]["ms"] == 3.1
+    assert found["evidence"]["gm"] is None  # infinite
+    assert found["evidence"]["setpoint_steps"] == 3
+    assert found["gains_in_force"] == {"source": "given", "parallel": {"kp": 2.0, "ki": 0.1, "kd": 0.0}}
+    assert (asked[0]["co_min"], asked[0]["co_max"]) == (0.0, 100.0)
+
+
+def test_settings_in_force_are_read_off_the_record_when_they_are_not_given(tmp_path, capsys, asked):
+    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv")))
+    assert asked[0]["gains"].kp == pytest.approx(2.0, abs=0.06)
+    assert asked[0]["gains"].ki == pytest.approx(0.1, rel=1e-3)
+    assert found["gains_in_force"]["source"] == "record"
+    assert found["gains_in_force"]["forms"]["ideal"]["tau_i"] == pytest.approx(20, rel=0.05)
+    assert found["gains_in_force"]["explained"] > 0.999
+
+
+def test_unknown_is_status_1_with_its_json_and_no_gains(tmp_path, capsys, asked):
+    noise = np.random.default_rng(3).normal(size=400)
+    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", co=noise)), status=1)
+    assert asked[0]["gains"] is None
+    assert (found["cause"], found["retune"], found["gains"], found["margins"]) == ("unknown", False, None, None)
+    assert "explain" in found["gains_in_force"]["reason"]
+
+
+@pytest.mark.usefixtures("asked")
+def test_a_dead_signal_is_named(tmp_path, capsys):
+    found = answer(capsys, "diagnose", str(loop(tmp_path / "a.csv", pv=np.full(400, 3.5e-44))), status=1)
+    assert any("dead signal" in note for note in found["notes"])
+    assert found["gains"] is None
+
+
+def test_open_loop_records_have_no_controller(capsys, asked):
+    found = answer(capsys, "diagnose", str(HEATER), "--open-loop", status=1)
+    assert found["gains_in_force"] is None
+    assert asked[0]["gains"] is None
+    assert "exclude" in refused(capsys, "diagnose", str(HEATER), "--open-loop", "--kc", "1")
+
+
+@pytest.mark.usefixtures("asked")
+def test_it_reads_well(tmp_path, capsys):
+    assert main(["diagnose", str(loop(tmp_path / "a.csv")), "--plot", str(tmp_path / "a.png")]) == 0
+    shown = capsys.readouterr().out
+    first = shown.splitlines()[0]
+    assert first == "AGGRESSIVE (confidence 97%): Ms 3.10 is over 1.8"
+    assert "settings in force: Kc 1.95 tau_I 19.5 s, read off the record" in shown
+    assert "settings that would cure it:" in shown
+    assert "overshoot of setpoint responses" in shown
+    assert (tmp_path / "a.png").read_bytes().startswith(PNG)
+    assert "no change of settings" not in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--co-min", "5", "--co-max", "5"], "--co-min 5 is not below --co-max 5"),
+        (["--co-min", "nan"], "--co-min nan: give a finite number"),
+        (["--co-max", "1"], "--co-max 1: co runs from"),
+        (["--tau-i", "20"], "need --kc"),
+        (["--kc", "0"], "kc = 0"),
+        (["--plot", "a.svg"], "ends in .png"),
+        (["--columns", "x=1"], "roles are t, sp, pv, co"),
+        (["--columns", "pv=nothing"], 'no column "nothing"'),
+    ],
+)
+@pytest.mark.usefixtures("asked")
+def test_wrong_options_are_refused_by_both_commands(tmp_path, capsys, arguments, message):
+    path = str(loop(tmp_path / "a.csv"))
+    for command in ("diagnose", "identify"):
+        assert message in refused(capsys, command, path, *arguments)
+
+
+@pytest.mark.parametrize("command", ["diagnose", "identify"])
+def test_records_too_short_for_anything_are_refused(tmp_path, capsys, command):
+    message = refused(capsys, command, str(loop(tmp_path / "a.csv", n=19)))
+    assert "19 samples say nothing of a loop; give at least 20" in message
+
+
+def test_shared_options_are_read_once_for_both_commands(tmp_path):
+    path = loop(tmp_path / "a.csv")
+    assert read_loop(path, RecordOptions()).sp is not None
+    assert controller(RecordOptions()) is None
+    assert renamed("pv=temp, co=out") == {"pv": "temp", "co": "out"}
+    with pytest.raises(UserError, match="each role once"):
+        renamed("pv=a,pv=b")
+
+
+def test_identify_draws_its_record(tmp_path, capsys):
+    picture = tmp_path / "heater.png"
+    assert main(["identify", str(HEATER), "--open-loop", "--plot", str(picture)]) == 0
+    assert picture.read_bytes().startswith(PNG)
+    assert "settings that follow" in capsys.readouterr().out
+
+
+def test_identify_takes_the_limits_of_co(tmp_path, capsys):
+    """co was recorded as the controller wished it; the valve stood at its limit."""
+    n = 400
+    wish = np.where((np.arange(n) // 80) % 2 == 0, 0.0, 30.0)
+    pv, x = np.zeros(n), 0.0
+    rng = np.random.default_rng(2)
+    for i in range(n):
+        pv[i] = x + 0.02 * rng.normal()
+        x += (1 - np.exp(-1 / 20)) * (2.0 * min(wish[i - 4] if i >= 4 else 0.0, 10.0) - x)
+    path = str(loop(tmp_path / "a.csv", pv=pv, co=wish))
+    free = answer(capsys, "identify", path, "--open-loop")
+    limited = answer(capsys, "identify", path, "--open-loop", "--co-max", "10")
+    assert free["model"]["k"] == pytest.approx(2 / 3, rel=0.02)
+    assert limited["model"]["k"] == pytest.approx(2.0, rel=0.02)
+
+
+def test_what_a_record_lacks_is_said_with_what_would_be_needed():
+    t = np.arange(60.0)
+    wave = np.sin(2 * np.pi * t / 5)
+    record = Window(t, np.zeros(60), wave, -wave)
+    found = shortcomings(record, screen(record))
+    assert any("60 samples are little: 100" in sentence for sentence in found)
+    assert any("sample every 0.5 s or faster" in sentence for sentence in found)
+    coarse = ProcessModel(ProcessType.FOPDT, 1.0, 2.0, 0.0, 1.0)
+    assert (
+        "the lag of the process, 2 s, has 2.0 samples: sample every 0.5 s"
+        in shortcomings(record, screen(record), coarse)[-1]
+    )
+    fine = Window(np.arange(1000.0), np.zeros(1000), np.sin(np.arange(1000) / 9), np.cos(np.arange(1000) / 9))
+    assert shortcomings(fine, screen(fine), ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 5.0)) == ()
+
+
+def test_words_for_numbers_known_and_unknown():
+    lines = "\n".join(
+        evidence_lines(
+            {
+                "period_s": 40.0,
+                "regularity": 3.0,
+                "ms": 2.5,
+                "linear_left": 1.2,
+                "some_number": -3.2,
+                "offset": 0.2,
+                "quantum_pv": 0.0,
+            }
+        )
+    )
+    assert "oscillation period" in lines
+    assert "40 s" in lines
+    assert "1.2 x noise" in lines
+    assert "some number" in lines
+    assert "mean error" not in lines
+    irregular = {"period_s": 40.0, "regularity": 0.4, "jump_share": 0.3}
+    assert "period" not in "\n".join(evidence_lines(irregular))
+    assert value_text("gm", float("inf")) == "none"
+    assert value_text("tone_share", 0.5) == "50.0%"
+    assert {name for names in GROUPS.values() for name in names} <= set(WORDS)
+
+
+def test_the_page_of_the_indexes_is_what_the_glossary_says():
+    root = Path(__file__).parents[2]
+    page = runpy.run_path(str(root / "scripts" / "document_indexes.py"))["page"]()
+    assert (root / "docs" / "indexes.md").read_text() == page, "run: python scripts/document_indexes.py"

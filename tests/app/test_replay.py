@@ -1,0 +1,245 @@
+"""retuner replay of a session: the same bytes again, and every way in which it cannot be, told in one line."""
+
+import json
+import re
+import shutil
+import sqlite3
+import sys
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from retuner.cli import main
+from retuner.drivers.recorded.frame_log import read_frames
+from retuner.ledger.chain import Row
+from retuner.replay.replaying import first_difference
+from retuner.session import session_identity
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import SHORT, bodies, rewritten, run_short
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in which gains are changed."""
+    folder = run_short(tmp_path_factory.mktemp("replay"), "--mode", "auto")
+    assert len(bodies(folder, "committed")) >= 1
+    return folder
+
+
+def replayed(session: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    capsys.readouterr()
+    status = main(["replay", str(session), "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def without_end(row: Row) -> dict[str, Any] | None:
+    return None if row.kind == "end" else row.body
+
+
+def test_a_session_is_decided_again_byte_for_byte(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, found = replayed(session, capsys)
+    assert (status, found["identical"], found["first_difference"]) == (0, True, None)
+    recorded = bodies(session, "decision")
+    assert found["compared"] == len(recorded) >= 2
+    assert found["decisions"] == [{k: v for k, v in body.items() if k != "samples"} for body in recorded]
+    assert found["samples"] == bodies(session, "end")[0]["samples"] >= 800
+
+
+def test_the_configuration_is_kept_as_it_was_run(session: Path) -> None:
+    text = (session / "config.toml").read_text()
+    assert 'mode = "auto"  # by the command line; the file says: mode = "advise"' in text
+    changed = [then for now, then in zip(text.splitlines(), SHORT.splitlines(), strict=True) if now != then]
+    assert changed == ['mode = "advise"  # the command line may say more']
+    first = bodies(session, "session")[0]
+    assert first["overrides"] == {"adaptation.mode": "auto"}
+    assert first["seed"] == 3
+    assert set(first["versions"]) == set(session_identity.versions())
+
+
+def test_the_session_of_the_kept_configuration_is_the_same_again(session: Path, tmp_path: Path) -> None:
+    assert main(["run", str(session / "config.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0
+    assert bodies(tmp_path / "run", "decision") == bodies(session, "decision")
+    assert bodies(tmp_path / "run", "end") == bodies(session, "end")
+
+
+def test_another_decision_is_named_with_key_and_both_values(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def worse(row: Row) -> dict[str, Any]:
+        body = row.body
+        if row.kind == "decision":
+            body["verdict" if body["verdict"] else "diagnosis"] = {"forged": 1}
+        return body
+
+    forged = rewritten(session, tmp_path / "forged", worse)
+    capsys.readouterr()
+    assert main(["replay", str(forged)]) == 1
+    assert re.search(
+        r"different: decision 1 \(row \d+\), verdict\.\w+: recorded .*, replayed ", capsys.readouterr().out
+    )
+
+
+def test_a_decision_too_few_or_too_many_is_a_difference(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = rewritten(session, tmp_path / "few", lambda r: None if r.kind == "decision" else r.body)
+    status, found = replayed(few, capsys)
+    assert status == 1
+    assert found["identical"] is False
+    assert found["first_difference"]["recorded"] == "nothing"
+    many = rewritten(session, tmp_path / "many", lambda r: {**r.body, "samples": 5} if r.kind == "decision" else r.body)
+    assert replayed(many, capsys)[0] == 1
+
+
+def test_an_event_that_was_taken_away_shows(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    forged = rewritten(session, tmp_path / "forged", lambda r: None if r.kind == "committed" else r.body)
+    status, found = replayed(forged, capsys)
+    assert status == 1
+    assert found["first_difference"]["decision"] == 2
+
+
+def test_other_versions_are_named_where_the_decisions_differ(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def older(row: Row) -> dict[str, Any]:
+        body = row.body
+        if row.kind == "session":
+            body["versions"]["numpy"] = "0.1"
+        if row.kind == "decision":
+            body["records"] = 77
+        return body
+
+    assert main(["replay", str(rewritten(session, tmp_path / "older", older))]) == 1
+    told = capsys.readouterr().out.splitlines()
+    assert "records: recorded 77" in told[0]
+    assert told[1].startswith("byte identity is claimed for equal versions only")
+    assert "numpy 0.1 then" in told[1]
+
+
+def test_a_changed_bus_log_is_found(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(session, copy)
+    raw = bytearray((copy / "bus.blf").read_bytes())
+    raw[-9] ^= 1
+    (copy / "bus.blf").write_bytes(raw)
+    status, found = replayed(copy, capsys)
+    assert status == 1
+    assert "was changed after it" in found["reason"]
+    assert found["first_difference"] is None
+
+
+def test_a_bus_log_that_is_not_there_is_bad_input(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "no log"
+    shutil.copytree(session, copy)
+    (copy / "bus.blf").unlink()
+    assert main(["replay", str(copy)]) == 2
+    assert "bus.blf: no such file" in capsys.readouterr().err
+
+
+def test_missing_frames_are_found_where_they_are_missing(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A killed session has no hash of its log: the places of the rows say what is missing."""
+    copy = rewritten(session, tmp_path / "copy", without_end)
+    frames = list(read_frames(copy / "bus.blf"))
+    for name, kept in (("middle", frames[:400] + frames[600:]), ("end", frames[: len(frames) // 4])):
+        with can.Logger(copy / "bus.blf") as writer:
+            for frame in kept:
+                writer.on_message_received(frame)
+        status, found = replayed(copy, capsys)
+        assert status == 1
+        assert ("lacks frames: row " if name == "middle" else "ends after sample ") in found["reason"]
+        assert found["identical"] is False
+
+
+def test_a_killed_session_is_replayed_as_far_as_it_went(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    killed = rewritten(session, tmp_path / "killed", without_end)
+    capsys.readouterr()
+    assert main(["replay", str(killed)]) == 0
+    shown = capsys.readouterr().out
+    assert "identical" in shown
+    assert "killed, or goes on" in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_changed_row_or_configuration_is_one_line(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(session, copy)
+    with (copy / "config.toml").open("a") as stream:
+        stream.write("# nothing\n")
+    assert main(["replay", str(copy)]) == 2
+    assert "config.toml: was changed after the run" in capsys.readouterr().err
+    with sqlite3.connect(copy / "ledger.sqlite") as connection:
+        connection.execute("DROP TRIGGER no_update")
+        connection.execute("UPDATE ledger SET body = '{}' WHERE seq = 3")
+    connection.close()
+    assert main(["replay", str(copy)]) == 2
+    assert "row 3 was changed after it was written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("none", "no such folder"), ("empty", "holds no ledger.sqlite"), ("log.blf", "give --config")]
+)
+def test_what_is_no_session_is_one_line(
+    tmp_path: Path, name: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "log.blf").write_bytes(b"")
+    assert main(["replay", str(tmp_path / name)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error
+
+
+@pytest.mark.parametrize(
+    ("then", "now", "found"),
+    [
+        ({"a": 1}, {"a": 1}, ""),
+        ({"a": 1, "b": {"c": [1, 2]}}, {"a": 1, "b": {"c": [1, 3]}}, "b.c[1]"),
+        ({"a": [1]}, {"a": [1, 2]}, "a[1]"),
+        ({"a": 1}, {"b": 1}, "a"),
+        ({"a": 1.0}, {"a": {"b": 1}}, "a"),
+    ],
+)
+def test_the_first_difference_is_found(then: object, now: object, found: str) -> None:
+    assert first_difference(then, now)[0] == found
+
+
+def test_rows_that_no_session_writes_are_one_line(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for kind, missing in (("committed", "gains"), ("link", "state")):
+
+        def alien(row: Row, kind: str = kind, missing: str = missing) -> dict[str, Any] | None:
+            if row.kind == "end":
+                return None
+            return {key: value for key, value in row.body.items() if row.kind != kind or key != missing}
+
+        status, found = replayed(rewritten(session, tmp_path / kind, alien), capsys)
+        assert status == 1
+        assert "is not what a session of this release writes" in found["reason"]
+
+
+@given(st.binary(min_size=1, max_size=64), st.integers(0, 1 << 20))
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_log_with_other_bytes_in_it_never_passes_for_the_session(session: Path, raw: bytes, at: int) -> None:
+    whole = (session / "bus.blf").read_bytes()
+    at %= len(whole)
+    other = whole[:at] + raw + whole[at + len(raw) :]
+    try:
+        (session / "bus.blf").write_bytes(other)
+        assert main(["replay", str(session)]) == int(other != whole)
+    finally:
+        (session / "bus.blf").write_bytes(whole)

@@ -1,0 +1,322 @@
+"""retuner run from end to end on a quick loop: cured, recorded, repeatable, interruptible; and what refuses to run."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+import pytest
+
+from retuner import drivers
+from retuner.cli import main
+from retuner.ledger import Ledger, LedgerReader
+from retuner.ledger.chain import Row
+from retuner.schedule.document import from_toml
+from retuner.session.outputs import fresh_folder
+from retuner.session.running import Run
+from retuner.session.session import Session
+
+QUICK = """
+schema = 1
+[loop]
+name = "quick"
+pv_unit = "bar"
+pv_min = 0.0
+pv_max = 10.0
+sample_time_s = 0.1
+[schedule]
+variable = "sp"
+bounds = [5.0]
+hysteresis = 0.2
+[[schedule.region]]
+name = "low"
+kc = 5.0
+tau_i_s = 4.0
+[[schedule.region]]
+name = "high"
+kc = 20.0
+tau_i_s = 4.0
+[adaptation]
+mode = "auto"
+[device]
+kind = "virtual"
+seed = 3
+[device.plant]
+kind = "linear"
+k = 0.1
+lags_s = [5.0, 0.1]
+theta_s = 0.4
+start_pv = 2.0
+start_co_pct = 30.0
+noise = 0.01
+[scenario]
+duration_s = 160.0
+steps = [
+    { at_s = 0.0, sp = 2.0 }, { at_s = 20.0, sp = 3.0 }, { at_s = 50.0, load = -5.0 }, { at_s = 80.0, sp = 2.0 },
+    { at_s = 110.0, sp = 3.0 }, { at_s = 140.0, sp = 7.0 },
+]
+[output]
+directory = "out"
+"""
+
+
+@pytest.fixture
+def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "quick.toml"
+    path.write_text(QUICK, encoding="utf-8")
+    return path
+
+
+def test_a_sluggish_loop_is_cured_over_can_and_everything_is_left_behind(
+    quick: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(quick)]) == 0
+    shown = capsys.readouterr().out
+    assert "sluggish" in shown
+    assert "write Kc 5" in shown
+    out = quick.parent / "out"
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["interrupted"] is False
+    low, high = summary["scores"]
+    assert low["changes"] >= 1
+    assert low["ms_after"] <= 1.8
+    assert low["iae"] < low["iae_fixed"]
+    assert high["changes"] == 0
+    table = from_toml((out / "gains.toml").read_text())
+    assert table.gains_of("low").kp == pytest.approx(low["after"]["kp"])
+    assert table.revision == summary["revision"] == low["changes"]
+    report = (out / "report.html").read_text()
+    assert report.count("data:image/png;base64,") == 2
+    assert "http" not in report.replace("https://", "http").split("</style>")[1].split("base64")[0]
+    trend = np.genfromtxt(out / "trend.csv", delimiter=",", names=True)
+    assert len(trend) == pytest.approx(1600, abs=5)
+    assert np.all(np.diff(trend["t"]) > 0)
+
+
+def test_the_ledger_has_the_row_before_the_effect(quick: Path) -> None:
+    main(["run", str(quick), "--no-compare"])
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as ledger:
+        assert ledger.verify().ok
+        rows = [(row.kind, json.loads(row.text)) for row in ledger.rows()]
+    kinds = [kind for kind, _ in rows]
+    assert kinds[0] == "session"
+    assert kinds[-1] == "end"
+    first = next(i for i, (kind, body) in enumerate(rows) if kind == "intent" and body["why"] == "retune")
+    done = next(i for i, (kind, body) in enumerate(rows) if kind == "committed" and body["why"] == "retune")
+    assert kinds[first - 1] == "decision"
+    assert first < done
+    assert kinds.count("intent") == kinds.count("committed")
+
+
+def test_the_bus_log_decodes_with_the_shipped_dbc(quick: Path) -> None:
+    main(["run", str(quick), "--no-compare"])
+    database = cantools.database.load_file(Path(drivers.__file__).parent / "retuner.dbc")
+    assert isinstance(database, cantools.database.Database)
+    by_command = {message.frame_id & 0x1F: message for message in database.messages}
+    seen = set()
+    for frame in can.BLFReader(quick.parent / "out" / "bus.blf"):
+        message = by_command[frame.arbitration_id & 0x1F]
+        message.decode(bytes(frame.data))
+        seen.add(message.name)
+    assert {"TELEMETRY_PV", "TELEMETRY_SP", "STAGE", "COMMIT", "ACK", "SETPOINT", "HEARTBEAT"} <= seen
+
+
+def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Path) -> None:
+    heads = []
+    for seed in (3, 3, 4):
+        quick.write_text(QUICK.replace("seed = 3", f"seed = {seed}"), encoding="utf-8")
+        main(["run", str(quick), "--no-compare", "--out", f"run{len(heads)}"])
+        with LedgerReader(quick.parent / f"run{len(heads)}" / "ledger.sqlite") as ledger:
+            heads.append(ledger.head())
+    assert heads[0] == heads[1] != heads[2]
+
+
+def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert {d["action"] for d in document["decisions"]} <= {"advise", "none"}
+    assert "advise" in {d["action"] for d in document["decisions"]}
+    assert document["revision"] == 0
+
+
+def test_an_earlier_run_is_moved_aside_and_foreign_folders_are_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    assert fresh_folder(folder).moved is None
+    (folder / "ledger.sqlite").write_text("old")
+    assert fresh_folder(folder).moved == tmp_path / "run-1"
+    assert (tmp_path / "run-1" / "ledger.sqlite").read_text() == "old"
+    assert list(folder.iterdir()) == []
+    (folder / "thesis.txt").write_text("precious")
+    assert main(["run", "examples/none.toml", "--out", str(folder)]) == 2
+    assert (folder / "thesis.txt").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--mode", "sometimes"], "sometimes"),
+        (["--speed", "fast"], "--speed fast"),
+        (["--speed", "10"], "simulated time"),
+        (["-i", "nosuchbus", "--speed", "1"], "nosuchbus"),
+    ],
+)
+def test_wrong_use_is_one_line_and_status_2_and_leaves_nothing(
+    quick: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert main(["run", str(quick), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (quick.parent / "out").exists()
+
+
+def test_a_failed_start_leaves_no_folder_that_was_not_there(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = quick.parent / "deep" / "er" / "out"
+    assert main(["run", str(quick), "-i", "nosuchbus", "--speed", "1", "--out", str(out)]) == 2
+    assert "nosuchbus" in capsys.readouterr().err
+    assert not (quick.parent / "deep").exists()
+    (quick.parent / "deep").mkdir()
+    assert main(["run", str(quick), "-i", "nosuchbus", "--speed", "1", "--out", str(out)]) == 2
+    assert list((quick.parent / "deep").iterdir()) == []
+
+
+def test_a_second_run_in_the_folder_of_a_living_one_is_refused_and_takes_nothing_away(
+    quick: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = quick.parent / "out"
+    folder.mkdir()
+    with Ledger(folder / "ledger.sqlite") as ledger:
+        ledger.append("k", {}, 0.0)
+        assert main(["run", str(quick)]) == 2
+        assert "another run writes this ledger" in capsys.readouterr().err
+        assert [path.name for path in quick.parent.iterdir() if path.is_dir()] == ["out"]
+        assert ledger.append("k", {}, 1.0).seq == 2
+
+
+def test_parquet_without_pyarrow_is_refused_before_the_run(
+    quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick.write_text(QUICK + 'trend = "parquet"\n', encoding="utf-8")
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert main(["run", str(quick)]) == 2
+    assert 'pip install "retuner[parquet]"' in capsys.readouterr().err
+    assert not (quick.parent / "out").exists()
+
+
+@pytest.mark.parametrize(("failing", "rows"), [("session", 0), ("decision", 1), ("intent", 2), ("committed", 3)])
+def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
+    quick: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, failing: str, rows: int
+) -> None:
+    write = Ledger.append
+    wrote: list[str] = []
+
+    def append(self: Ledger, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
+        if kind == failing or len(wrote) > rows:
+            self._connection.execute("PRAGMA max_page_count = 1")  # a full disk, as SQLite sees it
+            body = {**body, "long": "x" * 200_000}
+        row = write(self, kind, body, clock_s)
+        wrote.append(kind)
+        return row
+
+    monkeypatch.setattr(Ledger, "append", append)
+    assert main(["run", str(quick), "--no-compare"]) == 2
+    error = capsys.readouterr().err
+    assert "database or disk is full" in error
+    assert error.count("\n") == 1
+    out = quick.parent / "out"
+    if failing == "session":
+        assert not out.exists()
+        return
+    with LedgerReader(out / "ledger.sqlite") as reader:
+        kinds = [row.kind for row in reader.rows()]
+        assert reader.verify().ok
+    assert kinds == wrote
+    assert failing not in kinds
+    summary = json.loads((out / "summary.json").read_text())
+    database = cantools.database.load_file(Path(drivers.__file__).parent / "retuner.dbc")
+    assert isinstance(database, cantools.database.Database)
+    commit = database.get_message_by_name("COMMIT").frame_id & 0x1F
+    commits = sum(frame.arbitration_id & 0x1F == commit for frame in can.BLFReader(out / "bus.blf"))
+    taken_back = failing == "committed"  # the one thing that is done without a row: the way back to the verified set
+    assert commits == kinds.count("intent") + taken_back == summary["revision"]
+    assert not taken_back or summary["scores"][0]["after"] == summary["scores"][0]["before"]
+
+
+def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(can.BLFWriter, "on_message_received", full)
+    assert main(["run", str(quick), "--no-compare"]) == 0
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
+        rows = [json.loads(row.text) for row in reader.rows() if row.kind == "bus"]
+    assert rows == [{"fault": "the bus log cannot be written", "times": 1, "samples": 0}]
+
+
+def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
+    longer = QUICK.replace("duration_s = 160.0", "duration_s = 1e7")
+    quick.write_text(longer, encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "retuner", "run", str(quick)], cwd=quick.parent, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert any(b"write Kc" in line for line in process.stdout)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert (quick.parent / "out" / "report.html").stat().st_size > 10_000
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
+        assert reader.verify().ok
+        assert list(reader.rows())[-1].kind == "end"
+
+
+def test_ctrl_c_in_the_comparison_run_keeps_the_run_that_is_over(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = Run.simulated
+    began: list[Run] = []
+
+    def simulated(self: Run) -> Session:
+        began.append(self)
+        if len(began) == 2:
+            raise KeyboardInterrupt
+        return runs(self)
+
+    monkeypatch.setattr(Run, "simulated", simulated)
+    assert main(["run", str(quick)]) == 130
+    assert len(began) == 2
+    assert json.loads((quick.parent / "out" / "summary.json").read_text())["interrupted"] is True
+    names = {path.name for path in (quick.parent / "out").iterdir()}
+    assert {"report.html", "summary.json", "gains.toml", "trend.csv"} <= names
+    score = json.loads((quick.parent / "out" / "summary.json").read_text())["scores"][0]
+    assert score["changes"] >= 1
+    assert score["iae_fixed"] is None
+
+
+def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_done(
+    quick: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Ledger.append
+
+    def append(self: Ledger, kind: str, body: Mapping[str, object], clock_s: float) -> Row:
+        if kind == "committed" and body["why"] == "retune":
+            os.kill(os.getpid(), signal.SIGINT)
+        return write(self, kind, body, clock_s)
+
+    monkeypatch.setattr(Ledger, "append", append)
+    assert main(["run", str(quick)]) == 130
+    summary = json.loads((quick.parent / "out" / "summary.json").read_text())
+    with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
+        assert reader.verify().ok
+        rows = list(reader.rows())
+    kinds = [row.kind for row in rows]
+    assert kinds[kinds.index("committed") :] == [
+        "committed", "trial", "abort", "decision", "restore", "intent", "committed", "restored", "end",
+    ]  # fmt: skip
+    assert json.loads(rows[-2].text)["gains"] == summary["scores"][0]["after"] == summary["scores"][0]["before"]

@@ -1,0 +1,106 @@
+"""Screens that go away, are closed or lack characters: what they show of goes on."""
+
+import errno
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.report.scores import RegionScore
+from retuner.schedule.gains import PidGains
+from retuner.streams import LastingStream, open_streams
+
+
+class BrokenPipe(io.StringIO):
+    """A stream whose reader has gone after the first write."""
+
+    def write(self, text: str) -> int:
+        if self.getvalue():
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+        return super().write(text)
+
+    def flush(self) -> None:
+        if self.getvalue():
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+
+def test_a_screen_that_goes_away_is_told_once_and_ends_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    broken = BrokenPipe()
+    screen = LastingStream(broken)
+
+    written = [screen.write(text) for text in ("shown", "lost", "lost")]
+    screen.flush()
+
+    assert written == [5, 4, 4]
+    assert broken.getvalue() == "shown"
+    assert capsys.readouterr().err == "retuner: nothing more can be shown: Broken pipe; the work goes on\n"
+
+
+def test_what_else_a_stream_can_do_is_still_there() -> None:
+    assert not LastingStream(io.StringIO()).isatty()  # type: ignore[operator]
+
+
+@pytest.fixture
+def streams() -> Iterator[None]:
+    """Put the process's own streams back."""
+    before = sys.stdin, sys.stdout, sys.stderr
+    yield
+    sys.stdin, sys.stdout, sys.stderr = before
+
+
+@pytest.mark.usefixtures("streams")
+def test_closed_streams_take_what_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+
+    open_streams()
+
+    with sys.stdin, sys.stdout, sys.stderr:
+        assert sys.stdout.write("x") == 1
+        assert sys.stderr.write("x") == 1
+        assert sys.stdin.read() == ""
+
+
+def test_characters_that_the_screen_lacks_are_escaped(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    missing = tmp_path / "\N{DEGREE SIGN}.toml"
+    shown = subprocess.run([sys.executable, "-c", "import sys; from retuner.streams import open_streams; "
+                            "open_streams(); print(sys.argv[1])", missing.name],
+                           env=environment, capture_output=True, text=True, check=True)  # fmt: skip
+    assert shown.stdout == "\\xb0.toml\n"
+
+
+def test_a_run_goes_on_when_its_screen_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = BrokenPipe()
+    monkeypatch.setattr(sys, "stdout", broken)
+
+    with RunScreen(screen_console(stderr=False), "bar") as screen:
+        screen.begin("loop")
+        for text in ("shown", "lost"):
+            screen.say(text)
+
+    assert broken.getvalue() == "shown\n"
+
+
+def test_a_narrow_screen_cuts_no_number(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    gains = PidGains(kp=0.425, ki=0.0017, kd=0.0)
+    score = RegionScore("a region with a long name", gains, gains, 12, 1.12, 1.25, 4230.0, 1140274.0)
+
+    RunScreen(screen_console(stderr=False), "bar").table(scores_table([score], "bar"))
+
+    shown = capsys.readouterr().out
+    assert "a region with a long name 0.425, 250" in shown
+    assert "1.12   1.25 1,140,274   4,230" in shown
+
+
+def test_rows_are_told_without_empty_values() -> None:
+    body = {"accepted": True, "order": "approve", "by": "root", "reason": "", "at": "2026"}
+    assert told_values(body, ("order", "by", "accepted", "reason")) == "order approve, by root, accepted yes"
+    assert told_values({"regions": ["low"]}, ("regions",)) == "regions ['low']"
+    assert [counted(number, "change") for number in (1, 2)] == ["1 change", "2 changes"]

@@ -1,0 +1,101 @@
+"""A newer proposal of a region supersedes the older ones: in the list, for who approves, and for the session."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.cli import main
+from retuner.commands import run as run_command
+from retuner.commands.approve import Desk
+from retuner.session.orders import Order, OrderKind, put_order
+from retuner.session.running import Run
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import bodies, run_short
+
+REFUSED = "a newer proposal of its region supersedes it: "
+
+
+@pytest.fixture(scope="module")
+def advice(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An ended session that advised its one region twice."""
+    return run_short(tmp_path_factory.mktemp("advice"))
+
+
+@pytest.fixture
+def copy(advice: Path, tmp_path: Path) -> Path:
+    shutil.copytree(advice, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def order_of(digest: str) -> Order:
+    return Order(OrderKind.APPROVE, "Ada", "2030-01-31T12:00:00Z", digest=digest)
+
+
+def listed(session: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main(["approve", str(session), "--json", *more]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_the_list_shows_the_newest_and_on_request_all(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (newest,) = (told := listed(copy, capsys))["proposals"]
+    assert (newest["decision"], newest["superseded_by"], told["superseded"]) == (2, None, 1)
+    older, again = listed(copy, capsys, "--all")["proposals"]
+    assert again == newest
+    assert older["superseded_by"] == newest["hash"]
+    assert main(["approve", str(copy)]) == 0
+    text = capsys.readouterr().out
+    assert "supersedes 1 older" in text
+    assert "1 open proposal at" in text
+    assert "(and 1 superseded; --all lists them)" in text
+    assert main(["approve", str(copy), "--all"]) == 0
+    assert f"superseded by {newest['hash'][:8]}" in capsys.readouterr().out
+    assert main(["approve", str(copy), newest["hash"], "--all"]) == 2
+
+
+def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    older, newest = listed(copy, capsys, "--all")["proposals"]
+    assert main(["approve", str(copy), older["hash"][:8]]) == 1
+    text = capsys.readouterr().out
+    assert text == f"{older['hash'][:8]} is not approved: {REFUSED}{newest['hash'][:8]}\n"
+    assert not (copy / "orders").exists()
+    assert main(["approve", str(copy), newest["hash"][:8], "--by", "Ada"]) == 0
+
+
+def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None:
+    shown = Desk(copy).shown
+    older, newest = shown.proposals
+    put_order(copy, order_of(older))
+    run_short(tmp_path)
+    (order,) = bodies(tmp_path / "run", "order")
+    assert (order["accepted"], order["reason"]) == (False, REFUSED + newest[:8])
+    assert bodies(tmp_path / "run", "committed") == []
+
+
+def test_the_running_session_refuses_it_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Late(Run):
+        """Somebody had looked before the second proposal, and orders after it."""
+
+        def _sampled(self, sample: LoopSample) -> None:
+            super()._sampled(sample)
+            assert self.session is not None
+            if len(self.session.decisions) == 2 and not (tmp_path / "run" / "orders").exists():
+                put_order(tmp_path / "run", order_of(self.session.decisions[0].digest()))
+
+    monkeypatch.setattr(run_command, "Run", Late)
+    folder = run_short(tmp_path)
+    (order,) = bodies(folder, "order")
+    assert order["accepted"] is False
+    assert order["reason"] == REFUSED + list(Desk(folder).shown.proposals)[1][:8]
+    assert main(["replay", str(folder)]) == 0
+    assert "identical" in capsys.readouterr().out

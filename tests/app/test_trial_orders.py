@@ -1,0 +1,105 @@
+"""Orders that meet a trial: each ends it, lets it be, or is told why not; none is for another set than it names."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from wire import GOOD, PROMISE, Wire
+
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.drivers.protocol.checksum import to_wire
+from retuner.schedule.gains import PidGains
+from retuner.session.order_queue import OrderDesk
+from retuner.session.orders import Order, OrderBox, OrderKind, put_order
+
+P = TrialPhase
+
+
+class Desk(NamedTuple):
+    """A session that takes orders from a folder."""
+
+    wire: Wire
+    folder: Path
+
+    def tried(self, factor: float) -> Decision:
+        """A change is written and on trial; its decision."""
+        session = self.wire.session
+        gains = PidGains(factor * GOOD.kp, factor * GOOD.ki)
+        session._decided(session.retuner.ordered(0, Outcome("injected", "for a test"), gains, PROMISE))
+        self.wire.until(P.TRIAL)
+        return next(d for d in reversed(session.decisions) if d.action is Action.COMMIT)
+
+    def happens(self, event: TrialEvent) -> None:
+        self.wire.desk.event(0, event, self.wire.clock.now_s())
+
+    def order(self, kind: OrderKind, digest: str = "", decision: int = 0) -> dict[str, object]:
+        """Give an order, and let it be taken; its last row."""
+        region = "low" if kind is OrderKind.UNLOCK else ""
+        put_order(self.folder, Order(kind, "Ada", "2030-01-31T12:00:00Z", "", digest, decision, region))
+        self.wire.run(60)
+        return dict([body for row, body in self.wire.rows if row == "order"][-1])
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    wire = Wire(mode=Mode.TRIAL, cool_down_s=0.0)
+    session = wire.session
+    session.orders = OrderDesk(OrderBox(tmp_path), session.retuner, wire._record, session.decisions, 1e6).take
+    yield Desk(wire, tmp_path)
+    wire.close()
+
+
+def test_an_approval_of_another_change_does_not_release_the_one_that_waits(desk: Desk) -> None:
+    undone = desk.tried(4.0)
+    desk.happens(TrialEvent.WORSE)
+    desk.wire.until(P.COOLING)
+    desk.wire.run(10)
+    waits = desk.tried(1.5)
+    desk.happens(TrialEvent.PASSED_FOR_APPROVAL)
+    told = desk.order(OrderKind.APPROVE, undone.digest())
+    assert not told["accepted"]
+    assert told["reason"] == "low waits for a word on another change than this one"
+    assert desk.wire.desk.phase(0) is P.WAITING
+    assert desk.order(OrderKind.APPROVE, waits.digest())["accepted"]
+    assert desk.wire.desk.phase(0) is P.IDLE
+
+
+@pytest.mark.parametrize("phase", [P.TRIAL, P.AWAY, P.WAITING])
+def test_the_way_back_during_a_trial_undoes_it(desk: Desk, phase: TrialPhase) -> None:
+    tried = desk.tried(4.0)
+    if phase is P.WAITING:
+        desk.happens(TrialEvent.PASSED_FOR_APPROVAL)
+    elif phase is P.AWAY:
+        desk.wire.session.device.send_setpoint(70.0, desk.wire.clock.now_s())
+        desk.wire.until(P.AWAY)
+    told = desk.order(OrderKind.REVERT, decision=tried.number)
+    if phase is P.AWAY:
+        assert "waits until" in str(told["reason"])
+        desk.wire.session.device.send_setpoint(50.0, desk.wire.clock.now_s())
+    desk.wire.until(P.COOLING, most=200)
+    desk.wire.run(40)
+    assert desk.wire.runs == to_wire(GOOD)
+
+
+def test_an_approval_in_a_locked_region_changes_nothing(desk: Desk) -> None:
+    tried = desk.tried(4.0)
+    for _ in range(3):
+        desk.happens(TrialEvent.WORSE)
+        desk.wire.until(P.COOLING if desk.wire.desk.trial(0).undos < 3 else P.LOCKED)
+        if desk.wire.desk.phase(0) is P.LOCKED:
+            break
+        desk.wire.run(10)
+        tried = desk.tried(4.0)
+    assert not desk.order(OrderKind.APPROVE, tried.digest())["accepted"]
+    assert desk.wire.desk.phase(0) is P.LOCKED
+    assert not desk.wire.desk.may_change(0, 1e9, urgent=True)
+    assert desk.order(OrderKind.UNLOCK)["accepted"]
+    assert desk.wire.desk.phase(0) is P.IDLE
+    assert desk.wire.runs == to_wire(GOOD)

@@ -1,0 +1,163 @@
+"""retuner replay LOG --config: what would have been done on a log from anywhere; each time the same, none written."""
+
+import itertools
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.cli import main
+from retuner.commands.what_if import IN_FORCE_SAMPLES, InForce
+from retuner.drivers.recorded.frame_log import read_frames
+from retuner.errors import UserError
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import SHORT, bodies, run_short
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a configuration and the session of another run of it, in which gains were changed."""
+    folder = tmp_path_factory.mktemp("whatif")
+    run_short(folder, "--mode", "auto")
+    return folder
+
+
+def asked(log: Path, config: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main(["replay", str(log), "--config", str(config), "--json", *more]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, config = recorded / "run", recorded / "short.toml"
+    live = bodies(run, "decision")[0]
+    before = sorted(path.name for path in run.iterdir())
+    trend, bus = asked(run / "trend.csv", config, capsys), asked(run / "bus.blf", config, capsys)
+    assert {d["action"] for found in (trend, bus) for d in found["decisions"]} <= {"advise", "none"}
+    assert trend["decisions"]
+    changed = len([body for body in bodies(run, "committed") if body["why"] != "schedule"])
+    for found in (trend, bus):
+        first = found["decisions"][0]
+        assert first["t_s"] == live["t_s"]
+        assert first["action"] == "advise"
+        assert first["gains_after"] == pytest.approx(live["gains_after"], rel=1e-6)
+        assert len(found["gains_changed_s"]) == changed
+    assert trend["samples"] <= bus["samples"] <= trend["samples"] + 2
+    left = {path.name for path in run.iterdir() if not path.name.startswith("ledger")}
+    assert left == {name for name in before if not name.startswith("ledger")}
+    for suffix in (".log", ".asc", ".mf4"):
+        other = tmp_path / f"bus{suffix}"
+        with can.Logger(other) as writer:
+            for message in read_frames(run / "bus.blf"):
+                writer.on_message_received(message)
+        again = asked(other, config, capsys)["decisions"]
+        assert [d["gains_after"] for d in again] == [d["gains_after"] for d in bus["decisions"]], suffix
+        assert [d["reason"] for d in again] == [d["reason"] for d in bus["decisions"]], suffix
+
+
+def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert main(["replay", str(recorded / "run" / "trend.csv"), "--config", str(recorded / "short.toml")]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert "advise Kc 5 tau_I 4 s -> Kc" in shown[0]
+    assert shown[-1].endswith("nothing was written")
+
+
+def test_a_bare_table_with_other_names_is_enough(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (recorded / "run" / "trend.csv").read_text().splitlines()
+    bare = ["time;target;temp;out", *(";".join(line.split(",")[:4]) for line in lines[1:])]
+    log = tmp_path / "bare.csv"
+    log.write_text("\n".join(bare) + "\n")
+    names = ["--columns", "t=time,sp=target,pv=temp,co=out"]
+    found = asked(log, recorded / "short.toml", capsys, *names)
+    assert found["gains_changed_s"] == []
+    assert found["decisions"][0]["action"] == "advise"
+    assert found["gains"][0]["kp"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("none.csv", None, "no such file"),
+        ("other.csv", "t,pv,co\n0,1,1\n0.1,1,1\n0.2,1,1\n", 'no column "sp"'),
+        ("slow.csv", "t,sp,pv,co\n0,1,1,1\n10,1,1,1\n20,1,1,1\n", "sampled every 10 s, loop.sample_time_s is 0.1 s"),
+        ("back.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1,1\n0.1,1,1,1\n", "must increase"),
+        ("two.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1,1\n", "2 samples"),
+        ("huge.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1e40,1\n0.2,1,1,1\n", "beyond"),
+        ("kd.csv", "t,sp,pv,co,kp,ki,kd\n0,1,1,1,0,0,0\n0.1,1,1,1,0,0,0\n0.2,1,1,1,0,0,0\n", "sample 1"),
+        ("junk.blf", "junk", "damaged after 0 frames"),
+        ("empty.log", "", "no telemetry"),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(
+    recorded: Path, tmp_path: Path, name: str, text: str | None, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    capsys.readouterr()
+    assert main(["replay", str(tmp_path / name), "--config", str(recorded / "short.toml")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error
+
+
+def test_another_node_a_folder_and_columns_of_a_bus_log_are_one_line(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(SHORT + "[bus]\nnode = 7\n")
+    shutil.copy(recorded / "run" / "bus.blf", tmp_path / "bus.blf")
+    capsys.readouterr()
+    for arguments, told in (
+        ([str(tmp_path / "bus.blf"), "--config", str(other)], "is bus.node = 7 the right one"),
+        ([str(recorded / "run"), "--config", str(other)], "without --config"),
+        ([str(tmp_path / "bus.blf"), "--config", str(other), "--columns", "pv=x"], "--columns"),
+        ([str(recorded / "run"), "--columns", "pv=x"], "--columns"),
+    ):
+        assert main(["replay", *arguments]) == 2
+        assert told in capsys.readouterr().err
+
+
+LOW, HIGH, NEW = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.15)
+
+
+def test_recorded_gains_are_those_of_the_region_in_which_they_ran_for_a_while() -> None:
+    table = GainTable("loop", Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0), (LOW, HIGH))
+    retuner = Retuner(table, RetunerSettings(1.0, 100.0))
+    in_force = InForce(retuner)
+    times = itertools.count()
+
+    def run(sp: float, gains: PidGains | None, n: int) -> int:
+        changes = 0
+        for _ in range(n):
+            retuner.observe(LoopSample(float(next(times)), sp, sp, 30.0, 1, 0, sp))
+            changes += in_force.take(gains)
+        return changes
+
+    assert run(20.0, LOW, 20) == 0
+    assert run(20.0, None, 20) == 0
+    assert run(20.0, NEW, 20) == 1
+    assert retuner.table.gains == (NEW, HIGH)
+    assert run(80.0, NEW, IN_FORCE_SAMPLES - 2) == 0  # the schedule has not written the other region's set yet
+    assert run(80.0, HIGH, 20) == 0
+    assert run(80.0, LOW, 20) == 1
+    assert retuner.table.gains == (NEW, LOW)
+    with pytest.raises(UserError, match="act against"):
+        run(80.0, PidGains(-1.0, -0.1), 20)
