@@ -75,8 +75,13 @@ def path(rounds: int) -> dict[str, object]:
         bus.shutdown()
     near.close()
     far.close()
-    return {"part": "path", "bare us": median(bare for bare, _ in figures), "ours us": median(o for _, o in figures),
-            "ratio": median(ours / bare for bare, ours in figures), "frames": FRAMES * rounds}  # fmt: skip
+    return {
+        "part": "path",
+        "bare us": median(bare for bare, _ in figures),
+        "ours us": median(o for _, o in figures),
+        "ratio": median(ours / bare for bare, ours in figures),
+        "frames": FRAMES * rounds,
+    }
 
 
 def telemetry(codec: Codec) -> TelemetryPv:
@@ -145,10 +150,16 @@ def host(loops: int, rate: float, seconds: float) -> dict[str, object]:
     spent = [plant.sample() for _ in range(int(seconds * rate))]
     frames = plant.link.counters.received - received
     plant.close()
-    return {"part": "host", "loops": loops, "samples per second and loop": rate, "frames per second": frames / seconds,
-            "lost": int(seconds * rate) * loops - plant.samples, "share of a core": round(sum(spent) / seconds, 3),
-            "us per frame": round(sum(spent) / frames * 1e6, 2),
-            "99th percentile, share of a period": round(sorted(spent)[-len(spent) // 100] * rate, 2)}  # fmt: skip
+    return {
+        "part": "host",
+        "loops": loops,
+        "samples per second and loop": rate,
+        "frames per second": frames / seconds,
+        "lost": int(seconds * rate) * loops - plant.samples,
+        "share of a core": round(sum(spent) / seconds, 3),
+        "us per frame": round(sum(spent) / frames * 1e6, 2),
+        "99th percentile, share of a period": round(sorted(spent)[-len(spent) // 100] * rate, 2),
+    }
 
 
 def main() -> None:

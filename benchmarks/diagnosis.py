@@ -192,9 +192,15 @@ def main() -> int:
         if name == "causes":
             lines += ["", *confusion(scores)]
         everything += scores
-    lines += ["", *(f"{s.group} {s.index} {s.family} [{s.hidden}]: {s.answer} ({s.confidence:.2f}) "
-                    f"{'FALSE RETUNE ' if s.false_retune else ''}Ms {s.ms_before:.2f} -> {s.ms_after:.2f}: {s.reason}"
-                    for s in everything if not s.right or s.false_retune or not s.ms_kept)]  # fmt: skip
+    lines += [
+        "",
+        *(
+            f"{s.group} {s.index} {s.family} [{s.hidden}]: {s.answer} ({s.confidence:.2f}) "
+            f"{'FALSE RETUNE ' if s.false_retune else ''}Ms {s.ms_before:.2f} -> {s.ms_after:.2f}: {s.reason}"
+            for s in everything
+            if not s.right or s.false_retune or not s.ms_kept
+        ),
+    ]
     sys.stdout.write("\n".join(lines) + "\n")
     if options.out:
         Path(options.out).write_text("".join(json.dumps(s._asdict()) + "\n" for s in everything), encoding="utf-8")

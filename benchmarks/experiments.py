@@ -51,10 +51,13 @@ def draw(rng: random.Random) -> LinearProcess:
     k = rng.choice([-1, 1]) * 10 ** rng.uniform(-1, 1)
     t = 10 ** rng.uniform(-1, 2)
     lags, theta, integrators = {
-        1: ((t,), 1.0, 0), 2: ((t, t), 1.0, 0), 3: ((1.0, t, t), 0.0, 0), 4: ((1.0,) * rng.randint(3, 8), 0.0, 0),
+        1: ((t,), 1.0, 0),
+        2: ((t, t), 1.0, 0),
+        3: ((1.0, t, t), 0.0, 0),
+        4: ((1.0,) * rng.randint(3, 8), 0.0, 0),
         5: (tuple(rng.uniform(0.2, 0.9) ** i for i in range(4)), 0.0, 0),
         6: ((1 - (length := rng.uniform(0.05, 0.95)),), length, 1),
-    }[family]  # fmt: skip
+    }[family]
     return LinearProcess(k, tuple(x * scale for x in lags), (), theta * scale, integrators)
 
 
@@ -77,8 +80,19 @@ class Job:
         band = 1e3 * self.size + abs(self.process.k) * 1e3
         amplitude = self.size if kind == Kind.SETPOINT else AMPLITUDE
         time_s = 4000 * self.dt * max(1.0, (self.process.lags_s or (1.0,))[0] / (100 * self.dt))
-        return Plan(kind, amplitude, -band, band, -100.0, 200.0, time_s, 60, 600 * self.dt, bias=0.3,
-                    kc0=OVERSHOOT_GAIN * self.best.kp if kind == Kind.SETPOINT else None)  # fmt: skip
+        return Plan(
+            kind,
+            amplitude,
+            -band,
+            band,
+            -100.0,
+            200.0,
+            time_s,
+            60,
+            600 * self.dt,
+            bias=0.3,
+            kc0=OVERSHOOT_GAIN * self.best.kp if kind == Kind.SETPOINT else None,
+        )
 
 
 def conduct(job: Job, plan: Plan) -> tuple[Conductor, VirtualDevice]:
@@ -109,9 +123,14 @@ def evaluated(conductor: Conductor, kind: Kind) -> Findings:
 
 
 def left_alone(job: Job, device: VirtualDevice, sp: float) -> bool:
-    same = all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-12) for a, b in (
-        (device.running.gains.kp, job.before.kp), (device.running.gains.ki, job.before.ki), (device.sp, sp),
-    ))  # fmt: skip
+    same = all(
+        math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-12)
+        for a, b in (
+            (device.running.gains.kp, job.before.kp),
+            (device.running.gains.ki, job.before.ki),
+            (device.sp, sp),
+        )
+    )
     return same and device.auto
 
 

@@ -34,9 +34,13 @@ from retuner.schedule.gains import PidGains
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
 TWO_SIGMA = 2.0
 STRUCTURES = {
-    "first": "fopdt", "second": "sopdt", "integrating": "integrating", "integrating-lag": "integrating-lag",
-    "batch-p6": "integrating-lag", "batch-p7": "sopdt",
-}  # fmt: skip
+    "first": "fopdt",
+    "second": "sopdt",
+    "integrating": "integrating",
+    "integrating-lag": "integrating-lag",
+    "batch-p6": "integrating-lag",
+    "batch-p7": "sopdt",
+}
 """Families whose structure a model can have exactly."""
 
 
@@ -96,9 +100,14 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
     structure = ""
     try:
         result = identify(
-            record.t, record.sp, record.pv, record.co, open_loop=case.gains is None, gains=case.gains,
+            record.t,
+            record.sp,
+            record.pv,
+            record.co,
+            open_loop=case.gains is None,
+            gains=case.gains,
             **identify_extras(case),
-        )  # fmt: skip
+        )
     except ValueError as error:
         outcome, reason, seconds = "refused", str(error), time.process_time() - begun
     else:
@@ -236,8 +245,9 @@ def main() -> int:
     lines += [*table(scores, "family"), ""]
     lines += [
         f"{s.outcome:<16} {s.group} {s.index} {s.family}: Ms {s.ms:.2f} J {s.j:.2f} {s.structure}: {s.reason}"
-        for s in sorted(scores, key=lambda s: (s.outcome, s.group)) if s.outcome != "in spec"
-    ]  # fmt: skip
+        for s in sorted(scores, key=lambda s: (s.outcome, s.group))
+        if s.outcome != "in spec"
+    ]
     sys.stdout.write("\n".join(lines) + "\n")
     if options.out:
         Path(options.out).write_text("".join(json.dumps(s._asdict()) + "\n" for s in scores), encoding="utf-8")

@@ -78,8 +78,10 @@ def main() -> None:
         found = margins(process, gains)
         if found.stable:
             worst, stable = max(worst, abs(sensitivity_peak(process, gains) / found.ms - 1)), stable + 1
-    print(f"{stable} stable of {RANDOM_LOOPS} random loops (seed {SEED}): the quick and the general method differ by at"
-          f" most {worst:.1e}")  # fmt: skip
+    print(
+        f"{stable} stable of {RANDOM_LOOPS} random loops (seed {SEED}): the quick and the general method differ by at"
+        f" most {worst:.1e}"
+    )
 
 
 if __name__ == "__main__":

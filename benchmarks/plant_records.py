@@ -58,9 +58,16 @@ def judge(data: Path, pictures: Path | None, entry: dict[str, str]) -> Row:
         found, seconds = result.diagnosis, time.process_time() - begun
         fits = _fits(result, len(record.t))
         row = Row(
-            entry["file"], entry["tag"], entry["label"], str(found.cause), found.confidence, found.retune,
-            found.reason, dict(found.evidence), seconds,
-        )  # fmt: skip
+            entry["file"],
+            entry["tag"],
+            entry["label"],
+            str(found.cause),
+            found.confidence,
+            found.retune,
+            found.reason,
+            dict(found.evidence),
+            seconds,
+        )
     if pictures is not None:
         _picture(record, fits, row, pictures / f"{Path(entry['file']).stem}.png")
     return row
@@ -84,8 +91,11 @@ def _picture(record: Record, fits: dict[str, FloatArray], row: Row, path: Path) 
     below.plot(record.t, record.co, lw=0.8, color="C2", label="co")
     numbers = [f"{k} {v:.3g}" for k, v in row.evidence.items()]
     told = "\n".join("  ".join(numbers[i : i + 9]) for i in range(0, len(numbers), 9))
-    above.set_title(f"{row.file} [{row.label}] called {row.answer} ({row.confidence:.2f})\n{row.reason}\n{told}",
-                    fontsize=7, loc="left")  # fmt: skip
+    above.set_title(
+        f"{row.file} [{row.label}] called {row.answer} ({row.confidence:.2f})\n{row.reason}\n{told}",
+        fontsize=7,
+        loc="left",
+    )
     for axes in (above, below):
         axes.tick_params(labelsize=7)
         axes.legend(fontsize=7)

@@ -58,8 +58,13 @@ def configured(case: str, seed: int) -> Config:
     head = LOOP.format(bounds=bounds)
     regions = "".join(REGION.format(name=name) for name in (("low", "high") if bounds else ("all",)))
     plant = (BOILER if case in {"two processes", "changed once", "different"} else LINEAR).format(seed=seed)
-    steps = {"two processes": scenario(APART), "different": scenario(APART), "one process": scenario(NEAR),
-             "changed once": scenario((40.0, 43.0) * 4, 10), "equal": scenario(NEAR)}[case]  # fmt: skip
+    steps = {
+        "two processes": scenario(APART),
+        "different": scenario(APART),
+        "one process": scenario(NEAR),
+        "changed once": scenario((40.0, 43.0) * 4, 10),
+        "equal": scenario(NEAR),
+    }[case]
     return parse_config(head + regions + plant + steps)
 
 

@@ -47,8 +47,10 @@ def main() -> None:
     print(f"{len(ms)} processes, SIMC with tau_c = theta after the half rule")
     print(f"Ms: {ms.min():.2f} to {ms.max():.2f}, median {np.median(ms):.2f}")
     print(f"above 1.8: {', '.join(name for name, value in peaks.items() if value > 1.8)}")
-    print(f"J over the best PI at the same Ms: median {np.median(ratio):.2f}, 90 % {np.quantile(ratio, 0.9):.2f},"
-          f" most {ratio.max():.2f} ({max(ratios, key=lambda name: ratios[name])})")  # fmt: skip
+    print(
+        f"J over the best PI at the same Ms: median {np.median(ratio):.2f}, 90 % {np.quantile(ratio, 0.9):.2f},"
+        f" most {ratio.max():.2f} ({max(ratios, key=lambda name: ratios[name])})"
+    )
 
 
 if __name__ == "__main__":

@@ -106,8 +106,9 @@ def told(name: str, found: list[tuple[PidGains, SettingsInForce]]) -> str:
     errors = np.array([[abs(g.kp / true.kp - 1), abs(g.ki / true.ki - 1)] for true, _, g in sure])
     within = [abs(g.kp - true.kp) < 2 * s.std["kp"] and abs(g.ki - true.ki) < 2 * s.std["ki"] for true, s, g in sure]
     (kp, ki), (kp90, ki90) = np.quantile(errors, [0.5, 0.9], axis=0)
-    return (f"{name:<22} {len(sure):>4}/{len(found):<4} {kp:8.2%} {kp90:8.2%} {ki:8.2%} {ki90:8.2%}"
-            f" {np.mean(within):7.0%}")  # fmt: skip
+    return (
+        f"{name:<22} {len(sure):>4}/{len(found):<4} {kp:8.2%} {kp90:8.2%} {ki:8.2%} {ki90:8.2%} {np.mean(within):7.0%}"
+    )
 
 
 def of_folder(folder: Path) -> None:
@@ -128,8 +129,10 @@ def of_folder(folder: Path) -> None:
             print(f"{name:<26} Kc {g.kp:9.4g} +-{spread:4.0%}  tau_I {tau_i}  {s.explained:6.1%}")
         else:
             print(f"{name:<26} {s.reason}")
-    sure, signs = (sum(x is not None for x in values) for values in (
-        [s.gains for s in found.values()], [s.direction for s in found.values()]))  # fmt: skip
+    sure, signs = (
+        sum(x is not None for x in values)
+        for values in ([s.gains for s in found.values()], [s.direction for s in found.values()])
+    )
     print(f"settings: {sure} of {len(found)}; direction: {signs} of {len(found)}")
 
 

@@ -42,14 +42,19 @@ def _real(options: argparse.Namespace) -> bool:
     try:
         for outcome in campaign.run(options.processes):
             if outcome.broken:
-                print(f"seed {outcome.seed}: {outcome.broken}\n    replay: python benchmarks/simulation.py "
-                      f"--first-seed {outcome.seed} --seeds 1 --steps {options.steps}", flush=True)  # fmt: skip
+                print(
+                    f"seed {outcome.seed}: {outcome.broken}\n    replay: python benchmarks/simulation.py "
+                    f"--first-seed {outcome.seed} --seeds 1 --steps {options.steps}",
+                    flush=True,
+                )
     except KeyboardInterrupt:
         campaign.save()
     counts, seeds = campaign.counts, len(campaign.done)
     rate = counts["steps"] / campaign.busy_s if campaign.busy_s else 0.0
-    print(f"{seeds} seeds ({done_before} of them from before), {counts['steps']:,} fault-injected steps, "
-          f"{counts['faults']:,} faults on frames, {rate:,.0f} steps/s on {options.processes} processes")  # fmt: skip
+    print(
+        f"{seeds} seeds ({done_before} of them from before), {counts['steps']:,} fault-injected steps, "
+        f"{counts['faults']:,} faults on frames, {rate:,.0f} steps/s on {options.processes} processes"
+    )
     for name in sorted(counts, key=lambda name: -counts[name]):
         if name not in {"steps", "faults"}:
             print(f"    {counts[name]:>12,}  {name}")

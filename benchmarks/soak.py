@@ -107,8 +107,13 @@ def now(hour: float) -> dict[str, float]:
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     handles = len(list(Path("/proc/self/fd").iterdir()))
-    return {"hour": hour, "kB": pages * os.sysconf("SC_PAGE_SIZE") / 1024, "handles": handles,
-            "threads": threading.active_count(), "objects": len(gc.get_objects())}  # fmt: skip
+    return {
+        "hour": hour,
+        "kB": pages * os.sysconf("SC_PAGE_SIZE") / 1024,
+        "handles": handles,
+        "threads": threading.active_count(),
+        "objects": len(gc.get_objects()),
+    }
 
 
 def slope(notes: list[dict[str, float]], name: str) -> tuple[float, float]:
@@ -181,8 +186,13 @@ def judged(notes: list[dict[str, float]], wrong: list[str], slope_max: float) ->
         wrong += [f"{name} changed: {seen}"] if len(seen) > 1 else []
     if per_hour - half > 0 and per_hour > slope_max:
         wrong.append(f"memory grows by {per_hour:.0f} +- {half:.0f} kB an hour")
-    return {"first": counted[0], "last": counted[-1], "kB per hour": round(per_hour, 1),
-            "half of its 95 % interval": round(half, 1), "wrong": wrong}  # fmt: skip
+    return {
+        "first": counted[0],
+        "last": counted[-1],
+        "kB per hour": round(per_hour, 1),
+        "half of its 95 % interval": round(half, 1),
+        "wrong": wrong,
+    }
 
 
 def main() -> int:

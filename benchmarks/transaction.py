@@ -21,8 +21,10 @@ def main() -> int:
         for key in (None, KEY):
             took = transaction(polls, key)
             longest = max(longest, took.done_samples)
-            print(f"{polls:>16}   {'yes' if key else 'no':>4}   {took.swap_samples:>10.2f} samples   "
-                  f"{took.done_samples:>7.2f} samples   {took.frames:>6}")  # fmt: skip
+            print(
+                f"{polls:>16}   {'yes' if key else 'no':>4}   {took.swap_samples:>10.2f} samples   "
+                f"{took.done_samples:>7.2f} samples   {took.frames:>6}"
+            )
     print(f"longest: {longest:g} samples; aim: within {AIM_SAMPLES}")
     return int(longest > AIM_SAMPLES)
 

@@ -71,9 +71,12 @@ def _off(model: ProcessModel, rng: np.random.Generator, error: float) -> Process
     k, theta, tau1, tau2 = (log_uniform(rng, 1 / (1 + error), 1 + error) for _ in range(4))
     tau1_s = model.tau1_s * tau1
     return replace(
-        model, k=model.k * k, theta_s=model.theta_s * theta, tau1_s=tau1_s,
+        model,
+        k=model.k * k,
+        theta_s=model.theta_s * theta,
+        tau1_s=tau1_s,
         tau2_s=min(model.tau2_s * tau2, tau1_s) if tau1_s else model.tau2_s * tau2,
-    )  # fmt: skip
+    )
 
 
 def course(kind: str, size: float, n: int, rng: np.random.Generator) -> tuple[list[float], list[float]]:

@@ -86,8 +86,18 @@ class Regions:
 
     def __post_init__(self) -> None:
         parts = self.names if self.second is None else ()
-        first = Axis(self.variable, self.unit, self.low, self.bounds, self.high, self.hysteresis, self.min_stay_s,
-                     self.filter_s, self.signal, parts)  # fmt: skip
+        first = Axis(
+            self.variable,
+            self.unit,
+            self.low,
+            self.bounds,
+            self.high,
+            self.hysteresis,
+            self.min_stay_s,
+            self.filter_s,
+            self.signal,
+            parts,
+        )
         axes = (first,) if self.second is None else (first, self.second)
         object.__setattr__(self, "axes", axes)
         self._check_names()
@@ -95,8 +105,19 @@ class Regions:
     @classmethod
     def along(cls, names: tuple[str, ...], first: Axis, second: Axis | None = None) -> "Regions":
         """Regions along one or two axes; errors as the class."""
-        return cls(first.variable, first.unit, names, first.low, first.bounds, first.high, first.hysteresis,
-                   first.min_stay_s, first.filter_s, first.signal, second)  # fmt: skip
+        return cls(
+            first.variable,
+            first.unit,
+            names,
+            first.low,
+            first.bounds,
+            first.high,
+            first.hysteresis,
+            first.min_stay_s,
+            first.filter_s,
+            first.signal,
+            second,
+        )
 
     def _check_names(self) -> None:
         """One printable name a region, all different."""

@@ -109,11 +109,18 @@ class SettingsInForce:
         g, s = self.gains, self.structure
         return {
             "parallel": {"kp": g.kp, "ki": g.ki, "kd": g.kd} if g else None,
-            "std": self.std, "forms": self.forms(), "direction": self.direction, "b": self.b,
-            "derivative_on": s.derivative or None if s else None, "tau_f": s.tau_f_s if s else None,
-            "pv_filter": s.pv_filter_s if s else None, "lag": s.lag if s else None,
-            "explained": self.explained, "samples": self.samples, "reason": self.reason,
-        }  # fmt: skip
+            "std": self.std,
+            "forms": self.forms(),
+            "direction": self.direction,
+            "b": self.b,
+            "derivative_on": s.derivative or None if s else None,
+            "tau_f": s.tau_f_s if s else None,
+            "pv_filter": s.pv_filter_s if s else None,
+            "lag": s.lag if s else None,
+            "explained": self.explained,
+            "samples": self.samples,
+            "reason": self.reason,
+        }
 
 
 def settings_in_force(
@@ -219,20 +226,26 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     """Whether parts of the record show different settings: the sentence, or nothing."""
     middle = int(np.flatnonzero(found.kept)[int(np.sum(found.kept)) // 2])
     place = np.arange(len(found.kept))
-    first, second = (fit_on(window, found.structure, found.kept & part, levels=found.levels)
-                     for part in (place < middle, place >= middle))  # fmt: skip
+    first, second = (
+        fit_on(window, found.structure, found.kept & part, levels=found.levels)
+        for part in (place < middle, place >= middle)
+    )
     for name in ("kp", "ki"):
         if _differ(name, first, second, settings):
             a, b = first.values[name], second.values[name]
-            return (f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second: the settings were "
-                    "changed, or they hang on something else")  # fmt: skip
+            return (
+                f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second: the settings were "
+                "changed, or they hang on something else"
+            )
     slow = _slow(found, window)
     if slow is None:
         return ""
     pair = [_central_kp(f, dt) for f, dt in ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))]
     if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
-        return (f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones: the record is too coarse for "
-                "this controller's derivative, or it saw another pv")  # fmt: skip
+        return (
+            f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones: the record is too coarse for "
+            "this controller's derivative, or it saw another pv"
+        )
     return ""
 
 

@@ -208,9 +208,14 @@ def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _told(
-    structure: Structure, names: list[str], values: FloatArray, equation: tuple[FloatArray, FloatArray],
-    per_sample: tuple[FloatArray, BoolArray], *, levels: bool,
-) -> Regression:  # fmt: skip
+    structure: Structure,
+    names: list[str],
+    values: FloatArray,
+    equation: tuple[FloatArray, FloatArray],
+    per_sample: tuple[FloatArray, BoolArray],
+    *,
+    levels: bool,
+) -> Regression:
     """Values with their standard deviations and the share explained."""
     x, y = equation
     r = y - x @ values

@@ -194,8 +194,17 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
     """
     record, sign = linear.fit.misfit.record, linear.fit.misfit.sign
     ranked = sorted(_scanned(record, sign, period_s), key=lambda s: s[0])[:FINALISTS]
-    misfit = replace(linear.fit.misfit, type=ProcessType.FOPDT, loads=0, sigma=record.noise_std, ar=(), ramp=False,
-                     rounded=False, harmonics=0, most_order=WHITE)  # fmt: skip
+    misfit = replace(
+        linear.fit.misfit,
+        type=ProcessType.FOPDT,
+        loads=0,
+        sigma=record.noise_std,
+        ar=(),
+        ramp=False,
+        rounded=False,
+        harmonics=0,
+        most_order=WHITE,
+    )
     firsts = [_with_lag(_fine(_refined(misfit, valve, x))) for _, valve, x in ranked]
     closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
     best = min((_settled(s) for s in closest), key=lambda s: s.fit.criterion)

@@ -37,9 +37,14 @@ class Found:
 
 
 def linear_verdict(
-    window: Window, gains: PidGains | None, found: list[Candidate], evidence: dict[str, float],
-    fits: Mapping[str, Candidate], oscillates: bool, settings: DiagnosisSettings,
-) -> Found:  # fmt: skip
+    window: Window,
+    gains: PidGains | None,
+    found: list[Candidate],
+    evidence: dict[str, float],
+    fits: Mapping[str, Candidate],
+    oscillates: bool,
+    settings: DiagnosisSettings,
+) -> Found:
     """The loop by itself explains the record best: is it the tuning?"""
     estimate = estimate_of(found, float(window.t_s[0]), {}, settings.fit)
     events = evidence.get("setpoint_steps", 0.0) + evidence["loads"]

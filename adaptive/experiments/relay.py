@@ -86,10 +86,19 @@ class RelayCycle:
     def to_dict(self) -> dict[str, float | int | bool]:
         """Keys as in the JSON output of `retuner experiment relay`."""
         return {
-            "ku": self.ku, "pu": self.pu_s, "ku_std": self.ku_std, "pu_std": self.pu_std_s, "waves": self.waves,
-            "amplitude": self.amplitude, "co_amplitude": self.co_amplitude, "hysteresis": self.hysteresis,
-            "high": self.high_s, "low": self.low_s, "gain": self.gain, "phase_deg": self.phase_deg,
-        }  # fmt: skip
+            "ku": self.ku,
+            "pu": self.pu_s,
+            "ku_std": self.ku_std,
+            "pu_std": self.pu_std_s,
+            "waves": self.waves,
+            "amplitude": self.amplitude,
+            "co_amplitude": self.co_amplitude,
+            "hysteresis": self.hysteresis,
+            "high": self.high_s,
+            "low": self.low_s,
+            "gain": self.gain,
+            "phase_deg": self.phase_deg,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,14 +134,18 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     upper = _levels(window.co)
     switches = np.flatnonzero(np.diff(upper.astype(np.int8))) + 1
     if len(switches) < 2 * FEWEST_WAVES + 2:
-        raise ValueError(f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
-                         "record longer, or see whether its sign and size let pv cross the reference")  # fmt: skip
+        raise ValueError(
+            f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
+            "record longer, or see whether its sign and size let pv cross the reference"
+        )
     starts = _regular(window.t_s, switches)
     waves = _waves(window, [(int(switches[i]), int(switches[i + 2])) for i in starts])
     a = float(np.mean(waves.amplitudes))
     if np.min(waves.amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
-        raise ValueError(f"the waves of pv are {a:.3g} high on either side, no more than the hysteresis of "
-                         f"{hysteresis:.3g}; raise the relay's amplitude or lower its hysteresis")  # fmt: skip
+        raise ValueError(
+            f"the waves of pv are {a:.3g} high on either side, no more than the hysteresis of "
+            f"{hysteresis:.3g}; raise the relay's amplitude or lower its hysteresis"
+        )
     co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
     d = (co_high - co_low) / 2
     gains = 4 * d / (math.pi * np.sqrt(waves.amplitudes**2 - hysteresis**2))
@@ -140,12 +153,26 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     point = _fundamental(window, waves.spans)
     high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
     return RelayCycle(
-        ku, float(np.mean(waves.periods)), float(np.std(gains)), float(np.std(waves.periods)), len(waves.spans), a, d,
-        hysteresis, high_s, low_s, float(np.mean(waves.highs)), float(np.mean(waves.lows)),
-        *_means(window, waves.spans), co_high, co_low,
-        float(window.t_s[waves.spans[0][0]]), float(window.t_s[waves.spans[-1][1]]), abs(point),
+        ku,
+        float(np.mean(waves.periods)),
+        float(np.std(gains)),
+        float(np.std(waves.periods)),
+        len(waves.spans),
+        a,
+        d,
+        hysteresis,
+        high_s,
+        low_s,
+        float(np.mean(waves.highs)),
+        float(np.mean(waves.lows)),
+        *_means(window, waves.spans),
+        co_high,
+        co_low,
+        float(window.t_s[waves.spans[0][0]]),
+        float(window.t_s[waves.spans[-1][1]]),
+        abs(point),
         math.degrees(cmath.phase(point)) % 360 - 360,
-    )  # fmt: skip
+    )
 
 
 def _waves(window: Window, spans: list[tuple[int, int]]) -> _Waves:
@@ -192,8 +219,10 @@ def _levels(co: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     first = int(np.argmax(at_level))
     off = float(np.mean(~at_level[first:]))
     if off > OFF_LEVEL:
-        raise ValueError(f"co is between its levels {low:g} and {high:g} in {off:.0%} of the samples; this is not what "
-                         "a relay puts out")  # fmt: skip
+        raise ValueError(
+            f"co is between its levels {low:g} and {high:g} in {off:.0%} of the samples; this is not what "
+            "a relay puts out"
+        )
     return np.asarray(co > (low + high) / 2)
 
 
@@ -281,8 +310,10 @@ def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessMod
     """
     co, pv = cycle.co_mean - co_rest, cycle.pv_mean - pv_rest
     if abs(co) < SMALLEST_OFFSET * cycle.co_amplitude:
-        raise ValueError(f"the mean of co is only {co:.3g} off the rest point (a symmetric relay, or a nearly "
-                         "integrating process), so the process gain does not show; use the fit")  # fmt: skip
+        raise ValueError(
+            f"the mean of co is only {co:.3g} off the rest point (a symmetric relay, or a nearly "
+            "integrating process), so the process gain does not show; use the fit"
+        )
     k = pv / co
     sign = math.copysign(1.0, k)
     high, low = sorted((sign * (cycle.pv_high - pv_rest), sign * (cycle.pv_low - pv_rest)), reverse=True)
@@ -290,8 +321,10 @@ def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessMod
     eps = cycle.hysteresis
     share = ((h - high) + (low - low_end)) / ((h - eps) + (-eps - low_end))
     if not (0 < share < 1 and h > max(high, eps) and low_end < min(low, -eps)):
-        raise ValueError("this limit cycle is not that of a first-order process with dead time (an integrating or a "
-                         "strongly lagging one); use the fit")  # fmt: skip
+        raise ValueError(
+            "this limit cycle is not that of a first-order process with dead time (an integrating or a "
+            "strongly lagging one); use the fit"
+        )
     theta_ratio = -math.log(share)
     rise, fall = math.log((h - low) / (h - eps)), math.log((high - low_end) / (-eps - low_end))
     tau = (cycle.high_s + cycle.low_s) / (2 * theta_ratio + rise + fall)

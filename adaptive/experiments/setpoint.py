@@ -55,8 +55,10 @@ class Overshoot:
         if self.dy_s == 0 or self.t_p_s <= 0:
             raise ValueError(f"dy_s = {self.dy_s}, t_p = {self.t_p_s}: there must be a step, and a peak after it")
         if not 0 < self.dy_u / self.dy_s < self.dy_p / self.dy_s:
-            raise ValueError(f"dy_p = {self.dy_p:g}, dy_u = {self.dy_u:g}: the peak must lie beyond the undershoot, "
-                             "both on the side of the setpoint step")  # fmt: skip
+            raise ValueError(
+                f"dy_p = {self.dy_p:g}, dy_u = {self.dy_u:g}: the peak must lie beyond the undershoot, "
+                "both on the side of the setpoint step"
+            )
 
     @property
     def dy_inf(self) -> float:

@@ -89,13 +89,16 @@ def step_response(window: Window, *, rest: bool = True) -> StepResponse:
     after = float(np.mean(tail))
     b = after - before
     if abs(b) <= CLEAR * sigma:
-        raise ValueError(f"pv answers the step by {b:.3g}, and its noise has a standard deviation of {sigma:.2g}; make "
-                         "a larger step")  # fmt: skip
+        raise ValueError(
+            f"pv answers the step by {b:.3g}, and its noise has a standard deviation of {sigma:.2g}; make a larger step"
+        )
     last = window.pv[-max(int(DRIFT_SHARE * (len(window.pv) - i)), 3) :]
     moved = float(np.polyfit(np.linspace(-0.5, 0.5, len(last)), last, 1)[0])
     if rest and abs(moved) > max(REST_DRIFT * abs(b), CLEAR * sigma * math.sqrt(12 / len(last))):
-        raise ValueError(f"pv has not come to rest: it still moves by {moved:.3g} over the last fifth of the record; "
-                         "record longer, or use the fit")  # fmt: skip
+        raise ValueError(
+            f"pv has not come to rest: it still moves by {moved:.3g} over the last fifth of the record; "
+            "record longer, or use the fit"
+        )
     t = window.t_s[i:] - window.t_s[i]
     pv, left = smoothed(window.pv[i:], b)
     return StepResponse(float(window.t_s[i]), a, b, before, after, t, pv, sigma, left)

@@ -59,9 +59,14 @@ class Swing:
     def to_dict(self) -> dict[str, float | int | bool]:
         """Keys as in the JSON output of `retuner experiment ultimate`."""
         return {
-            "period": self.period_s, "period_std": self.period_std_s, "amplitude": self.amplitude, "decay": self.decay,
-            "periods": self.periods, "sustained": self.sustained, "quarter_decay": self.quarter_decay,
-        }  # fmt: skip
+            "period": self.period_s,
+            "period_std": self.period_std_s,
+            "amplitude": self.amplitude,
+            "decay": self.decay,
+            "periods": self.periods,
+            "sustained": self.sustained,
+            "quarter_decay": self.quarter_decay,
+        }
 
 
 def swing(window: Window) -> Swing:
@@ -80,8 +85,10 @@ def swing(window: Window) -> Swing:
     last = len(whole) if np.all(whole) else int(np.argmin(whole))
     periods, heights = periods[:last], heights[:last]
     if last < FEWEST_PERIODS:
-        raise ValueError(f"pv swings for {last} periods beyond its noise, and {FEWEST_PERIODS} are needed: record "
-                         "longer, or raise the gain")  # fmt: skip
+        raise ValueError(
+            f"pv swings for {last} periods beyond its noise, and {FEWEST_PERIODS} are needed: record "
+            "longer, or raise the gain"
+        )
     decay = float((heights[-1] / heights[0]) ** (1 / (len(heights) - 1)))
     return Swing(float(np.mean(periods)), float(np.std(periods)), float(np.mean(heights)), decay, len(periods))
 

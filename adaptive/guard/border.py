@@ -46,8 +46,16 @@ def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plau
             reach = (
                 1.0 if interpolated else max(_reach(table, region, other, k) for k, step in enumerate(steps) if step)
             )
-            found.append(Border(regions.names[other], table.gains_of(other), tuple(models.get(other, ())), reach,
-                                interpolated, beside))  # fmt: skip
+            found.append(
+                Border(
+                    regions.names[other],
+                    table.gains_of(other),
+                    tuple(models.get(other, ())),
+                    reach,
+                    interpolated,
+                    beside,
+                )
+            )
     return tuple(sorted(found, key=lambda border: len(border.beside)))
 
 

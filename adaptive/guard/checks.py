@@ -57,9 +57,12 @@ def no_less(check: Check, in_force: float) -> Check:
 
 def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, dict[str, float]] | None:
     """The first of them that failed, as a ruling."""
-    rulings = {"records": (Ruling.TOO_FEW_RECORDS, "records"), "age": (Ruling.TOO_OLD, "age_s"),
-               "innovation": (Ruling.CONTRADICTED, "innovation"),
-               "settled": (Ruling.NOT_SETTLED, "settled")}  # fmt: skip
+    rulings = {
+        "records": (Ruling.TOO_FEW_RECORDS, "records"),
+        "age": (Ruling.TOO_OLD, "age_s"),
+        "innovation": (Ruling.CONTRADICTED, "innovation"),
+        "settled": (Ruling.NOT_SETTLED, "settled"),
+    }
     for check in evidence_checks(request, settings):
         if not check.passed:
             ruling, name = rulings[check.name]
@@ -68,9 +71,14 @@ def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Rul
 
 
 def limit_checks(
-    request: ChangeRequest, gains: PidGains, settings: GuardSettings, *, over_limit: bool = False,
-    urgent: bool = False, factor: float | None = None,
-) -> list[Check]:  # fmt: skip
+    request: ChangeRequest,
+    gains: PidGains,
+    settings: GuardSettings,
+    *,
+    over_limit: bool = False,
+    urgent: bool = False,
+    factor: float | None = None,
+) -> list[Check]:
     """Size of the step, ratio to the commissioned set, absolute limits, sampling time.
 
     over_limit : the loop in force is over its Ms limit: the commissioned set does not hold it up from below.
@@ -106,8 +114,11 @@ def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit:
     found = []
     before, now, after = logs(request.commissioned), logs(request.in_force), logs(new)
     floor = min(s.tau_i_samples * request.sample_time_s, math.exp(now.get(Parameter.TAU_I, math.inf)))
-    absolute = {Parameter.KC: (s.kc_min, s.kc_max), Parameter.TAU_I: (max(s.tau_i_min_s, floor), s.tau_i_max_s),
-                Parameter.TAU_D: (0.0, s.tau_d_max_s)}  # fmt: skip
+    absolute = {
+        Parameter.KC: (s.kc_min, s.kc_max),
+        Parameter.TAU_I: (max(s.tau_i_min_s, floor), s.tau_i_max_s),
+        Parameter.TAU_D: (0.0, s.tau_d_max_s),
+    }
     for parameter, (least, most) in absolute.items():
         if parameter in before and parameter in after:
             way, start = after[parameter] - before[parameter], math.exp(before[parameter])
@@ -156,10 +167,14 @@ def _least(name: str, words: str, value: float, limit: float, in_force: float) -
 
 def robustness_checks(ms: tuple[float, float], in_force: tuple[float, float], settings: GuardSettings) -> list[Check]:
     """Ms on the process and on the worst model, each of the new gains and of those in force."""
-    asked = (("ms_nominal", "Ms on the process", settings.ms_nominal),
-             ("ms_worst", "Ms on the worst model that the records allow", settings.ms_worst))  # fmt: skip
-    return [no_worse(Check(name, words, now, limit, now <= limit), before, "no worse than")
-            for (name, words, limit), now, before in zip(asked, ms, in_force, strict=True)]  # fmt: skip
+    asked = (
+        ("ms_nominal", "Ms on the process", settings.ms_nominal),
+        ("ms_worst", "Ms on the worst model that the records allow", settings.ms_worst),
+    )
+    return [
+        no_worse(Check(name, words, now, limit, now <= limit), before, "no worse than")
+        for (name, words, limit), now, before in zip(asked, ms, in_force, strict=True)
+    ]
 
 
 def failed_checks(ruling: Ruling, numbers: dict[str, float]) -> Iterator[Check]:

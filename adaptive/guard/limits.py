@@ -180,8 +180,11 @@ def _limiting(
 ) -> tuple[bool, Ruling | None, dict[str, float]]:
     """The bound that pushes a parameter away from where it was to go, or else the first that cuts one; and which."""
     old = request.in_force
-    now = {"kc": abs(old.kp), "tau_I": old.kp / old.ki if old.kp and old.ki else 0.0,
-           "tau_D": old.kd / old.kp if old.kp else 0.0}  # fmt: skip
+    now = {
+        "kc": abs(old.kp),
+        "tau_I": old.kp / old.ki if old.kp and old.ki else 0.0,
+        "tau_D": old.kd / old.kp if old.kp else 0.0,
+    }
     first: tuple[bool, Ruling | None, dict[str, float]] = (False, None, {})
     for name, wanted, cut, by in cuts:
         if by is None or by.ruling is None:

@@ -303,8 +303,9 @@ def _border_check(case: _Case, border: Border, gains: PidGains) -> Check | None:
     request, limit = case.request, case.settings.ms_border
     key = (border.name, gains)
     if key not in case.asked:
-        case.asked[key] = at_border(border, request.models, gains, request.in_force, limit, request.sample_time_s,
-                                    request.filter_s)  # fmt: skip
+        case.asked[key] = at_border(
+            border, request.models, gains, request.in_force, limit, request.sample_time_s, request.filter_s
+        )
     ms, passed = case.asked[key]
     if math.isnan(ms):
         return None
@@ -352,8 +353,9 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     if case.outside is not None:
         return _refused(case, *_outside(case), goal.notes)
     step, ruling = _share(request.in_force, gains, goal), UNPROVED[way_out]
-    return Verdict(ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks,
-                   goal.notes, (), way_out)  # fmt: skip
+    return Verdict(
+        ruling, gains, step, math.nan, math.nan, math.nan, goal.tau_c_s, numbers, checks, goal.notes, (), way_out
+    )
 
 
 def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
@@ -372,8 +374,20 @@ def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
     )
     urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
     step = _share(request.in_force, gains, candidate.goal)
-    return Verdict(ruling, gains, step, nominal, worst, before, candidate.goal.tau_c_s, numbers, checks,
-                   candidate.goal.notes, tuple(request.models), urgent)  # fmt: skip
+    return Verdict(
+        ruling,
+        gains,
+        step,
+        nominal,
+        worst,
+        before,
+        candidate.goal.tau_c_s,
+        numbers,
+        checks,
+        candidate.goal.notes,
+        tuple(request.models),
+        urgent,
+    )
 
 
 def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float], notes: tuple[str, ...] = ()) -> Verdict:
@@ -381,5 +395,17 @@ def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float], notes: tupl
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
     checks = (*evidence_checks(request, s), *failed_checks(ruling, numbers))
-    return Verdict(ruling, None, 0.0, nominal, worst, nominal, request.proposal.tau_c_s or 0.0, numbers, checks, notes,
-                   tuple(request.models), False)  # fmt: skip
+    return Verdict(
+        ruling,
+        None,
+        0.0,
+        nominal,
+        worst,
+        nominal,
+        request.proposal.tau_c_s or 0.0,
+        numbers,
+        checks,
+        notes,
+        tuple(request.models),
+        False,
+    )

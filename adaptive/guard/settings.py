@@ -93,7 +93,16 @@ class GuardSettings:
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""
         return replace(
-            self, step_up_max=factor, step_down_max=factor, total_ratio_max=factor,
-            kc_up_max=None, kc_down_max=None, tau_i_shorter_max=None, tau_i_longer_max=None,
-            tau_d_up_max=None, tau_d_down_max=None, integral_up_max=None, integral_down_max=None,
-        )  # fmt: skip
+            self,
+            step_up_max=factor,
+            step_down_max=factor,
+            total_ratio_max=factor,
+            kc_up_max=None,
+            kc_down_max=None,
+            tau_i_shorter_max=None,
+            tau_i_longer_max=None,
+            tau_d_up_max=None,
+            tau_d_down_max=None,
+            integral_up_max=None,
+            integral_down_max=None,
+        )

@@ -134,8 +134,17 @@ def estimate_of(
     explained = 1 - float(np.var(left) / np.var(record.pv))
     identifiable, reason = _judge(log, around, explained, record, settings)
     loads = tuple(origin_s + t for t in fit.load_times_s)
-    return ModelEstimate(identifiable, reason, loads, float(np.std(left)), record.noise_std, alternatives,
-                         len(best.colour.ar), around, explained)  # fmt: skip
+    return ModelEstimate(
+        identifiable,
+        reason,
+        loads,
+        float(np.std(left)),
+        record.noise_std,
+        alternatives,
+        len(best.colour.ar),
+        around,
+        explained,
+    )
 
 
 def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:

@@ -55,8 +55,19 @@ class Record:
         resolution = max(quantum_sigma(window.pv), LEAST_NOISE * pv_range)
         noise = max(noise_sigma(window.pv), resolution)
         dt = window.sample_time_s
-        return cls(window.pv, window.co - window.co[0], Clock.of(t), dt, float(t[-1]), noise, resolution, pv_range,
-                   float(np.ptp(window.co)), _gaps(t, dt), _motion(window.pv, noise))  # fmt: skip
+        return cls(
+            window.pv,
+            window.co - window.co[0],
+            Clock.of(t),
+            dt,
+            float(t[-1]),
+            noise,
+            resolution,
+            pv_range,
+            float(np.ptp(window.co)),
+            _gaps(t, dt),
+            _motion(window.pv, noise),
+        )
 
     @property
     def t_s(self) -> FloatArray:

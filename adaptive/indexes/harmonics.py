@@ -81,8 +81,14 @@ def _tone(phasors: npt.NDArray[np.complex128], power: float) -> Tone:
     a[: len(phasors)] = np.abs(phasors)
     first = max(float(a[0]), 1e-300)
     share = min(first * first / 2 / power, 1.0)
-    return Tone(first, share, float(a[2]) / first, float(np.linalg.norm(a[1:])) / first,
-                float(np.linalg.norm(a[[1, 3]])) / first, phasors)  # fmt: skip
+    return Tone(
+        first,
+        share,
+        float(a[2]) / first,
+        float(np.linalg.norm(a[1:])) / first,
+        float(np.linalg.norm(a[[1, 3]])) / first,
+        phasors,
+    )
 
 
 def phase_deg(pv: Tone, co: Tone, direction: int) -> float:

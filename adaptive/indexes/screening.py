@@ -75,10 +75,15 @@ def screen(
     wave = _oscillation(window)
     state = record_condition(window, limits.low + limits.high, oscillates=wave is not None and wave.lasting)
     found: dict[str, float | None] = {
-        "at_low_limit": limits.low, "at_high_limit": limits.high, "limits_hit": float(limits.hit),
-        "still_share": state.still_share, "sp_moving_share": state.sp_moving_share, "offset": state.offset,
-        **_recording(window, limits), **_setpoint(window),
-    }  # fmt: skip
+        "at_low_limit": limits.low,
+        "at_high_limit": limits.high,
+        "limits_hit": float(limits.hit),
+        "still_share": state.still_share,
+        "sp_moving_share": state.sp_moving_share,
+        "offset": state.offset,
+        **_recording(window, limits),
+        **_setpoint(window),
+    }
     period_s = None
     if np.ptp(window.pv) > 0 and np.ptp(window.co) > 0:
         found |= _movement(window, gains, wave)
@@ -102,8 +107,12 @@ def _recording(window: Window, limits: AtLimits) -> dict[str, float | None]:
     co = recording_quality(window.co[moving]) if np.sum(moving) > FEWEST_MOVING else None
     found: dict[str, float | None] = {}
     if pv is not None:
-        found |= {"noise_share": pv.noise_share, "quantum_pv": pv.quantum, "repeated_pv": pv.repeated,
-                  "compression_pv": pv.compression}  # fmt: skip
+        found |= {
+            "noise_share": pv.noise_share,
+            "quantum_pv": pv.quantum,
+            "repeated_pv": pv.repeated,
+            "compression_pv": pv.compression,
+        }
     if co is not None:
         found |= {"quantum_co": co.quantum, "repeated_co": co.repeated, "compression_co": co.compression}
     return found
@@ -157,9 +166,16 @@ def _shape(window: Window, gains: PidGains | None, period_s: float) -> tuple[dic
     both = tones(window.t_s, w, window.pv, window.co)
     if both is not None:
         pv, co = both
-        found |= {"tone_share": pv.share, "tone_share_co": co.share, "third_harmonic": pv.third,
-                  "distortion": pv.distortion, "distortion_co": co.distortion, "even_harmonics": pv.even,
-                  "amplitude_pv": pv.amplitude, "amplitude_co": co.amplitude}  # fmt: skip
+        found |= {
+            "tone_share": pv.share,
+            "tone_share_co": co.share,
+            "third_harmonic": pv.third,
+            "distortion": pv.distortion,
+            "distortion_co": co.distortion,
+            "even_harmonics": pv.even,
+            "amplitude_pv": pv.amplitude,
+            "amplitude_co": co.amplitude,
+        }
         if gains is not None:
             found["phase_deg"] = phase_deg(pv, co, gains.direction)
     if gains is not None and gains.ki and gains.kp:
@@ -177,8 +193,11 @@ def _pictures(pv: FloatArray, co: FloatArray, n: float) -> dict[str, float | Non
         band = max(NOISE_BAND * noise, 0.2 * float(np.std(x)))
         shape = half_wave_shape(x, band)
         if shape is not None:
-            found |= {f"triangle_{name}": shape.triangle_index, f"relay_{name}": shape.relay_index,
-                      f"asymmetry_{name}": shape.asymmetry}  # fmt: skip
+            found |= {
+                f"triangle_{name}": shape.triangle_index,
+                f"relay_{name}": shape.relay_index,
+                f"asymmetry_{name}": shape.asymmetry,
+            }
     pair = cross_correlation(waves["pv"], waves["co"])
     if pair is not None:
         found |= {"horch_dtau": pair.dtau, "horch_drho": pair.drho}

@@ -54,8 +54,9 @@ def setpoint_responses(sp: FloatArray, pv: FloatArray) -> SetpointResponses | No
     if not read:
         return None
     damped = [d for _, d in read if d is not None]
-    return SetpointResponses(len(read), float(np.median([o for o, _ in read])),
-                             float(np.median(damped)) if damped else None)  # fmt: skip
+    return SetpointResponses(
+        len(read), float(np.median([o for o, _ in read])), float(np.median(damped)) if damped else None
+    )
 
 
 def _response(e: FloatArray, band: float) -> tuple[float, float | None]:

@@ -141,5 +141,11 @@ class ProcessModel:
     def to_dict(self) -> dict[str, float | str]:
         """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings."""
         swings = {"zeta": self.zeta} if self.zeta < 1 else {}
-        return {"type": str(self.type), "k": self.k, "tau1": self.tau1_s, "tau2": self.tau2_s, "theta": self.theta_s,
-                **swings}  # fmt: skip
+        return {
+            "type": str(self.type),
+            "k": self.k,
+            "tau1": self.tau1_s,
+            "tau2": self.tau2_s,
+            "theta": self.theta_s,
+            **swings,
+        }

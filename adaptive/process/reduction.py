@@ -80,8 +80,10 @@ def against(lead_s: float, lags_s: list[float]) -> float:
     larger = [lag for lag in lags_s if lag >= lead_s]
     smaller = [lag for lag in lags_s if lag < lead_s]
     if not lags_s:
-        raise ValueError(f"a numerator time constant of {lead_s:g} s has no lag to be set against: more zeros than "
-                         "poles; add the missing lags (sensor, actuator)")  # fmt: skip
+        raise ValueError(
+            f"a numerator time constant of {lead_s:g} s has no lag to be set against: more zeros than "
+            "poles; add the missing lags (sensor, actuator)"
+        )
     if not smaller:
         return min(larger)
     near = max(smaller)
@@ -212,8 +214,10 @@ def _parts(process: LinearProcess, leads: Leads) -> _Parts:
         steps.append(f"inverse response: {inverse:g} s of dead time")
     ordered = [math.inf] * process.integrators + sorted(lags, reverse=True)
     if len([x for x in process.leads_s if x]) > len(ordered):
-        raise ValueError(f"{len(process.leads_s)} numerator time constants, but only {len(ordered)} of lags and "
-                         "integrators: more zeros than poles; add the missing lags (sensor, actuator)")  # fmt: skip
+        raise ValueError(
+            f"{len(process.leads_s)} numerator time constants, but only {len(ordered)} of lags and "
+            "integrators: more zeros than poles; add the missing lags (sensor, actuator)"
+        )
     return _Parts(process.k, ordered, kept, theta + inverse, tuple(steps))
 
 
@@ -243,8 +247,10 @@ def _settled(parts: _Parts, order: int) -> _Half:
         if found.theta_s <= SETTLED * finite:
             found = _iterated(parts, order, abs(parts.theta_s) + 2 * finite + sum(parts.leads_s))
     if found.theta_s < 0:
-        raise ValueError(f"the effective dead time would be {found.theta_s:g} s: the numerator time constants are too "
-                         'large to be subtracted; use rules T1 to T3 (leads = "rules")')  # fmt: skip
+        raise ValueError(
+            f"the effective dead time would be {found.theta_s:g} s: the numerator time constants are too "
+            'large to be subtracted; use rules T1 to T3 (leads = "rules")'
+        )
     return found
 
 
@@ -287,8 +293,10 @@ def _half_text(parts: _Parts, found: _Half, order: int) -> list[str]:
     lags = len(parts.lags_s) - sum(not s.rest_s for s in found.settings)
     if lags <= order:
         return []
-    return [f"half rule: {lags - order} lag{'s' if lags - order > 1 else ''} neglected, "
-            f"effective dead time {found.theta_s:.6g} s"]  # fmt: skip
+    return [
+        f"half rule: {lags - order} lag{'s' if lags - order > 1 else ''} neglected, "
+        f"effective dead time {found.theta_s:.6g} s"
+    ]
 
 
 def _model(found: _Half) -> ProcessModel:

@@ -70,8 +70,9 @@ def from_roots(zeros: Roots, poles: Roots, gain: float, theta_s: float = 0.0) ->
     moving = p[np.abs(p) > AT_ORIGIN * scale]
     wrong = moving[moving.real > UNSTABLE * np.abs(moving)]
     if wrong.size:
-        raise ValueError(f"a pole at {_shown(wrong[0])} per second is unstable; the models have stable poles and "
-                         "integrators")  # fmt: skip
+        raise ValueError(
+            f"a pole at {_shown(wrong[0])} per second is unstable; the models have stable poles and integrators"
+        )
     k = gain * float(np.real(np.prod(-z) / np.prod(-moving)))
     lags, pairs = _denominator(moving)
     integrators = len(p) - len(moving)
@@ -90,8 +91,9 @@ def _leads(zeros: npt.NDArray[np.complex128]) -> list[float]:
     leads = [-1 / float(z.real) for z in zeros if z.imag == 0]
     for z in zeros[zeros.imag > 0]:
         if abs(z.real) < REAL_DAMPING * abs(z):
-            raise ValueError(f"complex zeros at {_shown(z)} and its conjugate: the models have real numerator time "
-                             "constants only")  # fmt: skip
+            raise ValueError(
+                f"complex zeros at {_shown(z)} and its conjugate: the models have real numerator time constants only"
+            )
         leads += [-float(z.real) / abs(z) ** 2] * 2
     return leads
 
@@ -134,7 +136,11 @@ def pade(theta_s: float, order: int) -> tuple[list[float], list[float]]:
     """
     if order < 1:
         raise ValueError(f"pade_order = {order}: a dead time of {theta_s:g} s needs a positive order, 5 for example")
-    c = [math.factorial(2 * order - j) * math.factorial(order)
-         / (math.factorial(2 * order) * math.factorial(j) * math.factorial(order - j)) * theta_s**j
-         for j in range(order, -1, -1)]  # fmt: skip
+    c = [
+        math.factorial(2 * order - j)
+        * math.factorial(order)
+        / (math.factorial(2 * order) * math.factorial(j) * math.factorial(order - j))
+        * theta_s**j
+        for j in range(order, -1, -1)
+    ]
     return [x * (-1) ** (order - i) for i, x in enumerate(c)], c

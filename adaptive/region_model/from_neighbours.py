@@ -47,9 +47,14 @@ class BorrowingSettings:
 
 
 def borrowed(
-    beliefs: Mapping[int, Belief], region: int, regions: Regions, t_s: float, sign: int,
-    settings: BorrowingSettings, tracker: TrackerSettings,
-) -> Belief | None:  # fmt: skip
+    beliefs: Mapping[int, Belief],
+    region: int,
+    regions: Regions,
+    t_s: float,
+    sign: int,
+    settings: BorrowingSettings,
+    tracker: TrackerSettings,
+) -> Belief | None:
     """What may be assumed of a region's process from its neighbours', None where no neighbour knows its own.
 
     Parameters
@@ -78,9 +83,13 @@ def borrowed(
 
 
 def _mixed(
-    type_: ProcessType, near: Mapping[int, int], weights: Mapping[int, float],
-    lent: Mapping[int, Mapping[ProcessType, LogModel]], beliefs: Mapping[int, Belief], settings: BorrowingSettings,
-) -> Known:  # fmt: skip
+    type_: ProcessType,
+    near: Mapping[int, int],
+    weights: Mapping[int, float],
+    lent: Mapping[int, Mapping[ProcessType, LogModel]],
+    beliefs: Mapping[int, Belief],
+    settings: BorrowingSettings,
+) -> Known:
     """One structure of the mixture, and how far it lies behind the leading ones."""
     total = sum(weights.values())
     logs = {other: lent[other][type_] for other in near}

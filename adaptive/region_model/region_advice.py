@@ -141,19 +141,28 @@ class RegionAdvice:
         where = f"{self.axis} = {self.border:.4g} {self.unit}".rstrip()
         if self.kind is AdviceKind.MERGE:
             named = " and ".join(self.regions) if len(self.regions) == 2 else ", ".join(self.regions)
-            return (f"The border at {where} may go: the records ask for the same settings on both sides of it in "
-                    f"{named} ({factors}; at most a factor of {self.statistic:.2f} with its uncertainty, "
-                    f"{self.limit:g} allowed).")  # fmt: skip
+            return (
+                f"The border at {where} may go: the records ask for the same settings on both sides of it in "
+                f"{named} ({factors}; at most a factor of {self.statistic:.2f} with its uncertainty, "
+                f"{self.limit:g} allowed)."
+            )
         likelier, needed, later = (v / 2 / math.log(10) for v in (self.statistic, self.limit, self.against_time))
-        return (f"Region {self.regions[0]} holds two processes: a border at {where} explains its records "
-                f"10^{likelier:.1f} times better than one process (10^{needed:.1f} needed), and 10^{later:.1f} times "
-                f"better than a change in time. Above it the records ask for {factors} "
-                f"({self.records[0]} records below, {self.records[1]} above).")  # fmt: skip
+        return (
+            f"Region {self.regions[0]} holds two processes: a border at {where} explains its records "
+            f"10^{likelier:.1f} times better than one process (10^{needed:.1f} needed), and 10^{later:.1f} times "
+            f"better than a change in time. Above it the records ask for {factors} "
+            f"({self.records[0]} records below, {self.records[1]} above)."
+        )
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {**asdict(self), "kind": str(self.kind), "regions": list(self.regions), "records": list(self.records),
-                "sentence": self.sentence}  # fmt: skip
+        return {
+            **asdict(self),
+            "kind": str(self.kind),
+            "regions": list(self.regions),
+            "records": list(self.records),
+            "sentence": self.sentence,
+        }
 
 
 def region_advice(
@@ -249,9 +258,18 @@ def _split(
         return None
     apart, axis = cut.above.mean - cut.below.mean, regions.axes[k]
     return RegionAdvice(
-        AdviceKind.SPLIT, (regions.names[region],), axis.label, axis.unit, cut.border, math.exp(float(apart[0])),
-        math.exp(float(apart[1])), (cut.below.count, cut.above.count), one - cut.left, limit, against_time,
-    )  # fmt: skip
+        AdviceKind.SPLIT,
+        (regions.names[region],),
+        axis.label,
+        axis.unit,
+        cut.border,
+        math.exp(float(apart[0])),
+        math.exp(float(apart[1])),
+        (cut.below.count, cut.above.count),
+        one - cut.left,
+        limit,
+        against_time,
+    )
 
 
 def _is_worth_it(regions: Regions, region: int, k: int, cut: _Cut, settings: AdviceSettings) -> bool:
@@ -293,8 +311,12 @@ def _merges(
     }
     for k, axis in enumerate(regions.axes):
         for n, bound in enumerate(axis.bounds):
-            pairs = [(i, j) for i in range(len(regions)) for j in regions.neighbours(i)
-                     if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n]  # fmt: skip
+            pairs = [
+                (i, j)
+                for i in range(len(regions))
+                for j in regions.neighbours(i)
+                if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n
+            ]
             if not all(i in asked and j in asked for i, j in pairs):
                 continue
             told = [_apart(asked[i], asked[j], settings) for i, j in pairs]
@@ -305,9 +327,17 @@ def _merges(
             names = tuple(regions.names[i] for pair in pairs for i in pair)
             counted = [sum(asked[pair[side]].count for pair in pairs) for side in (0, 1)]
             yield RegionAdvice(
-                AdviceKind.MERGE, names, axis.label, axis.unit, bound, math.exp(float(apart[0])),
-                math.exp(float(apart[1])), (counted[0], counted[1]), most, settings.merge_factor,
-            )  # fmt: skip
+                AdviceKind.MERGE,
+                names,
+                axis.label,
+                axis.unit,
+                bound,
+                math.exp(float(apart[0])),
+                math.exp(float(apart[1])),
+                (counted[0], counted[1]),
+                most,
+                settings.merge_factor,
+            )
 
 
 def _apart(one: _Side, other: _Side, settings: AdviceSettings) -> tuple[float, FloatArray]:

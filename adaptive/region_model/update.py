@@ -180,8 +180,9 @@ def _agreed(belief: Belief, joined: Joined, lesson: Lesson, points: tuple[Record
         lead = joined.rise - other.rise
         if other.innovation <= gate(len(belief.rival[0].log.x), settings.gate):
             if lead > settings.decisive:
-                return Learned(other.belief(2, lesson, points[-2:]), other.estimate, Surprise.CHANGED,
-                               joined.innovation)  # fmt: skip
+                return Learned(
+                    other.belief(2, lesson, points[-2:]), other.estimate, Surprise.CHANGED, joined.innovation
+                )
             kept = other.known if lead > -settings.decisive else None
     now = replace(joined.belief(belief.records + 1, lesson, points), rival=kept)
     return Learned(now, joined.estimate, Surprise.AGREES, joined.innovation)

@@ -84,8 +84,14 @@ def _symbols(model: ProcessModel, found: Tuning, wishes: Wishes) -> dict[str, fl
     if model.type in {ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.DELAY}:
         symbols |= {"tau1": model.tau1_s, "tau": model.tau1_s, "T": model.tau1_s}
     symbols |= {"tau2": model.tau2_s} if model.tau2_s else {}
-    given = {"tau_c": found.tau_c_s, "lambda": found.tau_c_s, "u0": wishes.u0, "ymax": wishes.y_max, "m": wishes.ms,
-             "c": wishes.c or TAU_I_FACTOR}  # fmt: skip
+    given = {
+        "tau_c": found.tau_c_s,
+        "lambda": found.tau_c_s,
+        "u0": wishes.u0,
+        "ymax": wishes.y_max,
+        "m": wishes.ms,
+        "c": wishes.c or TAU_I_FACTOR,
+    }
     return symbols | {name: value for name, value in given.items() if value is not None}
 
 

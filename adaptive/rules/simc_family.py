@@ -94,8 +94,10 @@ def _with_notes(found: Tuning, model: ProcessModel, kind: ControllerKind) -> Tun
     if kind == PI and derivative_pays(model):
         notes.append(f"tau2 = {model.tau2_s:g} s is more than theta = {model.theta_s:g} s: derivative action would pay")
     if kind == PID and 0 < model.tau2_s <= model.theta_s:
-        notes.append(f"tau2 = {model.tau2_s:g} s is not more than theta = {model.theta_s:g} s: derivative action hardly"
-                     " pays, PI is enough")  # fmt: skip
+        notes.append(
+            f"tau2 = {model.tau2_s:g} s is not more than theta = {model.theta_s:g} s: derivative action hardly"
+            " pays, PI is enough"
+        )
     if kind == PID and found.gains.kd == 0:
         notes.append("a model without a second lag gives no derivative action: these settings are PI")
     return replace(found, notes=(*found.notes, *notes))
@@ -133,8 +135,10 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
     tau_c_s = tau_c_smooth(reduced, wishes.u0, wishes.y_max)
     found = simc(model, tau_c_s, kind, TAU_I_FACTOR if wishes.c is None else wishes.c)
     if tau_c_s < reduced.theta_s:
-        note = (f"tau_c = {tau_c_s:.4g} s is less than theta = {reduced.theta_s:.4g} s: ymax asks for more than tight"
-                " control gives with good robustness")  # fmt: skip
+        note = (
+            f"tau_c = {tau_c_s:.4g} s is less than theta = {reduced.theta_s:.4g} s: ymax asks for more than tight"
+            " control gives with good robustness"
+        )
         found = replace(found, notes=(note,))
     return _with_notes(replace(found, rule="simc-smooth"), model, kind)
 

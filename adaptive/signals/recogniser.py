@@ -256,8 +256,9 @@ def _end(state: RecogniserState, event: Event, t_s: float) -> RecogniserState:
 
 def _pass_peak(state: RecogniserState, phase: Phase, t_s: float, e: float) -> RecogniserState:
     """The error is on the other side: the extreme was a peak, and the next one is followed from here."""
-    moved = state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS,
-                           e_near=math.inf)  # fmt: skip
+    moved = state._replace(
+        phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS, e_near=math.inf
+    )
     if phase == Phase.LOCATE_2:
         return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
     return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)

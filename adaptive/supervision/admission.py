@@ -281,6 +281,4 @@ def _excited(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
     return Ground.LOW_EXCITATION
 
 
-_RULES = (
-    _kept_whole, _in_automatic, _telemetry, _in_region, _same_gains, _own_setpoint, _free_output, _excited,
-)  # fmt: skip
+_RULES = (_kept_whole, _in_automatic, _telemetry, _in_region, _same_gains, _own_setpoint, _free_output, _excited)

@@ -68,9 +68,14 @@ def unproved_request(
     evidence = Evidence(records=0, support=Support.PATTERN)
     own = (in_force.gains_of(region), commissioned.gains_of(region))
     return ChangeRequest(
-        *own, proposal, (), settings.sample_time_s, evidence, urgent=_urgent(damping, settings),
+        *own,
+        proposal,
+        (),
+        settings.sample_time_s,
+        evidence,
+        urgent=_urgent(damping, settings),
         locks=settings.locks_of(region),
-    )  # fmt: skip
+    )
 
 
 def _urgent(damping: float | None, settings: RetunerSettings) -> bool:

@@ -27,9 +27,13 @@ NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not 
 
 
 def promise_of(
-    outcome: Outcome, table: GainTable, region: int, at: tuple[float, float], response: Response | None,
+    outcome: Outcome,
+    table: GainTable,
+    region: int,
+    at: tuple[float, float],
+    response: Response | None,
     settings: RetunerSettings,
-) -> Promise | None:  # fmt: skip
+) -> Promise | None:
     """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
 
     at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
@@ -39,8 +43,9 @@ def promise_of(
         return None
     in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
     if verdict.allowed:
-        promised = promise(verdict.allowed, in_force, new, settings.sample_time_s / 2,
-                           settings.setpoint_weight, settings.filter_s)  # fmt: skip
+        promised = promise(
+            verdict.allowed, in_force, new, settings.sample_time_s / 2, settings.setpoint_weight, settings.filter_s
+        )
         return replace(promised, decay_seen=decay_seen(response))
     return promise_without_model(response, in_force, new) if response else None
 

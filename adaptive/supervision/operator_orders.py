@@ -100,8 +100,9 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
     if belief is None:
         return ""
     process = predicted(belief, t_s, settings.tracker).model().linear()
-    sampled = LinearProcess(process.k, process.lags_s, process.leads_s, process.theta_s + settings.sample_time_s / 2,
-                            process.integrators)  # fmt: skip
+    sampled = LinearProcess(
+        process.k, process.lags_s, process.leads_s, process.theta_s + settings.sample_time_s / 2, process.integrators
+    )
     unstable = math.isinf(sensitivity_peak(sampled, gains)) and math.isfinite(sensitivity_peak(sampled, in_force))
     return "on the process as it is known now they would be unstable" if unstable else ""
 

@@ -61,8 +61,15 @@ class Proposal:
         if decision.action != Action.ADVISE or decision.gains_after is None:
             return None
         promise: Any = decision.to_dict().get("promise")
-        return cls(decision.digest(), decision.number, decision.region, decision.t_s, decision.gains_before,
-                   decision.gains_after, promise)  # fmt: skip
+        return cls(
+            decision.digest(),
+            decision.number,
+            decision.region,
+            decision.t_s,
+            decision.gains_before,
+            decision.gains_after,
+            promise,
+        )
 
     def standing(self, in_force: PidGains, t_s: float, expires_after_s: float) -> Standing:
         """Whether it may be taken up at t_s, with these gains in force in its region."""
@@ -73,10 +80,14 @@ class Proposal:
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
         return {
-            "digest": self.digest, "number": self.number, "region": self.region, "t_s": self.t_s,
-            "before": gains_dict(self.before), "after": gains_dict(self.after),
+            "digest": self.digest,
+            "number": self.number,
+            "region": self.region,
+            "t_s": self.t_s,
+            "before": gains_dict(self.before),
+            "after": gains_dict(self.after),
             "promise": dict(self.promise) if self.promise is not None else None,
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Proposal":
@@ -90,5 +101,12 @@ class Proposal:
         before, after = (
             PidGains(*(float(body[name][gain]) for gain in ("kp", "ki", "kd"))) for name in ("before", "after")
         )
-        return cls(str(body["digest"]), int(body["number"]), str(body["region"]), float(body["t_s"]), before, after,
-                   body["promise"])  # fmt: skip
+        return cls(
+            str(body["digest"]),
+            int(body["number"]),
+            str(body["region"]),
+            float(body["t_s"]),
+            before,
+            after,
+            body["promise"],
+        )

@@ -59,9 +59,11 @@ def decide(case: Case, settings: RetunerSettings) -> Outcome:
     admission = _admission(case, settings)
     if not admission.admitted:
         return Outcome(
-            admission.ground.name.lower(), admission.sentence, diagnosis=admission.diagnosis(),
+            admission.ground.name.lower(),
+            admission.sentence,
+            diagnosis=admission.diagnosis(),
             numbers=admission.numbers,
-        )  # fmt: skip
+        )
     cause, standing = _swing(case, settings)
     if cause is not None:
         return Outcome(str(cause.cause), cause.reason, diagnosis=cause, standing=standing)
@@ -262,16 +264,21 @@ def _without_model(
 
     excitation : of what is known, with this response.
     """
-    found = without_model(case.response, case.window, case.in_force, None, settings.without_model,
-                          settings.locks_of(case.region))  # fmt: skip
+    found = without_model(
+        case.response, case.window, case.in_force, None, settings.without_model, settings.locks_of(case.region)
+    )
     reason = f"{why}; {found.sentence}"
     silent = learned.surprise == Surprise.SILENT and not case.response.sp_changed  # noise has peaks as well
     if found.tuning is None or silent:
         return Outcome(NOT_KNOWN, reason, learned, numbers=found.numbers)
     stored = case.table.stored_for(case.region, found.tuning.gains, *case.at)
     if stored is None:
-        return Outcome(NOT_KNOWN, f"{reason}; beside its neighbours' no set of this region puts that in force", learned,
-                       numbers=found.numbers)  # fmt: skip
+        return Outcome(
+            NOT_KNOWN,
+            f"{reason}; beside its neighbours' no set of this region puts that in force",
+            learned,
+            numbers=found.numbers,
+        )
     tuning = replace(found.tuning, gains=stored)
     if not is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing):
         doubt, excitation = unconfirmed(

@@ -69,7 +69,10 @@ class Outcome:
 
 LEFT = {
     False: Outcome("left_region", "the response left its region; it teaches nothing of either"),
-    True: Outcome("variable_unknown", "the scheduling variable is not known any more: nobody can say to which region "
-                  "the response belongs; it teaches nothing"),
-}  # fmt: skip
+    True: Outcome(
+        "variable_unknown",
+        "the scheduling variable is not known any more: nobody can say to which region "
+        "the response belongs; it teaches nothing",
+    ),
+}
 """What follows from a response that was cut off, by whether a scheduling variable was unknown."""

@@ -62,8 +62,11 @@ def without_model(
         return Proposed("not_allowed", "without a model nothing is changed: the settings say so", {})
     slow = slow_oscillation_online(response, gains, diagnosis, settings.slow, locks)
     if slow.tuning is not None:
-        return _locked(Proposed(slow.reading.name.lower(), slow.sentence, slow.numbers, slow.tuning,
-                                Basis.SLOW_OSCILLATION), gains, locks)  # fmt: skip
+        return _locked(
+            Proposed(slow.reading.name.lower(), slow.sentence, slow.numbers, slow.tuning, Basis.SLOW_OSCILLATION),
+            gains,
+            locks,
+        )
     pattern = pattern_rule(response, window, gains, diagnosis, settings.pattern)
     found = Proposed(pattern.reading.name.lower(), pattern.sentence, pattern.numbers, pattern.tuning, Basis.PATTERN)
     return _locked(found, gains, locks) if pattern.tuning is not None else replace(found, basis=None)

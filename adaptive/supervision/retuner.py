@@ -217,9 +217,13 @@ class Retuner:
             return self._restoring(seen.region, decision)
         if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
             self.desk.begin(
-                seen.region, decision.gains_before, decision.gains_after, decision.promise, self._now_s,
+                seen.region,
+                decision.gains_before,
+                decision.gains_after,
+                decision.promise,
+                self._now_s,
                 urgent=decision.verdict is not None and decision.verdict.urgent,
-            )  # fmt: skip
+            )
             decision = replace(decision, trial=str(self.desk.phase(seen.region)))
         return decision
 
@@ -244,9 +248,17 @@ class Retuner:
         """Everything that the decision depends on."""
         w = self._watcher
         return Case(
-            seen.region, seen.response, w.window(seen.response), w.samples, w.table, self.commissioned, self.beliefs,
-            self.standing.get(seen.region), self.excitation.get(seen.region, Excitation()), w.scheduled,
-        )  # fmt: skip
+            seen.region,
+            seen.response,
+            w.window(seen.response),
+            w.samples,
+            w.table,
+            self.commissioned,
+            self.beliefs,
+            self.standing.get(seen.region),
+            self.excitation.get(seen.region, Excitation()),
+            w.scheduled,
+        )
 
     def _decision(
         self, region: int, outcome: Outcome, response: Response | None = None, judgement: Judgement | None = None
@@ -263,9 +275,15 @@ class Retuner:
         return self._recorded(region, outcome, response, judgement, promised, accepted=accepted)
 
     def _recorded(
-        self, region: int, outcome: Outcome, response: Response | None, judgement: Judgement | None,
-        promised: Promise | None, *, accepted: bool,
-    ) -> Decision:  # fmt: skip
+        self,
+        region: int,
+        outcome: Outcome,
+        response: Response | None,
+        judgement: Judgement | None,
+        promised: Promise | None,
+        *,
+        accepted: bool,
+    ) -> Decision:
         """The record; accepted : gains may be written, as far as proof and trial desk are concerned."""
         verdict, learned = outcome.verdict, outcome.learned
         mode = self.settings.mode_of(region)

@@ -138,9 +138,14 @@ class Promise:
         )
         seen, ms = body["decay_seen"], body["ms"]
         return cls(
-            setpoint, load, setpoint_before, load_before, int(body["models"]), None if seen is None else float(seen),
+            setpoint,
+            load,
+            setpoint_before,
+            load_before,
+            int(body["models"]),
+            None if seen is None else float(seen),
             None if ms is None else Spread.from_list(ms),
-        )  # fmt: skip
+        )
 
     def sentence(self) -> str:
         """For people."""
@@ -218,9 +223,13 @@ def promise_without_model(seen: Response, old: PidGains, new: PidGains) -> Promi
         return Spread(math.inf, 0.0, math.inf)
 
     return Promise(
-        expected(new, open_iae), expected(new, load_iae), expected(old, open_iae), expected(old, load_iae), 0,
+        expected(new, open_iae),
+        expected(new, load_iae),
+        expected(old, open_iae),
+        expected(old, load_iae),
+        0,
         decay_seen(seen),
-    )  # fmt: skip
+    )
 
 
 def _setpoint(found: Sequence[Sequence[Shape]]) -> Expected:

@@ -204,9 +204,13 @@ def _costs(
     measured, limit = iae / unit, now.iae.high * settings.iae_slack
     travel = float(np.sum(np.abs(np.diff(window.co[during])))) / unit
     numbers |= {
-        "iae": measured, "iae_promised": storable(now.iae.best), "iae_before": storable(before),
-        "iae_limit": storable(limit), "travel": travel, "travel_promised": storable(now.travel.best),
-    }  # fmt: skip
+        "iae": measured,
+        "iae_promised": storable(now.iae.best),
+        "iae_before": storable(before),
+        "iae_limit": storable(limit),
+        "travel": travel,
+        "travel_promised": storable(now.travel.best),
+    }
     if measured <= limit or measured <= before:
         return ""
     kind = "setpoint step" if response.sp_changed else "load"

@@ -64,9 +64,20 @@ P, E = TrialPhase, TrialEvent
 UNDOS = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
 ABORTS = (
-    *UNDOS, E.SATURATED, E.MANUAL, E.LOST_TELEMETRY, E.LINK_LOST, E.RESTARTED, E.DEVICE_REVERTED, E.OPERATOR_EDIT,
-    E.WRITE_UNKNOWN, E.LEFT_INTERPOLATED, E.TIMED_OUT, E.STOPPED, E.ORDERED_BACK,
-)  # fmt: skip
+    *UNDOS,
+    E.SATURATED,
+    E.MANUAL,
+    E.LOST_TELEMETRY,
+    E.LINK_LOST,
+    E.RESTARTED,
+    E.DEVICE_REVERTED,
+    E.OPERATOR_EDIT,
+    E.WRITE_UNKNOWN,
+    E.LEFT_INTERPOLATED,
+    E.TIMED_OUT,
+    E.STOPPED,
+    E.ORDERED_BACK,
+)
 """Causes that end an undecided trial on the verified old set."""
 UNDECIDED = (P.WRITING, P.TRIAL, P.AWAY)
 """Phases in which a set that has not passed may run, or would be written again."""

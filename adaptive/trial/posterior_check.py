@@ -45,9 +45,13 @@ class Hindsight:
 
 
 def hindsight(
-    allowed: Sequence[Plausible], old: PidGains, tried: PidGains, half_sample_s: float, b: float = 1.0,
+    allowed: Sequence[Plausible],
+    old: PidGains,
+    tried: PidGains,
+    half_sample_s: float,
+    b: float = 1.0,
     tau_f_s: float = 0.0,
-) -> Hindsight:  # fmt: skip
+) -> Hindsight:
     """Both sets on the models that are still allowed.
 
     Parameters

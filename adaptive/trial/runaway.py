@@ -71,9 +71,12 @@ def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> Wat
     least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
     patience = promised.patience_s if math.isfinite(promised.patience_s) else 0.0
     return WatchLaw(
-        max(settings.grows, least), max(settings.stays, least), settings.stays_for, settings.limit_swings,
+        max(settings.grows, least),
+        max(settings.stays, least),
+        settings.stays_for,
+        settings.limit_swings,
         max(settings.limited_settles * patience, shortest_s),
-    )  # fmt: skip
+    )
 
 
 def watch_begin(sp: float, *, joined: bool = True) -> WatchState:

@@ -54,12 +54,24 @@ class TrialSettings:
 
     def __post_init__(self) -> None:
         ranges = (
-            ("responses", 1, 10), ("level", 2, 6), ("decay_slack", 0, 0.5), ("iae_slack", 1, 4),
-            ("harmless_decay", 0.1, 0.5), ("harmless_ms", 1.5, 3), ("seen_bands", 2, 20),
-            ("rest_share", 0, 0.1), ("cool_down_tau_i", 1, 1000),
-            ("cool_down_most", 0, 20), ("lock_out_after", 1, 20), ("timeout_s", 1, 1e8), ("grows", 1, 2),
-            ("stays", 0.8, 1), ("stays_for", 3, 20), ("limited_settles", 1, 20), ("limit_swings", 2, 10),
-        )  # fmt: skip
+            ("responses", 1, 10),
+            ("level", 2, 6),
+            ("decay_slack", 0, 0.5),
+            ("iae_slack", 1, 4),
+            ("harmless_decay", 0.1, 0.5),
+            ("harmless_ms", 1.5, 3),
+            ("seen_bands", 2, 20),
+            ("rest_share", 0, 0.1),
+            ("cool_down_tau_i", 1, 1000),
+            ("cool_down_most", 0, 20),
+            ("lock_out_after", 1, 20),
+            ("timeout_s", 1, 1e8),
+            ("grows", 1, 2),
+            ("stays", 0.8, 1),
+            ("stays_for", 3, 20),
+            ("limited_settles", 1, 20),
+            ("limit_swings", 2, 10),
+        )
         for name, low, high in ranges:
             value = getattr(self, name)
             if not low <= value <= high:

@@ -92,6 +92,15 @@ def _seen_in(body: Mapping[str, Any] | None) -> WatchState | None:
         return None
     at = {name: math.inf if value is None else float(value) for name, value in body.items()}
     return WatchState(
-        at["sp"], at["extreme"], at["last"], int(at["grown"]), int(at["stayed"]), int(at["limit"]), int(at["swings"]),
-        at["since_s"], at["wave_s"], at["inside_s"], bool(at["joined"]),
-    )  # fmt: skip
+        at["sp"],
+        at["extreme"],
+        at["last"],
+        int(at["grown"]),
+        int(at["stayed"]),
+        int(at["limit"]),
+        int(at["swings"]),
+        at["since_s"],
+        at["wave_s"],
+        at["inside_s"],
+        bool(at["joined"]),
+    )

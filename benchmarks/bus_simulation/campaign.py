@@ -96,8 +96,13 @@ class Campaign:
         if self._state is None:
             return
         self._state.parent.mkdir(parents=True, exist_ok=True)
-        whole = {"key": self._key, "done": sorted(self.done), "counts": self.counts, "broken": self.broken,
-                 "busy_s": self.busy_s}  # fmt: skip
+        whole = {
+            "key": self._key,
+            "done": sorted(self.done),
+            "counts": self.counts,
+            "broken": self.broken,
+            "busy_s": self.busy_s,
+        }
         fresh = self._state.with_suffix(".new")
         fresh.write_text(json.dumps(whole), encoding="utf-8")
         fresh.replace(self._state)

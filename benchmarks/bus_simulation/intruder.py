@@ -61,9 +61,17 @@ class Intruder:
         self.bus, self.device, self.truth, self._rng = bus, device, truth, rng
         self._codec = Codec(device.settings.node)
         self._acts: list[Callable[[], None]] = [
-            self._noise, self._noise, self._command, self._command, self._replay, self._replay, self._whole_set,
-            self._bad_set, self._odd_frame, self._fence,
-        ]  # fmt: skip
+            self._noise,
+            self._noise,
+            self._command,
+            self._command,
+            self._replay,
+            self._replay,
+            self._whole_set,
+            self._bad_set,
+            self._odd_frame,
+            self._fence,
+        ]
         if forges:
             self._acts += [self._forge] * 5
 

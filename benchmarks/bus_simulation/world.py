@@ -46,14 +46,20 @@ class World:
         self.bus = Bus(rng, (DEVICE, *hosts))
         self.truth = Truth(Ran(0, 1, 0, FIRST), BOX, authentic=key is not None, forged=forges)
         settings = VirtualDeviceSettings(
-            FIRST, box=BOX, lease_longest_samples=LEASE_LONGEST, trial_samples=rng.choice((0, 20, 40)), key=key,
-            lock_samples=20, heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
-        )  # fmt: skip
+            FIRST,
+            box=BOX,
+            lease_longest_samples=LEASE_LONGEST,
+            trial_samples=rng.choice((0, 20, 40)),
+            key=key,
+            lock_samples=20,
+            heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
+        )
         self.device = VirtualDevice(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
         self.far = DeviceEnd(self.bus, self.device, self.truth, rng)
         eager, same_owner = rng.choice((0.02, 0.1, 0.3)), rng.random() < 0.3
-        self.hosts = [HostEnd(name, self.bus, self.truth, rng, key=key, same_owner=same_owner, eager=eager)
-                      for name in hosts]  # fmt: skip
+        self.hosts = [
+            HostEnd(name, self.bus, self.truth, rng, key=key, same_owner=same_owner, eager=eager) for name in hosts
+        ]
         self.intruder = Intruder(self.bus, self.device, self.truth, rng, forges=forges)
         self.step_number = 0
 

@@ -50,10 +50,12 @@ def kc_bound(case: IdentificationCase) -> float:
     covariance = np.linalg.pinv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
     first = len(columns) - len(theta)
     free = slice(first, first + _free(case.process))
-    gradient = np.array([
-        (_ln_kc(_moved(case.process, e), dt) - _ln_kc(_moved(case.process, -e), dt)) / (2 * STEP)
-        for e in np.eye(_free(case.process)) * STEP
-    ])  # fmt: skip
+    gradient = np.array(
+        [
+            (_ln_kc(_moved(case.process, e), dt) - _ln_kc(_moved(case.process, -e), dt)) / (2 * STEP)
+            for e in np.eye(_free(case.process)) * STEP
+        ]
+    )
     return float(math.sqrt(gradient @ covariance[free, free] @ gradient))
 
 

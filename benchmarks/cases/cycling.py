@@ -114,9 +114,16 @@ def cycles_of(rng: np.random.Generator, loop: Loop, period_s: float) -> tuple[Lo
 
 
 def tone_record(
-    rng: np.random.Generator, loop: Loop, gains: PidGains, shape: str, ratio: float, *, jitter: float = 0.0,
-    events: bool | None = None, quantum: float = 0.0,
-) -> tuple[Loop, Record, dict[str, float]]:  # fmt: skip
+    rng: np.random.Generator,
+    loop: Loop,
+    gains: PidGains,
+    shape: str,
+    ratio: float,
+    *,
+    jitter: float = 0.0,
+    events: bool | None = None,
+    quantum: float = 0.0,
+) -> tuple[Loop, Record, dict[str, float]]:
     """An outside oscillation with a period of `ratio` times the loop's own, in the load or on pv."""
     period = ratio * own_period_s(loop, gains)
     loop, n = cycles_of(rng, loop, period)

@@ -78,9 +78,14 @@ def tuning_case(
 
 
 def stiction_case(
-    rng: np.random.Generator, *, group: str = "stiction", families: tuple[str, ...] = SELF_REGULATING,
-    kinds: tuple[str, ...] = ("kano", "he"), tuning: str = "ok", quantum: float = 0.0,
-) -> DiagnosisCase | None:  # fmt: skip
+    rng: np.random.Generator,
+    *,
+    group: str = "stiction",
+    families: tuple[str, ...] = SELF_REGULATING,
+    kinds: tuple[str, ...] = ("kano", "he"),
+    tuning: str = "ok",
+    quantum: float = 0.0,
+) -> DiagnosisCase | None:
     """A limit cycle made by a valve that sticks, under settings that are in order (or not)."""
     loop = draw_loop(rng, str(rng.choice(families)))
     gains = settings(rng, loop, tuning)
@@ -92,9 +97,15 @@ def stiction_case(
 
 
 def external_case(
-    rng: np.random.Generator, *, group: str = "external", shapes: tuple[str, ...] = ("sine",), jitter: float = 0.0,
-    ratio: float | None = None, right: frozenset[str] = frozenset({"external"}), quantum: float = 0.0,
-) -> DiagnosisCase | None:  # fmt: skip
+    rng: np.random.Generator,
+    *,
+    group: str = "external",
+    shapes: tuple[str, ...] = ("sine",),
+    jitter: float = 0.0,
+    ratio: float | None = None,
+    right: frozenset[str] = frozenset({"external"}),
+    quantum: float = 0.0,
+) -> DiagnosisCase | None:
     """An outside oscillation on a loop in order."""
     loop = draw_loop(rng, str(rng.choice(FAMILIES)))
     gains = settings(rng, loop, "ok")

@@ -18,9 +18,20 @@ from cases.signals import ramp, random_walk, steps
 from retuner.schedule.gains import PidGains
 
 GROUPS = (
-    "open-loop step", "open-loop steps", "setpoint", "load", "setpoint and load", "several", "ramp drift",
-    "random-walk drift", "quantised", "saturated", "irregular time", "starts in motion", "pid",
-)  # fmt: skip
+    "open-loop step",
+    "open-loop steps",
+    "setpoint",
+    "load",
+    "setpoint and load",
+    "several",
+    "ramp drift",
+    "random-walk drift",
+    "quantised",
+    "saturated",
+    "irregular time",
+    "starts in motion",
+    "pid",
+)
 MANUAL = frozenset({"open-loop step", "open-loop steps"})
 MOST_SAMPLES = 2500
 FEWEST_SAMPLES = 120
@@ -168,9 +179,11 @@ def _record(
     noise = share * response * size
     pv0 = float(rng.uniform(-20, 20)) * response * size
     upsets = Upsets(
-        pv0 + size * shape.sp, size * (shape.load + drift.drift_in), size * drift.drift_out,
+        pv0 + size * shape.sp,
+        size * (shape.load + drift.drift_in),
+        size * drift.drift_out,
         noise * rng.standard_normal(len(shape.sp)),
-    )  # fmt: skip
+    )
     sensor = _quantiser(response * size * log_uniform(rng, 0.005, 0.05)) if group == "quantised" else None
     controller = Controller(gains, tau_f, low, high)
     record = run(loop.process, controller, h_s, upsets, co0=loop.co0, pv0=pv0, acts=acts, sensor=sensor)
@@ -226,9 +239,15 @@ def _events(rng: np.random.Generator, group: str, n: int, first: float) -> tuple
 
 
 def _drift(
-    rng: np.random.Generator, loop: Loop, free: Controller, h_s: float, shape: Shape, acts: FloatArray,
-    response: float, travel: float,
-) -> Shape:  # fmt: skip
+    rng: np.random.Generator,
+    loop: Loop,
+    free: Controller,
+    h_s: float,
+    shape: Shape,
+    acts: FloatArray,
+    response: float,
+    travel: float,
+) -> Shape:
     """Drift scaled so that pv's part of it is a share of the response, and co's no more than a third of its travel."""
     if not (np.any(shape.drift_in) or np.any(shape.drift_out)):
         return shape
@@ -289,6 +308,19 @@ def _case(
     note: dict[str, float],
 ) -> IdentificationCase:
     return IdentificationCase(
-        group, loop.family, 0, 0, record, gains, low, high, loop.process, loop.dt_s, loop.best, loop.best_pid,
-        loop.theta_s, noise, note,
-    )  # fmt: skip
+        group,
+        loop.family,
+        0,
+        0,
+        record,
+        gains,
+        low,
+        high,
+        loop.process,
+        loop.dt_s,
+        loop.best,
+        loop.best_pid,
+        loop.theta_s,
+        noise,
+        note,
+    )

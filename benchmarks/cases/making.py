@@ -126,9 +126,15 @@ def valve_record(
     upsets = Upsets(pv0 + plan.sp, plan.load, plan.out, noise)
     controller = Controller(gains, 0.0, loop.low, loop.high)
     record = run(
-        loop.process, controller, loop.dt_s, upsets, co0=loop.co0, pv0=pv0, valve=valve(loop.co0),
+        loop.process,
+        controller,
+        loop.dt_s,
+        upsets,
+        co0=loop.co0,
+        pv0=pv0,
+        valve=valve(loop.co0),
         sensor=quantiser(plan.quantum * response),
-    )  # fmt: skip
+    )
     return tail(record, plan.lead_in)
 
 
@@ -149,9 +155,23 @@ def labelled(
     """The case, seed and index still to be filled in."""
     retune = bool(right & {"aggressive", "sluggish", "slow_integrating"})
     return DiagnosisCase(
-        group, loop.family, 0, 0, record, gains, loop.low, loop.high, loop.process, loop.dt_s, frozenset(right),
-        retune, hidden, loop.best, loop.theta_s, dict(note),
-    )  # fmt: skip
+        group,
+        loop.family,
+        0,
+        0,
+        record,
+        gains,
+        loop.low,
+        loop.high,
+        loop.process,
+        loop.dt_s,
+        frozenset(right),
+        retune,
+        hidden,
+        loop.best,
+        loop.theta_s,
+        dict(note),
+    )
 
 
 def record_length(rng: np.random.Generator, loop: Loop, gains: PidGains, events: int) -> tuple[Loop, int, float]:

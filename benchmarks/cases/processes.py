@@ -15,9 +15,23 @@ DECADES_OF_TIME = (-2.0, 2.0)
 DECADES_OF_GAIN = (-2.0, 3.0)
 """Exponents of ten of pv units per co unit."""
 FAMILIES = (
-    "first", "second", "oscillatory", "integrating", "integrating-lag", "equal-lags", "lag-series", "inverse",
-    "batch-p3", "batch-p5", "batch-p6", "batch-p7", "batch-p9", "diffusion", "integrating-lags", "two-lags-inverse",
-)  # fmt: skip
+    "first",
+    "second",
+    "oscillatory",
+    "integrating",
+    "integrating-lag",
+    "equal-lags",
+    "lag-series",
+    "inverse",
+    "batch-p3",
+    "batch-p5",
+    "batch-p6",
+    "batch-p7",
+    "batch-p9",
+    "diffusion",
+    "integrating-lags",
+    "two-lags-inverse",
+)
 INTEGRATING = frozenset({"integrating", "integrating-lag", "batch-p6", "integrating-lags"})
 
 Shape = tuple[tuple[float, ...], tuple[float, ...], tuple[tuple[float, float], ...], float, int]

@@ -70,8 +70,9 @@ def _grid(process: LinearProcess, gains: PidGains) -> FloatArray:
     corners = [1 / x for x in times if x > 0]
     corners += [
         abs(process.k * g) ** (1 / n)
-        for g, n in ((gains.ki, process.integrators + 1), (gains.kp, process.integrators)) if g and n
-    ]  # fmt: skip
+        for g, n in ((gains.ki, process.integrators + 1), (gains.kp, process.integrators))
+        if g and n
+    ]
     low, high = math.log10(min(corners)) - DECADES_BEYOND, math.log10(max(corners)) + DECADES_BEYOND
     return np.logspace(low, high, int((high - low) * POINTS_PER_DECADE) + 1)
 

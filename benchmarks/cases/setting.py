@@ -59,9 +59,16 @@ def resampled(loop: Loop, dt_s: float) -> Loop:
     """The same loop under another sampling."""
     process = loop.process
     return Loop(
-        loop.family, process, loop.theta_s, dt_s, loop.low, loop.high, loop.co0, best_pi(process, dt_s),
+        loop.family,
+        process,
+        loop.theta_s,
+        dt_s,
+        loop.low,
+        loop.high,
+        loop.co0,
+        best_pi(process, dt_s),
         best_pid(process, dt_s),
-    )  # fmt: skip
+    )
 
 
 def _loop(rng: np.random.Generator, family: str, process: LinearProcess, theta: float, dt: float) -> Loop:

@@ -196,9 +196,14 @@ def quiet(rng: np.random.Generator) -> DiagnosisCase | None:
     upsets = Upsets(np.full(n + 50, pv0), noise=sigma * rng.standard_normal(n + 50))
     controller = Controller(gains, 0.0, loop.low, loop.high)
     record = run(
-        loop.process, controller, loop.dt_s, upsets, co0=loop.co0, pv0=pv0,
+        loop.process,
+        controller,
+        loop.dt_s,
+        upsets,
+        co0=loop.co0,
+        pv0=pv0,
         sensor=lambda pv: round(pv / quantum) * quantum,
-    )  # fmt: skip
+    )
     if np.ptp(record.pv[50:]) == 0:
         return None
     return labelled(loop, gains, tail(record, 50), "quiet", {"ok", "noise", "unknown"}, "quiet")

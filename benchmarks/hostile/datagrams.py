@@ -16,9 +16,19 @@ from retuner.drivers.protocol.codec import Codec
 
 NODE = 5
 ODD = (0.5, -1, -0.5, 1e300, float("nan"), float("inf"), True, None, "abc", b"\x00", [], {}, [1, 2], 1 << 40, "", 178.0)
-GOOD = {"timestamp": 0.0, "arbitration_id": NODE << 5 | 16, "is_extended_id": False, "is_remote_frame": False,
-        "is_error_frame": False, "channel": None, "dlc": 8, "data": bytes(8), "is_fd": False, "bitrate_switch": False,
-        "error_state_indicator": False}  # fmt: skip
+GOOD = {
+    "timestamp": 0.0,
+    "arbitration_id": NODE << 5 | 16,
+    "is_extended_id": False,
+    "is_remote_frame": False,
+    "is_error_frame": False,
+    "channel": None,
+    "dlc": 8,
+    "data": bytes(8),
+    "is_fd": False,
+    "bitrate_switch": False,
+    "error_state_indicator": False,
+}
 FIELDS = (*GOOD, "check", "nonsense")
 
 

@@ -43,8 +43,11 @@ from retuner.schedule.table import GainTable
 ROOT = Path(__file__).resolve().parents[2]
 SLOW_S = 1.0  # an input that takes longer than this hangs a command
 COMMANDS_SHARE = 200
-TABLE = GainTable("loop", Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0),
-                  (PidGains(1.25, 0.125, 0.5), PidGains(2.5, 0.25)))  # fmt: skip
+TABLE = GainTable(
+    "loop",
+    Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0),
+    (PidGains(1.25, 0.125, 0.5), PidGains(2.5, 0.25)),
+)
 
 Judge = Callable[[bytes], str]
 """Takes an input; "refused" or "accepted", or raises Wrong."""
@@ -160,8 +163,14 @@ def dbc(data: bytes) -> str:
 
 def layouts(plans: dict) -> list:
     """Places and scales of all signals."""
-    return [(command, plan.layout.length, [(s.name, s.start, s.length, s.is_signed, s.is_float, s.scale, s.offset)
-             for s in plan.layout.signals]) for command, plan in sorted(plans.items())]  # fmt: skip
+    return [
+        (
+            command,
+            plan.layout.length,
+            [(s.name, s.start, s.length, s.is_signed, s.is_float, s.scale, s.offset) for s in plan.layout.signals],
+        )
+        for command, plan in sorted(plans.items())
+    ]
 
 
 def _shipped() -> object:

@@ -50,7 +50,7 @@ def batch() -> list[Member]:
         *(Member("P7", f"T={t} L={x:g}", LinearProcess(t, (t, *_lags(1 - x)), (), x)) for t in P7_T for x in P7_L),
         *(Member("P8", f"a={a:g}", LinearProcess(1.0, (1.0, 1.0, 1.0), (-a,))) for a in P8_A),
         *(Member("P9", f"T={t:g}", LinearProcess(1.0, (1.0,), (), 0.0, 0, ((1.4 * t, t * t),))) for t in P9_T),
-    ]  # fmt: skip
+    ]
 
 
 def _lags(lag: float) -> tuple[float, ...]:

@@ -49,9 +49,17 @@ class Task:
 
 
 def tasks(
-    seed: int, *, opened: bool, every: int = 1, offset: int = 0, only: str = "", noise: float = NOISE,
-    verbose: bool = False, starts: int = 1, rivals: bool = False,
-) -> list[Task]:  # fmt: skip
+    seed: int,
+    *,
+    opened: bool,
+    every: int = 1,
+    offset: int = 0,
+    only: str = "",
+    noise: float = NOISE,
+    verbose: bool = False,
+    starts: int = 1,
+    rivals: bool = False,
+) -> list[Task]:
     """The runs of a table: `starts` of STARTS (in a drawn order) for each process; every n-th, from an offset on."""
     rng = np.random.default_rng(seed)
     found = []
@@ -76,14 +84,25 @@ def run(task: Task) -> Row:
     judged = disturbed(loop, judge, task, story)
     first = judge.of(gains)
     return {
-        "part": "batch", "process": task.member.name, "family": task.member.family, "kc": kc, "tau_i": tau_i,
-        "seed": task.seed, "opened": task.opened, "changes": loop.changes,
-        "ms0": first.ms, "j0": first.j, "ms_limit": judge.ms_limit,
-        "spec": [found.in_spec for found in judged], "ms": [found.ms for found in judged],
-        "j": [found.j for found in judged], "kc_now": loop.gains.kp / judge.best.kp,
-        "ki_now": loop.gains.ki / judge.best.ki, "story": story if task.verbose else [],
+        "part": "batch",
+        "process": task.member.name,
+        "family": task.member.family,
+        "kc": kc,
+        "tau_i": tau_i,
+        "seed": task.seed,
+        "opened": task.opened,
+        "changes": loop.changes,
+        "ms0": first.ms,
+        "j0": first.j,
+        "ms_limit": judge.ms_limit,
+        "spec": [found.in_spec for found in judged],
+        "ms": [found.ms for found in judged],
+        "j": [found.j for found in judged],
+        "kc_now": loop.gains.kp / judge.best.kp,
+        "ki_now": loop.gains.ki / judge.best.ki,
+        "story": story if task.verbose else [],
         "rivals": rivals(task, judge, gains) if task.rivals else {},
-    }  # fmt: skip
+    }
 
 
 def rivals(task: Task, judge: Judge, gains: PidGains) -> dict[str, list[bool]]:
@@ -185,8 +204,9 @@ def table(rows: list[Row]) -> list[str]:
     near = [row for row in rows if in_one_change(row)]
     lines += [
         f"where one change reaches: after {n}, and staying  {counted(sum(staying(r, n) for r in near), len(near))}"
-        for n in (1, 3, 6) if near
-    ]  # fmt: skip
+        for n in (1, 3, 6)
+        if near
+    ]
     for who in sorted({name for row in rows for name in row["rivals"]}):
         of = [row["rivals"][who] for row in rows if who in row["rivals"]]
         lines += [

@@ -68,9 +68,15 @@ class Run:
     """Setpoint and load steps in turn on one loop."""
 
     def __init__(
-        self, judge: Judge, plant: Moved, gains: PidGains, rng: np.random.Generator, *, corner: float = 0.0,
+        self,
+        judge: Judge,
+        plant: Moved,
+        gains: PidGains,
+        rng: np.random.Generator,
+        *,
+        corner: float = 0.0,
         noise: float = NOISE,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.rng, self.corner, self.noise, self.dt_s = rng, corner, noise, judge.dt_s
         self.watching = Watching(one_region(gains), settings(judge.dt_s, PV_SPAN))
         self.loop = WatchedLoop(plant, self.watching.retuner.table, judge.dt_s, self.watching)
@@ -191,9 +197,12 @@ def between(a: Local, b: Local, share: float) -> Local:
         return x if x == y else x * math.exp(share * math.log(y / x))
 
     return replace(
-        a, k=mixed(a.k, b.k), tau1_s=mixed(a.tau1_s, b.tau1_s), tau2_s=mixed(a.tau2_s, b.tau2_s),
+        a,
+        k=mixed(a.k, b.k),
+        tau1_s=mixed(a.tau1_s, b.tau1_s),
+        tau2_s=mixed(a.tau2_s, b.tau2_s),
         theta_s=mixed(a.theta_s, b.theta_s),
-    )  # fmt: skip
+    )
 
 
 def _row(task: Task, scene: Run, judge: Judge, judged: list[Judgement], count: int, what: str) -> Row:
@@ -201,12 +210,21 @@ def _row(task: Task, scene: Run, judge: Judge, judged: list[Judgement], count: i
     judged = judged + [Judgement(math.inf, math.inf, in_spec=False)] * (count - len(judged))
     found = effects(judge, scene.watching)
     return {
-        "part": "changes", "kind": task.kind, "seed": task.seed, "index": task.index, "what": what,
-        "spec": [x.in_spec for x in judged], "ms": [x.ms for x in judged], "j": [x.j for x in judged],
-        "ms_limit": judge.ms_limit, "changes": len(found), "lost": lost, "records": len(scene.watching.decisions),
+        "part": "changes",
+        "kind": task.kind,
+        "seed": task.seed,
+        "index": task.index,
+        "what": what,
+        "spec": [x.in_spec for x in judged],
+        "ms": [x.ms for x in judged],
+        "j": [x.j for x in judged],
+        "ms_limit": judge.ms_limit,
+        "changes": len(found),
+        "lost": lost,
+        "records": len(scene.watching.decisions),
         "made_unstable": sum(math.isfinite(x.before.ms) and math.isinf(x.after.ms) for x in found),
         "said": [f"{d.action}: {d.reason}" for d in scene.watching.decisions],
-    }  # fmt: skip
+    }
 
 
 def line(row: Row) -> str:
@@ -222,9 +240,11 @@ def table(rows: list[Row]) -> list[str]:
         of = [row for row in rows if row["kind"] == kind]
         if not of:
             continue
-        lines.append(f"{kind}: {len(of)} loops, lost {sum(r['lost'] for r in of)}, "
-                     f"made unstable by a change {sum(r['made_unstable'] for r in of)}, "
-                     f"{sum(r['changes'] for r in of) / len(of):.1f} changes a loop")  # fmt: skip
+        lines.append(
+            f"{kind}: {len(of)} loops, lost {sum(r['lost'] for r in of)}, "
+            f"made unstable by a change {sum(r['made_unstable'] for r in of)}, "
+            f"{sum(r['changes'] for r in of) / len(of):.1f} changes a loop"
+        )
         if kind == "drift":
             later = [ok for row in of for ok in row["spec"][2:]]
             lines.append(f"  in spec, of all disturbances from the third on  {counted(sum(later), len(later))}")

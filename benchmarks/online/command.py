@@ -23,9 +23,16 @@ def main() -> int:
 
 def _batch(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     tasks = batch.tasks(
-        options.seed, opened=options.opened, every=options.every, offset=options.offset, only=options.only,
-        noise=options.noise, verbose=options.verbose, starts=options.starts, rivals=options.rivals,
-    )  # fmt: skip
+        options.seed,
+        opened=options.opened,
+        every=options.every,
+        offset=options.offset,
+        only=options.only,
+        noise=options.noise,
+        verbose=options.verbose,
+        starts=options.starts,
+        rivals=options.rivals,
+    )
     rows, whole = collect(batch.run, tasks, options.jobs, options.out, batch.line if options.verbose else None)
     if not options.verbose:
         _say([batch.line(row) for row in rows if not all(row["spec"][2:])])
@@ -103,8 +110,15 @@ def _pictures(options: argparse.Namespace) -> tuple[list[Path], bool]:
     return names, True
 
 
-PARTS = {"batch": _batch, "walks": _walks, "changes": _changes, "harm": _harm, "injected": _injected, "tables": _tables,
-         "pictures": _pictures}  # fmt: skip
+PARTS = {
+    "batch": _batch,
+    "walks": _walks,
+    "changes": _changes,
+    "harm": _harm,
+    "injected": _injected,
+    "tables": _tables,
+    "pictures": _pictures,
+}
 
 
 def _parser() -> argparse.ArgumentParser:

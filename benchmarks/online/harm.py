@@ -88,9 +88,17 @@ def run(task: Task) -> Row:
     watching = Watching(one_region(scene.gains), settings(loop.dt_s, scene.pv_span))
     low, high = (loop.low, loop.high) if scene.bounded else (-1e15, 1e15)
     watched = WatchedLoop(
-        HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching, co0=loop.co0, low=low,
-        high=high, valve=scene.valve, sensor=quantiser(scene.quantum), lost=1e4 * scene.pv_span,
-    )  # fmt: skip
+        HeldPlant(loop.process, loop.dt_s),
+        watching.retuner.table,
+        loop.dt_s,
+        watching,
+        co0=loop.co0,
+        low=low,
+        high=high,
+        valve=scene.valve,
+        sensor=quantiser(scene.quantum),
+        lost=1e4 * scene.pv_span,
+    )
     lost = False
     try:
         for (first, sp), (end, _) in zip(scene.sps, [*scene.sps[1:], (len(scene.load), 0.0)], strict=True):
@@ -99,13 +107,22 @@ def run(task: Task) -> Row:
         lost = True
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
     return {
-        "part": "harm", "kind": task.kind, "seed": task.seed, "index": task.index, "family": loop.family,
-        "dt_s": loop.dt_s, "samples": watched.i, "records": len(watching.decisions), "lost": lost,
-        "hours": watched.t_s / HOUR_S, "first": asdict(judge.of(scene.gains)), "ms_limit": judge.ms_limit,
+        "part": "harm",
+        "kind": task.kind,
+        "seed": task.seed,
+        "index": task.index,
+        "family": loop.family,
+        "dt_s": loop.dt_s,
+        "samples": watched.i,
+        "records": len(watching.decisions),
+        "lost": lost,
+        "hours": watched.t_s / HOUR_S,
+        "first": asdict(judge.of(scene.gains)),
+        "ms_limit": judge.ms_limit,
         "effects": [asdict(x) | {"worse": x.worse} for x in effects(judge, watching)],
         "causes": dict(Counter(str(d.diagnosis.cause) if d.diagnosis else "none" for d in watching.decisions)),
         "said": [d.reason for d in watching.writes],
-    }  # fmt: skip
+    }
 
 
 def effects(judge: Judge, watching: Watching) -> list[Effect]:
@@ -162,9 +179,13 @@ def rescaled(loop: Loop, dt_s: float) -> Loop:
     """The same loop with all times in proportion, so that it is sampled every dt_s."""
     p, f = loop.process, dt_s / loop.dt_s
     slower = LinearProcess(
-        p.k / f**p.integrators, tuple(x * f for x in p.lags_s), tuple(x * f for x in p.leads_s), p.theta_s * f,
-        p.integrators, tuple((c1 * f, c2 * f * f) for c1, c2 in p.quadratics),
-    )  # fmt: skip
+        p.k / f**p.integrators,
+        tuple(x * f for x in p.lags_s),
+        tuple(x * f for x in p.leads_s),
+        p.theta_s * f,
+        p.integrators,
+        tuple((c1 * f, c2 * f * f) for c1, c2 in p.quadratics),
+    )
     whole = Loop(loop.family, slower, loop.theta_s * f, dt_s, loop.low, loop.high, loop.co0, loop.best, loop.best_pid)
     return resampled(whole, dt_s)
 
@@ -258,9 +279,11 @@ def line(row: Row) -> str:
 
 def table(rows: list[Row]) -> list[str]:
     """Changes and harm a kind, with the upper end of the exact 95 % interval of the share of loops harmed."""
-    lines = [f"{'kind':<12}{'loops':>6}{'samples':>10}{'responses':>10}{'changes':>9}{'loops changed':>15}"
-             f"{'worse Ms':>10}{'worse IAE':>11}{'left spec':>11}{'put back':>10}{'lost':>6}"
-             "   loops harmed"]  # fmt: skip
+    lines = [
+        f"{'kind':<12}{'loops':>6}{'samples':>10}{'responses':>10}{'changes':>9}{'loops changed':>15}"
+        f"{'worse Ms':>10}{'worse IAE':>11}{'left spec':>11}{'put back':>10}{'lost':>6}"
+        "   loops harmed"
+    ]
     for kind in KINDS:
         of = [row for row in rows if row["kind"] == kind]
         if not of:

@@ -141,13 +141,24 @@ def run(task: Task) -> Row:
     took_s = trial.restored_s - (n - AT_REST) * loop.dt_s if trial.restored_s is not None else math.nan
     verdict = judge.of(bad)
     return {
-        "part": "injected", "kind": task.kind, "lie": lie, "seed": task.seed, "index": task.index,
-        "family": loop.family, "ms": verdict.ms, "j": verdict.j, "rolled_back": back,
-        "passed": trial.passed and not back, "phase": str(trial.retuner.desk.phase(0)), "cause": trial.cause,
+        "part": "injected",
+        "kind": task.kind,
+        "lie": lie,
+        "seed": task.seed,
+        "index": task.index,
+        "family": loop.family,
+        "ms": verdict.ms,
+        "j": verdict.j,
+        "rolled_back": back,
+        "passed": trial.passed and not back,
+        "phase": str(trial.retuner.desk.phase(0)),
+        "cause": trial.cause,
         "lost": tried[-1] >= LOST,
-        "theta": took_s / loop.theta_s, "upsets": took_s / (n * loop.dt_s), "excursion": excursion,
+        "theta": took_s / loop.theta_s,
+        "upsets": took_s / (n * loop.dt_s),
+        "excursion": excursion,
         "verified": trial.retuner.table.gains_of(0) == loop.best,
-    }  # fmt: skip
+    }
 
 
 def drawn(kind: str, rng: np.random.Generator) -> tuple[Loop, PidGains, Plausible]:
@@ -218,13 +229,15 @@ def line(row: Row) -> str:
         return ""
     ms = f"Ms {row['ms']:.2f}" if math.isfinite(row["ms"]) else "unstable"
     head = f"{row['kind']} {row['index']} {row['lie']} {row['family']}: {ms} J {row['j']:.2f} {row['phase']}"
-    return (f"{head} {row['cause']} {row['theta']:.0f} dead times, excursion {row['excursion']:.1f}")  # fmt: skip
+    return f"{head} {row['cause']} {row['theta']:.0f} dead times, excursion {row['excursion']:.1f}"
 
 
 def table(rows: list[Row]) -> list[str]:
     """A line a kind."""
-    lines = [f"{'kind':<10}{'lie':<12}{'changes':>8}{'unstable':>9}{'passed':>8}{'lost':>6}{'median':>9}"
-             f"{'90 %':>7}{'most':>7} dead times{'median':>9}{'most':>7} excursion   rolled back"]  # fmt: skip
+    lines = [
+        f"{'kind':<10}{'lie':<12}{'changes':>8}{'unstable':>9}{'passed':>8}{'lost':>6}{'median':>9}"
+        f"{'90 %':>7}{'most':>7} dead times{'median':>9}{'most':>7} excursion   rolled back"
+    ]
     for kind, lie in product(KINDS, LIES):
         of = [row for row in rows if (row["kind"], row["lie"]) == (kind, lie)]
         if not of:

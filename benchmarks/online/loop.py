@@ -58,10 +58,21 @@ class WatchedLoop:
     """
 
     def __init__(
-        self, plant: Moved, table: GainTable, dt_s: float, supervisor: Supervisor, *, co0: float = 0.0,
-        sp0: float = 0.0, low: float = -FAR, high: float = FAR, valve: Valve | None = None,
-        sensor: Sensor | None = None, lost: float = LOST, hidden: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        plant: Moved,
+        table: GainTable,
+        dt_s: float,
+        supervisor: Supervisor,
+        *,
+        co0: float = 0.0,
+        sp0: float = 0.0,
+        low: float = -FAR,
+        high: float = FAR,
+        valve: Valve | None = None,
+        sensor: Sensor | None = None,
+        lost: float = LOST,
+        hidden: bool = False,
+    ) -> None:
         self.plant, self.table, self.dt_s, self.supervisor = plant, table, dt_s, supervisor
         self.co, self.sp0, self.co0, self.low, self.high, self.lost = co0, sp0, co0, low, high, lost
         self.valve, self.sensor, self.hidden = valve, sensor, hidden

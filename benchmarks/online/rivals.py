@@ -62,9 +62,14 @@ def relay_then_ziegler_nichols(
 
 
 def step_then_simc(
-    plant: Moved, process: LinearProcess, theta_s: float, dt_s: float, noise: float, rng: np.random.Generator,
+    plant: Moved,
+    process: LinearProcess,
+    theta_s: float,
+    dt_s: float,
+    noise: float,
+    rng: np.random.Generator,
     size: float = 1.0,
-) -> PidGains | None:  # fmt: skip
+) -> PidGains | None:
     """SIMC PI (tau_c = theta) on the model identified from one open-loop step; None when it is not identifiable."""
     lag = max((*process.lags_s, *(math.sqrt(c2) for _, c2 in process.quadratics), 0.0))
     length_s = min(STEP_LAGS * lag + STEP_THETA * theta_s, MOST_THETA * theta_s)

@@ -125,8 +125,14 @@ def run(task: Task) -> Row:
         "perfect": ([walk.best(y) for y in CENTRES], FixedGains()),
     }
     found = {who: walked(walk, table_of(gains), supervisor) for who, (gains, supervisor) in starts.items()}
-    return {"part": "walks", "seed": task.seed, "index": task.index, "signs": list(walk.process.signs),
-            "tau1": walk.process.middle.tau1_s / walk.process.middle.theta_s, "who": found}  # fmt: skip
+    return {
+        "part": "walks",
+        "seed": task.seed,
+        "index": task.index,
+        "signs": list(walk.process.signs),
+        "tau1": walk.process.middle.tau1_s / walk.process.middle.theta_s,
+        "who": found,
+    }
 
 
 def _tested(walk: Walk, y: float, rng: np.random.Generator) -> PidGains | None:
@@ -139,9 +145,14 @@ def _tested(walk: Walk, y: float, rng: np.random.Generator) -> PidGains | None:
 def walked(walk: Walk, table: GainTable, supervisor: Supervisor) -> dict[str, Any]:
     """The walk under one of them."""
     loop = WatchedLoop(
-        walk.plant(walk.sps[0]), table, walk.dt_s, supervisor, co0=walk.process.rest(walk.sps[0]), sp0=walk.sps[0],
+        walk.plant(walk.sps[0]),
+        table,
+        walk.dt_s,
+        supervisor,
+        co0=walk.process.rest(walk.sps[0]),
+        sp0=walk.sps[0],
         lost=1e4,
-    )  # fmt: skip
+    )
     iae: list[float] = []
     spec: list[bool] = []
     for sp, noise, judge in zip(walk.sps, walk.noise, walk.judges, strict=True):
@@ -152,8 +163,12 @@ def walked(walk: Walk, table: GainTable, supervisor: Supervisor) -> dict[str, An
         iae.append(sum(abs(sp - pv + more) for (pv, _), more in zip(trace, noise, strict=True)) * walk.dt_s)
         spec.append(judge.of(loop.gains).in_spec)
     missing = len(walk.sps) - len(iae)
-    return {"iae": iae + [math.inf] * missing, "spec": spec + [False] * missing, "changes": loop.changes,
-            "lost": missing > 0}  # fmt: skip
+    return {
+        "iae": iae + [math.inf] * missing,
+        "spec": spec + [False] * missing,
+        "changes": loop.changes,
+        "lost": missing > 0,
+    }
 
 
 def line(row: Row) -> str:
@@ -180,15 +195,19 @@ def _share(row: Row, who: str, part: int) -> float:
 
 def table(rows: list[Row]) -> list[str]:
     """A line a competitor."""
-    lines = [f"{len(rows)} walks of {len(rows[0]['who']['fixed']['spec'])} setpoints",
-             f"{'':<12}{'IAE over the perfect table: first, last third':>48}{'worst':>8}{'lost':>6}"
-             f"{'changes':>9}   in spec, last third"]  # fmt: skip
+    lines = [
+        f"{len(rows)} walks of {len(rows[0]['who']['fixed']['spec'])} setpoints",
+        f"{'':<12}{'IAE over the perfect table: first, last third':>48}{'worst':>8}{'lost':>6}"
+        f"{'changes':>9}   in spec, last third",
+    ]
     for who in WHO:
         first, last = (statistics.median(_ratio(row, who, part) for row in rows) for part in (0, 2))
         worst = max(_ratio(row, who, 2) for row in rows)
         spec = [ok for row in rows for ok in _third(row["who"][who]["spec"], 2)]
         changes = sum(row["who"][who]["changes"] for row in rows) / len(rows)
         lost = sum(row["who"][who]["lost"] for row in rows)
-        lines.append(f"{who:<12}{first:>40.2f}{last:>8.2f}{worst:>8.2f}{lost:>6}{changes:>9.1f}   "
-                     f"{counted(sum(spec), len(spec))}")  # fmt: skip
+        lines.append(
+            f"{who:<12}{first:>40.2f}{last:>8.2f}{worst:>8.2f}{lost:>6}{changes:>9.1f}   "
+            f"{counted(sum(spec), len(spec))}"
+        )
     return lines

@@ -42,8 +42,12 @@ MEBIBYTE = 1 << 20
 
 def job(folder: Path, *prefix: str, rows: int = ROWS) -> "subprocess.CompletedProcess[str]":
     """The job as a process, behind a prefix such as strace."""
-    return subprocess.run([*prefix, sys.executable, "-B", "-P", str(JOB), str(folder), str(rows)],
-                          capture_output=True, text=True, check=False)  # fmt: skip
+    return subprocess.run(
+        [*prefix, sys.executable, "-B", "-P", str(JOB), str(folder), str(rows)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 @contextlib.contextmanager
@@ -245,8 +249,11 @@ def main() -> int:
         sys.stderr.write("strace is not installed; apt-get install strace\n")
         return 77
     started = time.monotonic()
-    parts = {"sweep": lambda: sweep(chosen.every), "kills": lambda: kills(chosen.count, chosen.seed),
-             "disk": lambda: disk(chosen.rows)}  # fmt: skip
+    parts = {
+        "sweep": lambda: sweep(chosen.every),
+        "kills": lambda: kills(chosen.count, chosen.seed),
+        "disk": lambda: disk(chosen.rows),
+    }
     result = parts[chosen.part]()
     result["seconds"] = round(time.monotonic() - started, 1)
     sys.stdout.write(json.dumps(result) + "\n")

@@ -30,8 +30,11 @@ LITTER = re.compile(r"ledger\.sqlite(-wal|-shm|-journal|\.lock)|\.gains\.toml\.\
 
 def table(revision: int) -> GainTable:
     """The table of a revision; every number in it depends on the revision, so a mixture of two shows."""
-    made = GainTable("loop", Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0),
-                     (PidGains(1.0 + revision, 0.1 + revision), PidGains(2.0 + revision, 0.2 + revision)))  # fmt: skip
+    made = GainTable(
+        "loop",
+        Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0),
+        (PidGains(1.0 + revision, 0.1 + revision), PidGains(2.0 + revision, 0.2 + revision)),
+    )
     return replace(made, revision=revision)
 
 

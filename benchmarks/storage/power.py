@@ -124,8 +124,15 @@ def cuts(count: int, seed: int, synchronous: str) -> dict[str, object]:
                     break
             rows += len(promised.rows)
             disk.remove()
-    return {"part": "power", "seed": seed, "synchronous": synchronous or "FULL", "cuts": dict(made), "rows": rows,
-            "cuts with loss": losing, "wrong": wrong[:5]}  # fmt: skip
+    return {
+        "part": "power",
+        "seed": seed,
+        "synchronous": synchronous or "FULL",
+        "cuts": dict(made),
+        "rows": rows,
+        "cuts with loss": losing,
+        "wrong": wrong[:5],
+    }
 
 
 def main() -> int:

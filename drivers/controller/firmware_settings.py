@@ -69,5 +69,11 @@ class VirtualDeviceSettings:
 
     def law_of(self, gains: PidGains) -> PidLaw:
         """The PID law with these gains."""
-        return law(gains, b=self.b, tau_f_s=self.tau_f_s, co_min=self.co_min, co_max=self.co_max,
-                   co_rate_per_s=self.co_rate_per_s)  # fmt: skip
+        return law(
+            gains,
+            b=self.b,
+            tau_f_s=self.tau_f_s,
+            co_min=self.co_min,
+            co_max=self.co_max,
+            co_rate_per_s=self.co_rate_per_s,
+        )

@@ -6,8 +6,16 @@ from dataclasses import dataclass, field
 
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 
-TIMES = ("sample_time_s", "reply_samples", "reply_floor_s", "silent_samples", "connect_samples", "connect_floor_s",
-         "lease_samples", "lease_floor_s")  # fmt: skip
+TIMES = (
+    "sample_time_s",
+    "reply_samples",
+    "reply_floor_s",
+    "silent_samples",
+    "connect_samples",
+    "connect_floor_s",
+    "lease_samples",
+    "lease_floor_s",
+)
 OWNERS = 65535  # the owner's number has 16 bits; 0 is nobody
 LEASE_SAMPLES_MAX = 65535
 KEY_BYTES_MIN = 16

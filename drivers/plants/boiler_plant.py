@@ -153,8 +153,9 @@ class BoilerPlant:
         settings = self.settings
         needed = flow_of(load) * (pv - settings.inlet_c)
         if not 0.0 <= needed <= settings.power_max_c:
-            raise ValueError(f"{pv} degC needs {needed:.0f} K of nominal flow; the burner gives 0 to "
-                             f"{settings.power_max_c:g} K")  # fmt: skip
+            raise ValueError(
+                f"{pv} degC needs {needed:.0f} K of nominal flow; the burner gives 0 to {settings.power_max_c:g} K"
+            )
         return settings.co_for(needed)
 
     def linearise(self, pv: float, load: float = 0.0) -> LinearProcess:

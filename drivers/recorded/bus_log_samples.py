@@ -37,9 +37,14 @@ class Overhearing:
     """
 
     def __init__(
-        self, node: int, sample_time_s: float, variable: str | ScheduleInputs = "sp", *, as_host: bool = True,
+        self,
+        node: int,
+        sample_time_s: float,
+        variable: str | ScheduleInputs = "sp",
+        *,
+        as_host: bool = True,
         gaps: Iterable[int] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._codec = Codec(node)
         self._reader = PageReader()
         self._belief = RunningBelief(node)

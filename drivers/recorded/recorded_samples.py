@@ -61,24 +61,40 @@ def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> I
     _check(path, t, (sp, pv, co), facts)
     inputs = ScheduleInputs.of(facts.variable)
     own = {"sp": sp, "pv": pv, "co": co, "": np.zeros(len(t))}
-    x, x2 = (_scheduled(path, table, name, own.get(variable))
-             for name, variable in (("x", inputs.variable), ("x2", inputs.variable2)))  # fmt: skip
+    x, x2 = (
+        _scheduled(path, table, name, own.get(variable))
+        for name, variable in (("x", inputs.variable), ("x2", inputs.variable2))
+    )
     mode = table.get("mode", np.full(len(t), float(LoopMode.AUTO)))
     beyond = np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0))
     limited = table.get("limited", beyond)
     known = all(name in table for name in GAINS)
     for i in range(len(t)):
         gains = _gains(path, i, *(float(table[name][i]) for name in GAINS)) if known else None
-        yield Recorded(LoopSample(float(t[i]), float(sp[i]), float(pv[i]), float(co[i]), int(mode[i]),
-                                  int(limited[i]), float(x[i]), 0, float(x2[i])), gains)  # fmt: skip
+        yield Recorded(
+            LoopSample(
+                float(t[i]),
+                float(sp[i]),
+                float(pv[i]),
+                float(co[i]),
+                int(mode[i]),
+                int(limited[i]),
+                float(x[i]),
+                0,
+                float(x2[i]),
+            ),
+            gains,
+        )
 
 
 def _scheduled(path: Path, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:
     """A scheduling variable: its column, else what the loop's own signals say of it."""
     found = table.get(name, own)
     if found is None:
-        raise RecordingError(f'{path}: no column "{name}": the scheduling variable is a signal on the bus, which sp, '
-                             "pv and co do not tell; add the column")  # fmt: skip
+        raise RecordingError(
+            f'{path}: no column "{name}": the scheduling variable is a signal on the bus, which sp, '
+            "pv and co do not tell; add the column"
+        )
     return found
 
 
@@ -96,14 +112,16 @@ def _check(path: Path, t: np.ndarray, signals: tuple[np.ndarray, ...], facts: Lo
         raise RecordingError(f"{path}: {len(t)} samples; a response has at least dozens of them")
     back = np.flatnonzero(np.diff(t) <= 0)
     if back.size:
-        raise RecordingError(f"{path}: sample {back[0] + 2}: t = {t[back[0] + 1]:g} follows {t[back[0]]:g}; it must "
-                             "increase")  # fmt: skip
+        raise RecordingError(
+            f"{path}: sample {back[0] + 2}: t = {t[back[0] + 1]:g} follows {t[back[0]]:g}; it must increase"
+        )
     if max(float(np.max(np.abs(signal))) for signal in (t, *signals)) > LARGEST:
         raise RecordingError(f"{path}: a value is beyond {LARGEST:g}; give the record in its engineering units")
     interval = float(np.median(np.diff(t)))
     if abs(interval - facts.sample_time_s) > TIME_TOLERANCE * facts.sample_time_s:
-        raise RecordingError(f"{path}: is sampled every {interval:g} s, loop.sample_time_s is "
-                             f"{facts.sample_time_s:g} s; make them equal")  # fmt: skip
+        raise RecordingError(
+            f"{path}: is sampled every {interval:g} s, loop.sample_time_s is {facts.sample_time_s:g} s; make them equal"
+        )
 
 
 def frame_samples(path: Path, facts: LoopFacts) -> Iterator[Recorded]:

@@ -64,8 +64,10 @@ class Recording:
         for name, values in (("t", self.t_s), ("sp", self.sp), ("pv", self.pv), ("co", self.co)):
             if values is not None and np.max(np.abs(values)) > LARGEST:
                 i = int(np.argmax(np.abs(values)))
-                raise RecordingError(f"{self.source}: sample {i + 1}: {name} = {values[i]:g} is beyond {LARGEST:g}; "
-                                     "give the record in its engineering units")  # fmt: skip
+                raise RecordingError(
+                    f"{self.source}: sample {i + 1}: {name} = {values[i]:g} is beyond {LARGEST:g}; "
+                    "give the record in its engineering units"
+                )
 
     def window(self) -> Window:
         """The whole record for a fit; where it has no setpoint, the first pv stands in."""

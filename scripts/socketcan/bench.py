@@ -29,10 +29,12 @@ SAMPLE_S = 0.05
 FIRST = PidGains(1.0, 0.0625, 0.5)
 LOOK_S = 0.01  # longest time between two looks at the bus: a tick of the user-mode kernel
 PATIENCE_S = 20.0  # for everything to be well again
-FIRMWARE = VirtualDeviceSettings(FIRST, node=NODE, sample_time_s=SAMPLE_S,
-                                 box=GainBox(kp_max=1000.0, ki_max=100.0, ratio_max=1000.0, direction=1))  # fmt: skip
-HOST = CanDeviceSettings(node=NODE, sample_time_s=SAMPLE_S, silent_samples=10, connect_samples=400, lease_samples=20,
-                         lease_floor_s=1.0)  # fmt: skip
+FIRMWARE = VirtualDeviceSettings(
+    FIRST, node=NODE, sample_time_s=SAMPLE_S, box=GainBox(kp_max=1000.0, ki_max=100.0, ratio_max=1000.0, direction=1)
+)
+HOST = CanDeviceSettings(
+    node=NODE, sample_time_s=SAMPLE_S, silent_samples=10, connect_samples=400, lease_samples=20, lease_floor_s=1.0
+)
 
 
 def sh(*command: str) -> None:
@@ -146,8 +148,13 @@ class Bench:
     def report(self) -> dict[str, object]:
         """Counts of everything."""
         wrong, faults = self.settle(), self.near.faults.counts + self.far.faults.counts
-        return {"samples": len(self.times), "lost and reported": self.lost, "told": dict(self.told),
-                "faults": {str(fault): times for fault, times in faults.items()}, "wrong": wrong[:10]}  # fmt: skip
+        return {
+            "samples": len(self.times),
+            "lost and reported": self.lost,
+            "told": dict(self.told),
+            "faults": {str(fault): times for fault, times in faults.items()},
+            "wrong": wrong[:10],
+        }
 
     def close(self) -> None:
         """Close both links."""

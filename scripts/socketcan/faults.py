@@ -25,9 +25,16 @@ from ill_treatment import clock, errors, foreign, gateway, netem, overflow, recr
 from kills import kill
 
 PARTS: dict[str, Callable[[float, int], dict[str, object]]] = {
-    "updown": updown, "recreate": recreate, "overflow": overflow, "clock": clock, "errors": errors, "gateway": gateway,
-    "netem": netem, "foreign": foreign, "kill": kill,
-}  # fmt: skip
+    "updown": updown,
+    "recreate": recreate,
+    "overflow": overflow,
+    "clock": clock,
+    "errors": errors,
+    "gateway": gateway,
+    "netem": netem,
+    "foreign": foreign,
+    "kill": kill,
+}
 MODULES = ("net/can/can-gw", "drivers/net/can/vxcan", "net/sched/sch_netem")
 
 

@@ -42,8 +42,13 @@ def times(count: int, share: float) -> range:
     return range(max(round(count * share), 2))
 
 
-MIXES = ("loss 10%", "duplicate 20%", "delay 30ms 20ms reorder 25%", "corrupt 10%",
-         "loss 5% duplicate 5% delay 20ms 20ms corrupt 3%")  # fmt: skip
+MIXES = (
+    "loss 10%",
+    "duplicate 20%",
+    "delay 30ms 20ms reorder 25%",
+    "corrupt 10%",
+    "loss 5% duplicate 5% delay 20ms 20ms corrupt 3%",
+)
 
 
 def percentile_99(values: list[float]) -> float:
@@ -68,8 +73,13 @@ def outages(
             sh(*command)
         recovered.append(made.run(20.0, made.well))
         noticed += made.told["link down"] + made.told["link silent"] > before
-    return {"outages": len(recovered), "noticed by the host": noticed, "recovery s, median": percentile_50(recovered),
-            "recovery s, 99 %": percentile_99(recovered), **made.report()}  # fmt: skip
+    return {
+        "outages": len(recovered),
+        "noticed by the host": noticed,
+        "recovery s, median": percentile_50(recovered),
+        "recovery s, 99 %": percentile_99(recovered),
+        **made.report(),
+    }
 
 
 def percentile_50(values: list[float]) -> float:
@@ -224,8 +234,11 @@ def foreign(share: float, seed: int) -> dict[str, object]:
         return {"not here": "can-utils are missing"}
     count = str(max(round(20_000 * share), 500))
     few = str(int(count) // 25)
-    ours = [["cangen", IFACE, "-g", "0", "-i", "-n", few, "-I", f"{NODE << 5 | command:X}", "-L", length]
-            for command in COMMANDS for length in ("8", "i")][:: max(round(1 / share), 1)]  # fmt: skip
+    ours = [
+        ["cangen", IFACE, "-g", "0", "-i", "-n", few, "-I", f"{NODE << 5 | command:X}", "-L", length]
+        for command in COMMANDS
+        for length in ("8", "i")
+    ][:: max(round(1 / share), 1)]
     with bench(seed=seed) as made, tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "record.log"
         with record.open("wb") as out:
@@ -244,8 +257,12 @@ def foreign(share: float, seed: int) -> dict[str, object]:
                 made.order()
                 made.run(60.0, lambda other=other: other.poll() is not None)
             made.run(20.0, made.well)
-        return {"attacks": len(commands), "frames received": made.near.counters.received,
-                "foreign commands seen": made.host.foreign_commands, **made.report()}  # fmt: skip
+        return {
+            "attacks": len(commands),
+            "frames received": made.near.counters.received,
+            "foreign commands seen": made.host.foreign_commands,
+            **made.report(),
+        }
 
 
 def _can(command: list[str]) -> bool:

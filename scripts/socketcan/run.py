@@ -65,10 +65,22 @@ def in_user_mode_linux(kernel: str, command: list[str], timeout_s: float) -> int
         init.chmod(0o755)
         with (job / "console").open("wb") as console:
             process = subprocess.Popen(
-                [kernel, f"mem={MEMORY}", "rootfstype=hostfs", "rw", f"init={init}", f"JOB={job}", "con=null",
-                 "con0=fd:0,fd:1", "quiet"],
-                stdin=subprocess.DEVNULL, stdout=console, stderr=console, start_new_session=True,
-            )  # fmt: skip
+                [
+                    kernel,
+                    f"mem={MEMORY}",
+                    "rootfstype=hostfs",
+                    "rw",
+                    f"init={init}",
+                    f"JOB={job}",
+                    "con=null",
+                    "con0=fd:0,fd:1",
+                    "quiet",
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=console,
+                stderr=console,
+                start_new_session=True,
+            )
             status = wait(process, timeout_s)
         return TIMED_OUT if status == TIMED_OUT else told(job)
 

@@ -32,15 +32,26 @@ class Identification:
         """Keys identifiable, model, std, gains, margins, margins_in_force, reason, loads, residual, noise."""
         found = self.settings.to_dict() if self.settings else None
         in_force = self.margins_in_force.to_dict() if self.margins_in_force else None
-        return {**self.estimate.to_dict(), "gains": found["gains"] if found else None,
-                "form": found["form"] if found else None, "margins": found["margins"] if found else None,
-                "margins_in_force": in_force}  # fmt: skip
+        return {
+            **self.estimate.to_dict(),
+            "gains": found["gains"] if found else None,
+            "form": found["form"] if found else None,
+            "margins": found["margins"] if found else None,
+            "margins_in_force": in_force,
+        }
 
 
 def identify(
-    t: Numbers, sp: Numbers, pv: Numbers, co: Numbers, *, open_loop: bool = False, gains: PidGains | None = None,
-    co_min: float | None = None, co_max: float | None = None,
-) -> Identification:  # fmt: skip
+    t: Numbers,
+    sp: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    *,
+    open_loop: bool = False,
+    gains: PidGains | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+) -> Identification:
     """Find the process behind a record.
 
     Parameters
@@ -61,9 +72,13 @@ def identify(
 
 
 def identify_record(
-    window: Window, *, open_loop: bool = False, gains: PidGains | None = None,
-    co_min: float | None = None, co_max: float | None = None,
-) -> Identification:  # fmt: skip
+    window: Window,
+    *,
+    open_loop: bool = False,
+    gains: PidGains | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+) -> Identification:
     """The same for a record that is a Window already; see identify."""
     fit = OPEN_LOOP if open_loop else FitSettings()
     window = within(window, co_min, co_max)
@@ -109,14 +124,24 @@ class RecordDiagnosis:
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason, gains, form, margins."""
         found = self.settings.to_dict() if self.settings else None
-        return {**self.diagnosis.to_dict(), "gains": found["gains"] if found else None,
-                "form": found["form"] if found else None, "margins": found["margins"] if found else None}  # fmt: skip
+        return {
+            **self.diagnosis.to_dict(),
+            "gains": found["gains"] if found else None,
+            "form": found["form"] if found else None,
+            "margins": found["margins"] if found else None,
+        }
 
 
 def diagnose(
-    t: Numbers, sp: Numbers, pv: Numbers, co: Numbers, *, gains: PidGains | None = None,
-    co_min: float | None = None, co_max: float | None = None,
-) -> RecordDiagnosis:  # fmt: skip
+    t: Numbers,
+    sp: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    *,
+    gains: PidGains | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+) -> RecordDiagnosis:
     """Name the cause of a loop's behaviour.
 
     Parameters

@@ -28,9 +28,12 @@ ROOM_ERRORS = (("retuner.drivers.device", "DeviceError"), ("retuner.drivers.reco
 """Errors of the rooms that a person can put right: module and name, looked up only if the module was ever imported."""
 
 app = typer.Typer(
-    name="retuner", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    name="retuner",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
-)  # fmt: skip
+)
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]

@@ -53,15 +53,31 @@ def _dispatch(config: Path | None, recorded: object, question: object, options: 
     return on_demand(config, ExperimentKind(question.kind), options, question)
 
 
-@app.command(epilog="Examples: retuner experiment step examples/oven.toml --amplitude 5; "
-                    "retuner experiment step --from heater.csv --columns pv=temperature")  # fmt: skip
+@app.command(
+    epilog="Examples: retuner experiment step examples/oven.toml --amplitude 5; "
+    "retuner experiment step --from heater.csv --columns pv=temperature"
+)
 def step(
-    config: Config = None, file: From = None, columns: Columns = "", plot: Plot = None, method: Method = "fit",
-    rule: Rule = "simc", kind: Kind = None, interface: Interface = None, channel: Channel = None, speed: Speed = "max",
+    config: Config = None,
+    file: From = None,
+    columns: Columns = "",
+    plot: Plot = None,
+    method: Method = "fit",
+    rule: Rule = "simc",
+    kind: Kind = None,
+    interface: Interface = None,
+    channel: Channel = None,
+    speed: Speed = "max",
     amplitude: Annotated[float | None, typer.Option(help="Step of co, percent; default 5 % of its range.")] = None,
-    pv_low: PvLow = None, pv_high: PvHigh = None, deviation: Deviation = None, time: Time = None, rest: Rest = None,
-    out: Out = None, yes: Yes = False, json: Json = False,
-) -> int:  # fmt: skip
+    pv_low: PvLow = None,
+    pv_high: PvHigh = None,
+    deviation: Deviation = None,
+    time: Time = None,
+    rest: Rest = None,
+    out: Out = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> int:
     """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent, slope."""
     from retuner.commands.experiment import Recorded, question_for
     from retuner.commands.experiment_on_demand import OnDemand
@@ -71,38 +87,71 @@ def step(
     return _dispatch(config, Recorded(file, columns, plot, json) if file else None, question, options)
 
 
-@app.command(epilog="Examples: retuner experiment setpoint examples/oven.toml --amplitude 5 --kc0 1.5; "
-                    "retuner experiment setpoint --from loop.csv --kc0 1.5 --rule setpoint-overshoot")  # fmt: skip
+@app.command(
+    epilog="Examples: retuner experiment setpoint examples/oven.toml --amplitude 5 --kc0 1.5; "
+    "retuner experiment setpoint --from loop.csv --kc0 1.5 --rule setpoint-overshoot"
+)
 def setpoint(
-    config: Config = None, file: From = None, columns: Columns = "", plot: Plot = None, method: Method = "fit",
-    rule: Rule = "simc", kind: Kind = None, interface: Interface = None, channel: Channel = None, speed: Speed = "max",
+    config: Config = None,
+    file: From = None,
+    columns: Columns = "",
+    plot: Plot = None,
+    method: Method = "fit",
+    rule: Rule = "simc",
+    kind: Kind = None,
+    interface: Interface = None,
+    channel: Channel = None,
+    speed: Speed = "max",
     amplitude: Annotated[float | None, typer.Option(help="Step of sp, pv units; default 5 % of the range.")] = None,
     kc0: Annotated[float | None, typer.Option(help="Proportional gain of the test; default that in force.")] = None,
-    pv_low: PvLow = None, pv_high: PvHigh = None, deviation: Deviation = None, time: Time = None, rest: Rest = None,
-    out: Out = None, yes: Yes = False, json: Json = False,
-) -> int:  # fmt: skip
+    pv_low: PvLow = None,
+    pv_high: PvHigh = None,
+    deviation: Deviation = None,
+    time: Time = None,
+    rest: Rest = None,
+    out: Out = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> int:
     """Setpoint step under proportional control. Methods: fit, two-step; --rule setpoint-overshoot needs no model."""
     from retuner.commands.experiment import Recorded, question_for
     from retuner.commands.experiment_on_demand import OnDemand
 
     question = question_for("setpoint", method, rule, kind, kc0)
-    options = OnDemand(interface, channel, speed, out, yes, json, amplitude, pv_low, pv_high, deviation, time, rest,
-                       kc0=kc0)  # fmt: skip
+    options = OnDemand(
+        interface, channel, speed, out, yes, json, amplitude, pv_low, pv_high, deviation, time, rest, kc0=kc0
+    )
     return _dispatch(config, Recorded(file, columns, plot, json) if file else None, question, options)
 
 
-@app.command(epilog="Examples: retuner experiment relay examples/oven.toml --amplitude 10 --bias 0.3; "
-                    "retuner experiment relay --from relay.csv --rule zn-ultimate --kind pid")  # fmt: skip
+@app.command(
+    epilog="Examples: retuner experiment relay examples/oven.toml --amplitude 10 --bias 0.3; "
+    "retuner experiment relay --from relay.csv --rule zn-ultimate --kind pid"
+)
 def relay(
-    config: Config = None, file: From = None, columns: Columns = "", plot: Plot = None, method: Method = "fit",
-    rule: Rule = "simc", kind: Kind = None, interface: Interface = None, channel: Channel = None, speed: Speed = "max",
+    config: Config = None,
+    file: From = None,
+    columns: Columns = "",
+    plot: Plot = None,
+    method: Method = "fit",
+    rule: Rule = "simc",
+    kind: Kind = None,
+    interface: Interface = None,
+    channel: Channel = None,
+    speed: Speed = "max",
     amplitude: Annotated[float | None, typer.Option(help="Of the relay, percent of co; default 5 % of range.")] = None,
     bias: Annotated[float, typer.Option(help="Asymmetry, 0 to 0.8; some lets the process gain show.")] = 0.3,
     hysteresis: Annotated[float | None, typer.Option(help="Pv units; default 3 x the noise seen at rest.")] = None,
     cycles: Annotated[int, typer.Option(help="Full waves that count, 2 to 50.")] = 4,
-    pv_low: PvLow = None, pv_high: PvHigh = None, deviation: Deviation = None, time: Time = None, rest: Rest = None,
-    out: Out = None, yes: Yes = False, json: Json = False,
-) -> int:  # fmt: skip
+    pv_low: PvLow = None,
+    pv_high: PvHigh = None,
+    deviation: Deviation = None,
+    time: Time = None,
+    rest: Rest = None,
+    out: Out = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> int:
     """Relay feedback: Ku and Pu, and a model. Methods: fit, asymmetric; rules zn-ultimate ... take Ku and Pu."""
     from retuner.commands.experiment import Recorded, question_for
     from retuner.commands.experiment_on_demand import OnDemand
@@ -116,10 +165,13 @@ def relay(
 @app.command(epilog="Example: retuner experiment ultimate --from swing.csv --kc 3.2")
 def ultimate(
     file: Annotated[Path, typer.Option("--from", metavar="FILE", help="Recording of the swing.")],
-    columns: Columns = "", plot: Plot = None,
+    columns: Columns = "",
+    plot: Plot = None,
     kc: Annotated[float | None, typer.Option(help="Proportional gain under which it swung.")] = None,
-    rule: Rule = "zn-ultimate", kind: Kind = None, json: Json = False,
-) -> int:  # fmt: skip
+    rule: Rule = "zn-ultimate",
+    kind: Kind = None,
+    json: Json = False,
+) -> int:
     """A swing under proportional control: its period, and whether the gain was the ultimate one."""
     from retuner.commands.experiment import Recorded, question_for
 

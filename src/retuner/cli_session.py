@@ -61,9 +61,10 @@ def approve(
 
 
 ledger = typer.Typer(
-    no_args_is_help=True, help="What was seen, decided and written: read it, and look whether it can be believed.",
+    no_args_is_help=True,
+    help="What was seen, decided and written: read it, and look whether it can be believed.",
     epilog="Example: retuner ledger show runs/demo",
-)  # fmt: skip
+)
 
 
 @ledger.command(epilog="Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")

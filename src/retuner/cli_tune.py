@@ -60,8 +60,18 @@ def tune(
     """Settings for a known process by a tuning rule, with their margins."""
     from retuner.commands.tune import Process, TuneOptions
 
-    wishes = {"tau_c": tau_c, "ms": ms, "gm": gm, "c": c, "u0": u0, "y_max": ymax,
-              "ku": ku, "pu": pu, "kq": kq, "pq": pq}  # fmt: skip
+    wishes = {
+        "tau_c": tau_c,
+        "ms": ms,
+        "gm": gm,
+        "c": c,
+        "u0": u0,
+        "y_max": ymax,
+        "ku": ku,
+        "pu": pu,
+        "kq": kq,
+        "pq": pq,
+    }
     described, options = (
         Process(process, k, tau1, tau2, theta),
         TuneOptions(rule, kind, form, wishes, explain, plot, json),

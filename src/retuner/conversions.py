@@ -137,7 +137,9 @@ def gains_of(system: System) -> PidGains:
         kd, kp = ([0.0] * (2 - len(num)) + (num / den[0]).tolist())[:2]
         return PidGains(kp, 0.0, kd)
     if len(den) != 2 or den[1] != 0 or not 1 <= len(num) <= 3:
-        raise ValueError(f"num {num.tolist()}, den {den.tolist()}: not kp + ki/s + kd s; a PID without derivative "
-                         "filter has den = [1, 0]")  # fmt: skip
+        raise ValueError(
+            f"num {num.tolist()}, den {den.tolist()}: not kp + ki/s + kd s; a PID without derivative "
+            "filter has den = [1, 0]"
+        )
     kd, kp, ki = ([0.0] * (3 - len(num)) + (num / den[0]).tolist())[:3]
     return PidGains(kp, ki, kd)

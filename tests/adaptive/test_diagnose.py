@@ -26,10 +26,17 @@ def zero(_: int) -> float:
 
 
 def loop(
-    gains: PidGains = GOOD, sp: Signal = zero, load: Signal = zero, out: Signal = zero, valve: StuckValve | None = None,
-    limits: tuple[float, float] = (-50.0, 50.0), noise: float = 0.01, seed: int = 1, n: int = N,
+    gains: PidGains = GOOD,
+    sp: Signal = zero,
+    load: Signal = zero,
+    out: Signal = zero,
+    valve: StuckValve | None = None,
+    limits: tuple[float, float] = (-50.0, 50.0),
+    noise: float = 0.01,
+    seed: int = 1,
+    n: int = N,
     process: LinearProcess = PROCESS,
-) -> Window:  # fmt: skip
+) -> Window:
     """PI on two lags and dead time; `out` is added to pv, the valve stands between controller and process."""
     plant = LinearPlant(process, start_co=0.0, noise=noise, seed=seed, co_min=-1e9, co_max=1e9)
     rules = law(gains, co_min=limits[0], co_max=limits[1])

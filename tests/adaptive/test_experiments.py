@@ -47,9 +47,16 @@ def setpoint_record(
 
 
 def relay_record(
-    process: LinearProcess, up: float, down: float, *, eps: float = 0.0, dt: float = 0.02, n: int = 4000,
-    noise: float = 0.0, shift: float = 0.0,
-) -> Window:  # fmt: skip
+    process: LinearProcess,
+    up: float,
+    down: float,
+    *,
+    eps: float = 0.0,
+    dt: float = 0.02,
+    n: int = 4000,
+    noise: float = 0.0,
+    shift: float = 0.0,
+) -> Window:
     machine, co, high, rows = plant(process, noise, 3), 0.0, True, []
     sign = math.copysign(1.0, process.k)
     for i in range(n):

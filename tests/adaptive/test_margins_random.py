@@ -94,8 +94,9 @@ def winding_says_stable(loop: OpenLoop) -> bool:
     """arg(1 + L) counted on a grid so dense that it never turns by more than a little between two points."""
     crossed = gain_crossovers(loop, grid(loop))
     last = 3 * max(crossed, default=max(loop.corners()))
-    w = np.unique(np.concatenate([np.geomspace(1e-4 * min(loop.corners()), last, 20_000),
-                                  np.linspace(1e-6, last, 20_000)]))  # fmt: skip
+    w = np.unique(
+        np.concatenate([np.geomspace(1e-4 * min(loop.corners()), last, 20_000), np.linspace(1e-6, last, 20_000)])
+    )
     f = 1 + loop.along(w)
     turned = float(np.sum(np.angle(f[1:] / f[:-1]))) - float(np.angle(f[-1]))
     start = 0.0 if loop.order > 0 else float(np.angle(f[0]))

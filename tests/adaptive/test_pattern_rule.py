@@ -246,8 +246,11 @@ def test_settings_out_of_sense_are_refused(name: str, value: float) -> None:
 @given(
     e=st.lists(st.sampled_from([-1.0, 0.0, 0.1, 1.0]) | st.floats(-5, 5), min_size=3, max_size=60),
     co=st.lists(st.sampled_from([0.1, 0.3]) | st.floats(-100, 100), min_size=1, max_size=3),
-    peaks=st.integers(0, 3), setpoint=st.booleans(), first=st.integers(0, 20), ending=st.sampled_from(Ending),
-)  # fmt: skip
+    peaks=st.integers(0, 3),
+    setpoint=st.booleans(),
+    first=st.integers(0, 20),
+    ending=st.sampled_from(Ending),
+)
 def test_whatever_was_recorded_the_numbers_are_finite_and_the_rule_answers(
     e: list[float], co: list[float], peaks: int, setpoint: bool, first: int, ending: Ending
 ) -> None:

@@ -90,8 +90,10 @@ def test_locked_parameters_are_those_in_force_and_the_others_as_wanted(
 ) -> None:
     kept = keep_locked(wanted, in_force, Locks(kc, tau_i, tau_d))
     for lock, value in (
-        (kc, lambda g: g.kp), (tau_i, lambda g: g.kp / g.ki), (tau_d, lambda g: g.kd / g.kp),
-    ):  # fmt: skip
+        (kc, lambda g: g.kp),
+        (tau_i, lambda g: g.kp / g.ki),
+        (tau_d, lambda g: g.kd / g.kp),
+    ):
         assert value(kept) == pytest.approx(value(in_force if lock else wanted))
 
 

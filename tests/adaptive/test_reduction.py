@@ -34,12 +34,18 @@ PRINTED = {
     "Seborg 2011 example 6.4": (LinearProcess(1, (5, 3, 0.5), (-0.1,)), 1, ("fopdt", 1.0, 6.5, 0.0, 2.1), 0.0005),
     "Seborg 2011 example 6.5": (LinearProcess(1, (12, 3, 0.2, 0.05), (-1,), 1), 1, ("fopdt", 1, 13.5, 0, 3.75), 0.0005),
     "Seborg 2011 example 6.5, order 2": (
-        LinearProcess(1, (12, 3, 0.2, 0.05), (-1,), 1), 2, ("sopdt", 1, 12, 3.1, 2.15), 0.0005,
+        LinearProcess(1, (12, 3, 0.2, 0.05), (-1,), 1),
+        2,
+        ("sopdt", 1, 12, 3.1, 2.15),
+        0.0005,
     ),
     "tbcontrol, lead taken from the dead time": (
-        LinearProcess(1, (20, 5, 5), (10,), 10), 1, ("fopdt", 1, 22.5, 0, 7.5), 0.0005,
+        LinearProcess(1, (20, 5, 5), (10,), 10),
+        1,
+        ("fopdt", 1, 22.5, 0, 7.5),
+        0.0005,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("source", PRINTED)
@@ -81,7 +87,7 @@ def test_simc_on_the_reduced_model_gives_the_printed_settings_and_ms(case: str) 
 
 def batch() -> dict[str, LinearProcess]:
     """The Astrom-Hagglund test batch."""
-    t1 = (.02, .05, .1, .2, .3, .5, .7, 1, 1.3, 1.5, 2, 4, 6, 8, 10, 20, 50, 100, 200, 500, 1000)  # fmt: skip
+    t1 = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.3, 1.5, 2, 4, 6, 8, 10, 20, 50, 100, 200, 500, 1000)
     found = {f"P1 T={t}": LinearProcess(1, (t,), (), 1) for t in t1}
     found |= {f"P2 T={t}": LinearProcess(1, (t, t), (), 1) for t in (0.01, *t1[:-1])}
     found |= {f"P3 T={t}": LinearProcess(1, (1, t, t)) for t in (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 2, 5, 10)}
@@ -122,9 +128,7 @@ def test_the_rules_for_numerator_time_constants_one_by_one() -> None:
     assert against(8.0, [math.inf, 1.0]) == math.inf
 
 
-@given(
-    lead=st.floats(0.1, 10.0), lag=st.floats(0.1, 10.0), theta=st.sampled_from(["lag", "lead", "fifth"]),
-)  # fmt: skip
+@given(lead=st.floats(0.1, 10.0), lag=st.floats(0.1, 10.0), theta=st.sampled_from(["lag", "lead", "fifth"]))
 def test_neighbouring_rules_agree_at_their_borders(lead: float, lag: float, theta: str) -> None:
     assume(abs(lead / lag - 1) > 1e-3)
     at = {"lag": lag, "lead": lead, "fifth": lead / 5}[theta]
@@ -159,11 +163,14 @@ def test_scaling_time_and_gain_scales_the_model(process: LinearProcess, order: i
     plain = half_rule(process, order)
     scaled = half_rule(
         LinearProcess(
-            g * process.k / a**process.integrators, tuple(a * x for x in process.lags_s),
-            tuple(a * x for x in process.leads_s), a * process.theta_s, process.integrators,
+            g * process.k / a**process.integrators,
+            tuple(a * x for x in process.lags_s),
+            tuple(a * x for x in process.leads_s),
+            a * process.theta_s,
+            process.integrators,
         ),
         order,
-    )  # fmt: skip
+    )
     assert scaled.type == plain.type
     per_second = 1 / a if plain.type in {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG} else 1.0
     assert scaled.k == pytest.approx(g * plain.k * per_second, rel=1e-9)

@@ -91,11 +91,8 @@ def test_a_process_that_changed_in_time_is_no_second_region() -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        {"split_factor": 4.0}, {"least_records": 6}, {"alpha": 1e-6, "scatter": 1.0}, {"against_time": 1e4},
-    ],
-)  # fmt: skip
+    "change", [{"split_factor": 4.0}, {"least_records": 6}, {"alpha": 1e-6, "scatter": 1.0}, {"against_time": 1e4}]
+)
 def test_each_condition_can_refuse(change: dict[str, float]) -> None:
     points = mixed(random.Random(1), 2.5)
     assert advice(points)
@@ -110,8 +107,10 @@ def test_no_room_for_the_hysteresis_no_border() -> None:
 
 def test_three_processes_leave_a_contradiction_behind() -> None:
     rng = random.Random(5)
-    points = [point(rng, x + rng.random(), 1000.0 * i, gain)
-              for i, (x, gain) in enumerate([(10.0, 1.0), (50.0, 20.0), (90.0, 1.0)] * 4)]  # fmt: skip
+    points = [
+        point(rng, x + rng.random(), 1000.0 * i, gain)
+        for i, (x, gain) in enumerate([(10.0, 1.0), (50.0, 20.0), (90.0, 1.0)] * 4)
+    ]
     assert advice(points) == ()
 
 
@@ -137,8 +136,10 @@ def test_structures_may_differ_from_record_to_record() -> None:
     """An integrating record says nothing of a lag, and yet of the settings."""
     integrating = LogModel(np.log([0.02, 10.0]), STD**2 * np.eye(2), 1, ProcessType.INTEGRATING)
     rng = random.Random(4)
-    points = [replace(p, log=integrating) if i % 3 == 0 else p
-              for i, p in enumerate(point(rng, 10.0 * i, 1000.0 * i, 1.0) for i in range(9))]  # fmt: skip
+    points = [
+        replace(p, log=integrating) if i % 3 == 0 else p
+        for i, p in enumerate(point(rng, 10.0 * i, 1000.0 * i, 1.0) for i in range(9))
+    ]
     assert [a for a in advice(points) if a.kind is AdviceKind.SPLIT and a.kc_factor != pytest.approx(1, rel=0.3)] == []
 
 
@@ -200,9 +201,16 @@ def test_the_gate_is_chi_square(freedom: int, alpha: float, value: float) -> Non
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"alpha": 0.5}, {"alpha": math.nan}, {"scatter": 0.0}, {"least_records": 1}, {"split_factor": 1.0},
-              {"merge_factor": math.inf}],
-)  # fmt: skip
+    "wrong",
+    [
+        {"alpha": 0.5},
+        {"alpha": math.nan},
+        {"scatter": 0.0},
+        {"least_records": 1},
+        {"split_factor": 1.0},
+        {"merge_factor": math.inf},
+    ],
+)
 def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         AdviceSettings(**wrong)

@@ -18,9 +18,22 @@ SERVO = Path(__file__).parents[1] / "data" / "servo" / "pid_step.csv"
 
 
 def record(
-    gains: PidGains, *, b=1.0, tau_f_s=0.0, dt=1.0, n=800, noise=0.1, k=1.0, lag=20.0, theta=3, co_range=(0.0, 100.0),
-    steps=(50.0, 53.0, 48.0), load=2.0, quantum=0.0, seed=0,
-):  # fmt: skip
+    gains: PidGains,
+    *,
+    b=1.0,
+    tau_f_s=0.0,
+    dt=1.0,
+    n=800,
+    noise=0.1,
+    k=1.0,
+    lag=20.0,
+    theta=3,
+    co_range=(0.0, 100.0),
+    steps=(50.0, 53.0, 48.0),
+    load=2.0,
+    quantum=0.0,
+    seed=0,
+):
     """A loop under schedule.pid: setpoint steps, one load step, noise on the pv that the controller sees."""
     rng = np.random.default_rng(seed)
     rules = law(gains, b=b, tau_f_s=tau_f_s, co_min=co_range[0], co_max=co_range[1])
@@ -47,9 +60,13 @@ def deviations(found: SettingsInForce, gains: PidGains) -> list[float]:
 
 
 @given(
-    kp=st.floats(0.3, 1.5), tau_i=st.floats(10, 60), b=st.sampled_from([0.0, 0.5, 1.0]), sign=st.sampled_from([1, -1]),
-    scale=st.sampled_from([0.01, 1.0, 60.0]), seed=st.integers(0, 9),
-)  # fmt: skip
+    kp=st.floats(0.3, 1.5),
+    tau_i=st.floats(10, 60),
+    b=st.sampled_from([0.0, 0.5, 1.0]),
+    sign=st.sampled_from([1, -1]),
+    scale=st.sampled_from([0.01, 1.0, 60.0]),
+    seed=st.integers(0, 9),
+)
 @settings(max_examples=30)
 def test_pi_settings_of_the_law_s_own_records_are_exact(kp, tau_i, b, sign, scale, seed):
     gains = PidGains(sign * kp, sign * kp / tau_i / scale)
@@ -67,9 +84,12 @@ def test_pi_settings_of_the_law_s_own_records_are_exact(kp, tau_i, b, sign, scal
 
 
 @given(
-    kp=st.floats(0.3, 1.0), tau_i=st.floats(20, 60), tau_d=st.floats(2, 6), filtering=st.floats(0.2, 1.0),
+    kp=st.floats(0.3, 1.0),
+    tau_i=st.floats(20, 60),
+    tau_d=st.floats(2, 6),
+    filtering=st.floats(0.2, 1.0),
     seed=st.integers(0, 9),
-)  # fmt: skip
+)
 @settings(max_examples=20)
 def test_derivative_and_its_filter_are_found(kp, tau_i, tau_d, filtering, seed):
     gains = PidGains(kp, kp / tau_i, kp * tau_d)

@@ -65,8 +65,11 @@ def test_impossible_tau_c_is_refused(tau_c: float) -> None:
 
 models = st.builds(
     lambda k, tau1, share, theta: ProcessModel(T.SOPDT, k, tau1, tau1 * share, theta),
-    st.floats(1e-3, 1e3), st.floats(0.1, 100), st.floats(0.01, 1), st.floats(0.05, 50),
-)  # fmt: skip
+    st.floats(1e-3, 1e3),
+    st.floats(0.1, 100),
+    st.floats(0.01, 1),
+    st.floats(0.05, 50),
+)
 
 
 @given(model=models, a=st.floats(1e-3, 1e3), g=st.floats(1e-3, 1e3), kind=st.sampled_from(list(ControllerKind)))

@@ -51,9 +51,12 @@ def asked(response: Response, gains: PidGains, cause: Cause | None = None) -> Sl
 
 
 @given(
-    zeta=st.floats(0.02, 0.59), w0=st.floats(1e-4, 1e2), slope=st.floats(1e-3, 10), sign=st.sampled_from([1, -1]),
+    zeta=st.floats(0.02, 0.59),
+    w0=st.floats(1e-4, 1e2),
+    slope=st.floats(1e-3, 10),
+    sign=st.sampled_from([1, -1]),
     setpoint=st.booleans(),
-)  # fmt: skip
+)
 def test_afterwards_the_product_is_four(zeta: float, w0: float, slope: float, sign: int, setpoint: bool) -> None:
     gains = pi(zeta, w0, sign * slope)
     advice = asked(swing(zeta, w0, setpoint=setpoint), gains)

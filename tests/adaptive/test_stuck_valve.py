@@ -30,9 +30,7 @@ def test_kano_follows_and_he_goes_in_jumps() -> None:
     assert np.all(he[he != 0] == pytest.approx(2.0, abs=0.1))
 
 
-@given(
-    family=st.sampled_from(list(Family)), stick=st.floats(0.1, 5), share=st.floats(0, 1), seed=st.integers(0, 500)
-)  # fmt: skip
+@given(family=st.sampled_from(list(Family)), stick=st.floats(0.1, 5), share=st.floats(0, 1), seed=st.integers(0, 500))
 def test_the_valve_never_strays_from_its_signal_by_more_than_its_friction(
     family: Family, stick: float, share: float, seed: int
 ) -> None:

@@ -150,8 +150,9 @@ def test_the_posterior_is_the_joint_fit_of_all_records(loop: Callable) -> None:
     assert belief is not None
 
     def misfit_of(window: Window) -> Misfit:
-        found = min((c for c in fitted(window, (1,), FIT) if c.fit.misfit.type == ProcessType.FOPDT),
-                    key=lambda c: c.criterion)  # fmt: skip
+        found = min(
+            (c for c in fitted(window, (1,), FIT) if c.fit.misfit.type == ProcessType.FOPDT), key=lambda c: c.criterion
+        )
         loads.append(found.fit.p[3:])
         return found.fit.misfit
 

@@ -19,23 +19,34 @@ NEW: Any = SimpleNamespace(log=None, reason="")
 """A belief that the record has led to."""
 
 
-def weighed(monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False,
-            ready: bool = True) -> Outcome:  # fmt: skip
+def weighed(
+    monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False, ready: bool = True
+) -> Outcome:
     """The pipeline's last stages on one response, with what comes before them given."""
     verdict: Any = SimpleNamespace(accepted=True, ruling=None, allowed=())
     found = Outcome("accepted", "", diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""), verdict=verdict)
     given: dict[str, Any] = {
-        "is_clear": lambda *_: clear, "predicted": lambda *_: None, "_tuned": lambda *_: found,
-        "propose": lambda *_: SimpleNamespace(ready=ready), "_not_seen": lambda *_: None, "_is_sure": lambda *_: False,
-        "_was_known": lambda *_: None, "_without_model": lambda *_: Outcome("not_identifiable", ""),
+        "is_clear": lambda *_: clear,
+        "predicted": lambda *_: None,
+        "_tuned": lambda *_: found,
+        "propose": lambda *_: SimpleNamespace(ready=ready),
+        "_not_seen": lambda *_: None,
+        "_is_sure": lambda *_: False,
+        "_was_known": lambda *_: None,
+        "_without_model": lambda *_: Outcome("not_identifiable", ""),
         "unconfirmed": lambda _s, _r, _g, e, *_: (Diagnosis(doubt, 0.9, {}, "") if doubt else None, e),
-    }  # fmt: skip
+    }
     for name, value in given.items():
         monkeypatch.setattr(pipeline, name, value)
     case: Any = SimpleNamespace(
-        excitation=BEFORE, samples=[], in_force=None, beliefs={}, region=0,
-        response=SimpleNamespace(sp_changed=clear, peaks=()), window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
-    )  # fmt: skip
+        excitation=BEFORE,
+        samples=[],
+        in_force=None,
+        beliefs={},
+        region=0,
+        response=SimpleNamespace(sp_changed=clear, peaks=()),
+        window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
+    )
     learned: Any = SimpleNamespace(surprise=surprise, estimate=SimpleNamespace(load_times_s=()))
     return pipeline._weighed(case, learned, NEW, 1.0, SETTINGS)
 

@@ -200,11 +200,14 @@ def copy(advice: Path, tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["1234567"], "at least 8"), (["zzzzzzzz"], "at least 8"), (["00000000"], "no proposal begins like this"),
+        (["1234567"], "at least 8"),
+        (["zzzzzzzz"], "at least 8"),
+        (["00000000"], "no proposal begins like this"),
         (["--unlock", "nowhere"], "there is no such region; there are all"),
-        (["00000000", "--unlock", "all"], "names a region"), (["--by", "x\ny", "--unlock", "all"], "by must be"),
+        (["00000000", "--unlock", "all"], "names a region"),
+        (["--by", "x\ny", "--unlock", "all"], "by must be"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_approved_is_one_line(
     copy: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,8 +286,15 @@ def test_an_approval_of_a_session_that_is_off_is_refused(tmp_path: Path) -> None
 
     run = Run(load_config(tmp_path / "short.toml"), record, mode=Mode.OFF, folder=folder)
     (folder / "orders").mkdir()
-    order = {"order": "unlock", "by": "Ada", "at": "2030-01-31T12:00:00Z", "note": "", "digest": "", "decision": 0,
-             "region": "all"}  # fmt: skip
+    order = {
+        "order": "unlock",
+        "by": "Ada",
+        "at": "2030-01-31T12:00:00Z",
+        "note": "",
+        "digest": "",
+        "decision": 0,
+        "region": "all",
+    }
     (folder / "orders" / "one.json").write_text(json.dumps(order))
     run.simulated()
     told = [body for kind, body in rows if kind == "order"]

@@ -203,7 +203,7 @@ def test_a_region_too_many_and_one_too_few() -> None:
         (b"schema = ", ":1 is not TOML: invalid value"),
         (b"schema = 1\n[loop\n", ":2 is not TOML: expected ']'"),
         (b"schema = 1\nschema = 1\n", ":2 is not TOML: cannot overwrite"),
-        (b"schema = 1\nx = \"abc", ":2 is not TOML: unterminated string"),
+        (b'schema = 1\nx = "abc', ":2 is not TOML: unterminated string"),
         (b"\xef\xbb\xbfschema = 1", ":1 starts with a byte order mark"),
         (b"schema = 1\n# \xff", ":2 byte 0xff is not UTF-8"),
         (b"x = " + b"[" * 100_000, ":1 brackets are nested too deeply"),
@@ -212,9 +212,9 @@ def test_a_region_too_many_and_one_too_few() -> None:
         (b"schema = 2\nfuture = 1", ":1 schema = 2 is not known"),
         (b"\x00", "is not TOML"),
         (b"", ":1 schema is missing"),
-        (b"schema = 1\n\"a\\n\\u001b[31mb\" = 1", "a\\n\\x1b[31mb is not a known key"),
+        (b'schema = 1\n"a\\n\\u001b[31mb" = 1', "a\\n\\x1b[31mb is not a known key"),
     ],
-)  # fmt: skip
+)
 def test_files_that_are_no_configuration(tmp_path: Path, raw: bytes, told: str) -> None:
     file = tmp_path / "c.toml"
     file.write_bytes(raw)

@@ -24,8 +24,21 @@ SERVO = Path(__file__).parents[1] / "data" / "servo" / "pid_step.csv"
 HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 PNG = b"\x89PNG\r\n\x1a\n"
 Capture = pytest.CaptureFixture[str]
-KEYS = {"cause", "confidence", "retune", "evidence", "gains", "form", "margins", "reason", "gains_in_force", "model",
-        "std", "identifiable", "notes"}  # fmt: skip
+KEYS = {
+    "cause",
+    "confidence",
+    "retune",
+    "evidence",
+    "gains",
+    "form",
+    "margins",
+    "reason",
+    "gains_in_force",
+    "model",
+    "std",
+    "identifiable",
+    "notes",
+}
 
 
 @pytest.fixture

@@ -12,8 +12,10 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def test_one_sample_at_a_time_cures_the_loop() -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-W", "error", EXAMPLES / "one_sample_at_a_time.py"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert "sluggish" in done.stdout
     gains = done.stdout.split("kp=")[-1]
     assert 40 < float(gains.split(",")[0]) < 55  # SIMC for 0.1 e^-5s / (50 s + 1), sampled every second: 45

@@ -116,8 +116,13 @@ def test_an_experiment_finds_the_process_and_writes_nothing_unasked(
     assert gains["kc"] == pytest.approx(5.0 / (0.1 * 2 * 0.55), rel=0.2)
     folder = loop.parent / "out-experiment"
     assert {p.name for p in folder.iterdir()} >= {
-        "record.csv", "trend.csv", "experiment.png", "summary.json", "ledger.sqlite", "bus.blf",
-    }  # fmt: skip
+        "record.csv",
+        "trend.csv",
+        "experiment.png",
+        "summary.json",
+        "ledger.sqlite",
+        "bus.blf",
+    }
     kinds = [row_kind for row_kind, _ in rows(folder)]
     assert "intent" not in kinds
     phases = [body["phase"] for row_kind, body in rows(folder) if row_kind == "experiment"]
@@ -189,9 +194,12 @@ def test_settings_beyond_the_configured_limits_are_not_written_even_when_confirm
 @pytest.mark.parametrize("phase", [Phase.RESTING, Phase.PREPARING, Phase.EXCITING, Phase.RESTORING])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_restores_and_says_so(
-    phase: Phase, number: signal.Signals, loop: Path, monkeypatch: pytest.MonkeyPatch,
+    phase: Phase,
+    number: signal.Signals,
+    loop: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     told = OnDemandExperiment._on_sample
     sent = []
 

@@ -37,9 +37,16 @@ class Lab:
     """A controller with its plant, a conductor, and hands to interfere with both."""
 
     def __init__(
-        self, plan: Plan, *, auto: bool = True, k: float = 1.0, noise: float = 0.0, gains: PidGains = GAINS,
-        record: Callable[[str, float, Mapping[str, object]], None] | None = None, **firmware: float,
-    ) -> None:  # fmt: skip
+        self,
+        plan: Plan,
+        *,
+        auto: bool = True,
+        k: float = 1.0,
+        noise: float = 0.0,
+        gains: PidGains = GAINS,
+        record: Callable[[str, float, Mapping[str, object]], None] | None = None,
+        **firmware: float,
+    ) -> None:
         plant = LinearPlant(LinearProcess(k, (10.0,), (), 2.0), start_pv=50.0, start_co=40.0, noise=noise, seed=5)
         self.device = VirtualDevice(VirtualDeviceSettings(gains=gains, sample_time_s=DT, **firmware), plant)
         self.clock = SimulatedClock()
@@ -197,8 +204,14 @@ def test_an_undisturbed_experiment_leaves_everything_as_it_was(kind: Kind, lab: 
     assert bench.conductor.cause is None
     assert bench.as_before()
     assert [row["phase"] for row in bench.rows] == [
-        "resting", "before", "preparing", "exciting", "parking", "restoring", "restored",
-    ]  # fmt: skip
+        "resting",
+        "before",
+        "preparing",
+        "exciting",
+        "parking",
+        "restoring",
+        "restored",
+    ]
     assert len(bench.conductor.excited) > 20
 
 

@@ -128,11 +128,19 @@ def test_the_check_sees_imports_that_run_the_wrong_way(room: str, source: str) -
 @pytest.mark.parametrize(
     "source",
     [
-        "import time", "from datetime import datetime", "import os.path", "from numpy.random import default_rng",
-        "from numpy import random", "import numpy as np\nx = np.random.default_rng()", "def f():\n    open('x')",
-        "import numpy as np\nnp.load('x')", "import logging", "import sys\nsys.stdout", "import can",
+        "import time",
+        "from datetime import datetime",
+        "import os.path",
+        "from numpy.random import default_rng",
+        "from numpy import random",
+        "import numpy as np\nx = np.random.default_rng()",
+        "def f():\n    open('x')",
+        "import numpy as np\nnp.load('x')",
+        "import logging",
+        "import sys\nsys.stdout",
+        "import can",
         "counter = 0\ndef f():\n    global counter",
     ],
-)  # fmt: skip
+)
 def test_the_check_sees_what_is_not_pure(source: str) -> None:
     assert impure(source)

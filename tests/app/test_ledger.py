@@ -57,8 +57,14 @@ def test_same_rows_same_head_wherever_and_whenever(tmp_path: Path) -> None:
 def test_key_order_does_not_matter_but_every_field_does(tmp_path: Path) -> None:
     heads = []
     for i, (kind, body, clock_s) in enumerate(
-        [("k", {"a": 1, "b": 2}, 0.0), ("k", {"b": 2, "a": 1}, 0.0), ("k", {"a": 1, "b": 3}, 0.0),
-         ("j", {"a": 1, "b": 2}, 0.0), ("k", {"a": 1, "b": 2}, 1.0)]):  # fmt: skip
+        [
+            ("k", {"a": 1, "b": 2}, 0.0),
+            ("k", {"b": 2, "a": 1}, 0.0),
+            ("k", {"a": 1, "b": 3}, 0.0),
+            ("j", {"a": 1, "b": 2}, 0.0),
+            ("k", {"a": 1, "b": 2}, 1.0),
+        ]
+    ):
         with Ledger(tmp_path / f"{i}.sqlite") as ledger:
             heads.append(ledger.append(kind, body, clock_s).hash)
     assert heads[0] == heads[1]
@@ -90,20 +96,30 @@ def test_what_is_no_json_is_refused(bad: dict[object, object]) -> None:
         canonical_json(bad)
 
 
-@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
-                    | st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))  # fmt: skip
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    )
+)
 def test_canonical_json_is_a_fixed_point(value: object) -> None:
     text = canonical_json(value)
     assert json.loads(text) == value
     assert canonical_json(json.loads(text)) == text
 
 
-@pytest.mark.parametrize("statement", [
-    "UPDATE ledger SET body = '{}' WHERE seq = 2", "DELETE FROM ledger WHERE seq = 5", "DELETE FROM head",
-    "UPDATE head SET seq = 4", "INSERT INTO ledger VALUES (9, 0, 'k', '{}', 'x', 'y')",
-    "INSERT INTO ledger SELECT 6, clock_s, kind, body, previous, 'z' FROM ledger WHERE seq = 2",
-    "INSERT OR REPLACE INTO ledger SELECT seq, 7, kind, body, previous, hash FROM ledger WHERE seq = 5",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE ledger SET body = '{}' WHERE seq = 2",
+        "DELETE FROM ledger WHERE seq = 5",
+        "DELETE FROM head",
+        "UPDATE head SET seq = 4",
+        "INSERT INTO ledger VALUES (9, 0, 'k', '{}', 'x', 'y')",
+        "INSERT INTO ledger SELECT 6, clock_s, kind, body, previous, 'z' FROM ledger WHERE seq = 2",
+        "INSERT OR REPLACE INTO ledger SELECT seq, 7, kind, body, previous, hash FROM ledger WHERE seq = 5",
+    ],
+)
 def test_the_file_itself_refuses_changes(tmp_path: Path, statement: str) -> None:
     path = tmp_path / "l.sqlite"
     head = written(path)
@@ -152,8 +168,11 @@ def test_rows_cut_off_together_with_the_head_show_against_a_hash_noted_elsewhere
         middle = list(ledger.rows())[2].hash
     assert main(["ledger", "verify", str(path), "--head", head[:12]]) == 0
     assert main(["ledger", "verify", str(path), "--head", middle]) == 0
-    tamper(path, "DELETE FROM ledger WHERE seq > 3",
-           "UPDATE head SET seq = 3, hash = (SELECT hash FROM ledger WHERE seq = 3)")  # fmt: skip
+    tamper(
+        path,
+        "DELETE FROM ledger WHERE seq > 3",
+        "UPDATE head SET seq = 3, hash = (SELECT hash FROM ledger WHERE seq = 3)",
+    )
     assert main(["ledger", "verify", str(path)]) == 0, "the file alone cannot show it"
     capsys.readouterr()
     assert main(["ledger", "verify", str(path), "--head", head, "--json"]) == 1

@@ -110,9 +110,10 @@ def test_an_export_has_everything(session: Path, tmp_path: Path, capsys: pytest.
     assert not any(value[:1] in {"=", "+", "@"} for row in read for value in row.values())
     capsys.readouterr()
     for arguments, told in (
-        ([], "give --csv FILE or --jsonl FILE"), (["--csv", str(table)], "is there already"),
+        ([], "give --csv FILE or --jsonl FILE"),
+        (["--csv", str(table)], "is there already"),
         (["--csv", str(tmp_path / "no" / "x.csv")], "make it first"),
-    ):  # fmt: skip
+    ):
         assert main(["ledger", "export", str(session), *arguments]) == 2
         assert told in capsys.readouterr().err
 

@@ -109,13 +109,20 @@ def test_a_field_of_another_kind_is_refused_or_is_an_order_all_the_same(order: O
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"order": "fire"}, "order must be"), ({"by": " "}, "by is empty"), ({"by": "a" * 201}, "by must be at most"),
-        ({"note": "two\nlines"}, "note must be"), ({"at": "yesterday"}, "at must be"),
-        ({"digest": "12"}, "digest must"), ({"decision": 10**10}, "decision must be"), ({"decision": -1}, "decision"),
-        ({"decision": True}, "decision must be a whole number"), ({"extra": 1}, "fields must be"),
-        ({"order": "revert"}, "decision must be the number"), ({"order": "unlock"}, "region must name"),
+        ({"order": "fire"}, "order must be"),
+        ({"by": " "}, "by is empty"),
+        ({"by": "a" * 201}, "by must be at most"),
+        ({"note": "two\nlines"}, "note must be"),
+        ({"at": "yesterday"}, "at must be"),
+        ({"digest": "12"}, "digest must"),
+        ({"decision": 10**10}, "decision must be"),
+        ({"decision": -1}, "decision"),
+        ({"decision": True}, "decision must be a whole number"),
+        ({"extra": 1}, "fields must be"),
+        ({"order": "revert"}, "decision must be the number"),
+        ({"order": "unlock"}, "region must name"),
     ],
-)  # fmt: skip
+)
 def test_every_field_is_looked_at(change: dict[str, Any], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         Order.from_dict({**APPROVE.to_dict(), **change})

@@ -88,8 +88,12 @@ def bench(config: Config, channel: str, mode: Mode = Mode.OFF, log: Path | None 
     rows: list[tuple[str, Mapping[str, object]]] = []
     with CanLink(settings, clock) as far, CanLink(settings, clock, log) as near:
         host = CanDevice(near, device_settings(config))
-        session = Session(host, make_retuner(config, mode), ScenarioPlayer(config.scenario),
-                          lambda kind, _, body: rows.append((kind, body)))  # fmt: skip
+        session = Session(
+            host,
+            make_retuner(config, mode),
+            ScenarioPlayer(config.scenario),
+            lambda kind, _, body: rows.append((kind, body)),
+        )
         yield Bench(config, device, session, clock, DeviceOnBus(device, far), rows)
 
 

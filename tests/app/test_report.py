@@ -27,15 +27,23 @@ def page(found: RegionScore, *, stopped: bool = False) -> str:
 @pytest.mark.parametrize(
     ("found", "said"),
     [
-        (score(1.5, 50.0, 100.0, 1), "1 change was written to the controller. Ms of the final gains on the true "
-         "process is at most 1.50. The integrated error is 50% smaller than with fixed gains."),
-        (score(float("inf"), 100.0, 100.0), "0 changes were written to the controller. Ms of the final gains on the "
-         "true process is not finite: the loop is UNSTABLE. The integrated error is the same as with fixed gains."),
-        (score(None, 120.0, 100.0, 2), "2 changes were written to the controller. The integrated error is 20% LARGER "
-         "than with fixed gains."),
+        (
+            score(1.5, 50.0, 100.0, 1),
+            "1 change was written to the controller. Ms of the final gains on the true "
+            "process is at most 1.50. The integrated error is 50% smaller than with fixed gains.",
+        ),
+        (
+            score(float("inf"), 100.0, 100.0),
+            "0 changes were written to the controller. Ms of the final gains on the "
+            "true process is not finite: the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
+        ),
+        (
+            score(None, 120.0, 100.0, 2),
+            "2 changes were written to the controller. The integrated error is 20% LARGER than with fixed gains.",
+        ),
         (score(None, 120.0, None), "0 changes were written to the controller.</p>"),
     ],
-)  # fmt: skip
+)
 def test_the_lead_says_the_result(found: RegionScore, said: str) -> None:
     text = page(found)
     assert said in text

@@ -264,9 +264,12 @@ def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
     longer = QUICK.replace("duration_s = 160.0", "duration_s = 1e7")
     quick.write_text(longer, encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "retuner", "run", str(quick)], cwd=quick.parent, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
+        [sys.executable, "-P", "-m", "retuner", "run", str(quick)],
+        cwd=quick.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
     assert process.stdout is not None
     assert any(b"write Kc" in line for line in process.stdout)
     process.send_signal(signal.SIGINT)
@@ -317,6 +320,14 @@ def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_do
         rows = list(reader.rows())
     kinds = [row.kind for row in rows]
     assert kinds[kinds.index("committed") :] == [
-        "committed", "trial", "abort", "decision", "restore", "intent", "committed", "restored", "end",
-    ]  # fmt: skip
+        "committed",
+        "trial",
+        "abort",
+        "decision",
+        "restore",
+        "intent",
+        "committed",
+        "restored",
+        "end",
+    ]
     assert json.loads(rows[-2].text)["gains"] == summary["scores"][0]["after"] == summary["scores"][0]["before"]

@@ -21,8 +21,9 @@ def test_ms_counts_the_filter_of_the_derivative() -> None:
     columns["region"] = np.zeros(2)
 
     def ms(tau_f_s: float) -> float | None:
-        scores = region_scores(table(gains), table(gains), [], columns, None,
-                               lambda _: LinearProcess(1.0, (50.0,), (), 1.0), 0.5, tau_f_s)  # fmt: skip
+        scores = region_scores(
+            table(gains), table(gains), [], columns, None, lambda _: LinearProcess(1.0, (50.0,), (), 1.0), 0.5, tau_f_s
+        )
         return scores[0].ms_after
 
     assert ms(0.0) == float("inf")

@@ -69,9 +69,18 @@ def test_closed_streams_take_what_is_written(monkeypatch: pytest.MonkeyPatch) ->
 def test_characters_that_the_screen_lacks_are_escaped(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     missing = tmp_path / "\N{DEGREE SIGN}.toml"
-    shown = subprocess.run([sys.executable, "-c", "import sys; from retuner.streams import open_streams; "
-                            "open_streams(); print(sys.argv[1])", missing.name],
-                           env=environment, capture_output=True, text=True, check=True)  # fmt: skip
+    shown = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from retuner.streams import open_streams; open_streams(); print(sys.argv[1])",
+            missing.name,
+        ],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert shown.stdout == "\\xb0.toml\n"
 
 

@@ -154,8 +154,17 @@ def test_rows_tell_the_whole_story_before_it_happens(make_wire: Callable[..., Wi
     wire.session.stop("the shift is over")
     wire.end()
     assert [kind for kind in wire.kinds if kind not in {"link", "lease"}] == [
-        "decision", "intent", "committed", "trial", "abort", "decision", "restore", "intent", "committed", "restored",
-    ]  # fmt: skip
+        "decision",
+        "intent",
+        "committed",
+        "trial",
+        "abort",
+        "decision",
+        "restore",
+        "intent",
+        "committed",
+        "restored",
+    ]
     bodies = dict(wire.rows)
     assert bodies["abort"]["cause"] == "stopped"
     assert bodies["restore"]["cause"] == "stopped"

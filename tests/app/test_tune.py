@@ -218,7 +218,7 @@ def test_pictures_of_one_rule(capsys: Capture, tmp_path: Path, rule: str) -> Non
         (["--type", "fopdt", "--k", "1", "--tau1", "1", "--rule", "optimal"], "theta = 0"),
         ([*FOPDT, "--plot", "/nonexistent/folder/x.png"], "/nonexistent/folder/x.png"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_is_one_line(capsys: Capture, arguments: list[str], message: str) -> None:
     assert main(["tune", *arguments]) == 2
     found = capsys.readouterr()

@@ -99,8 +99,16 @@ def test_the_wheel_owns_nothing_but_retuner(installed: Installed) -> None:
 def test_the_sdist_has_what_a_packager_needs(installed: Installed) -> None:
     with tarfile.open(installed.sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    assert {"Makefile", "LICENSE", "README.md", "CHANGELOG.md", "tests/app/test_wheel.py", "setup.py",
-            "drivers/retuner.dbc", "scripts/link_typing.py"} <= names  # fmt: skip
+    assert {
+        "Makefile",
+        "LICENSE",
+        "README.md",
+        "CHANGELOG.md",
+        "tests/app/test_wheel.py",
+        "setup.py",
+        "drivers/retuner.dbc",
+        "scripts/link_typing.py",
+    } <= names
     assert any(name.startswith("examples/") for name in names)
 
 

@@ -47,9 +47,14 @@ class Wire:
     """Two regions, low and high, that meet at 60; the loop rests at 50 in the low one."""
 
     def __init__(
-        self, *, mode: Mode = Mode.AUTO, lookup: Lookup = Lookup.HARD, probation: int = 5, trial_samples: int = 0,
+        self,
+        *,
+        mode: Mode = Mode.AUTO,
+        lookup: Lookup = Lookup.HARD,
+        probation: int = 5,
+        trial_samples: int = 0,
         **trial: Any,
-    ) -> None:  # fmt: skip
+    ) -> None:
         regions = Regions("sp", "-", ("low", "high"), 0.0, (60.0,), 100.0, 0.5, 0.0)
         table = GainTable("loop", regions, (GOOD, OTHER), lookup)
         first = table.at(0, 50.0)

@@ -68,7 +68,7 @@ def test_as_many_leads_as_lags_are_refused():
         ((12, 3, 0.2, 0.05), (-1,), 1.0, 2, (2.15, 12.0, 3.1)),
         ((20, 5, 5), (-10,), 10.0, 1, (27.5, 22.5, 0.0)),
     ],
-)  # fmt: skip
+)
 def test_half_rule(lags, leads, theta, order, expected):
     model = half_rule(LinearProcess(1.0, tuple(map(float, lags)), tuple(map(float, leads)), theta), order)
     assert (model.theta_s, model.tau1_s, model.tau2_s) == pytest.approx(expected)

@@ -71,8 +71,12 @@ def test_silence_forgets() -> None:
 
 def test_the_table_has_no_way_that_is_not_meant() -> None:
     stays = {
-        (Stream.NO_DATA, Verdict.SILENCE), (Stream.INIT, Verdict.FEW), (Stream.VALID, Verdict.FEW),
-        (Stream.VALID, Verdict.ENOUGH), (Stream.INVALID, Verdict.FEW), (Stream.INVALID, Verdict.WRONG),
-    }  # fmt: skip
+        (Stream.NO_DATA, Verdict.SILENCE),
+        (Stream.INIT, Verdict.FEW),
+        (Stream.VALID, Verdict.FEW),
+        (Stream.VALID, Verdict.ENOUGH),
+        (Stream.INVALID, Verdict.FEW),
+        (Stream.INVALID, Verdict.WRONG),
+    }
     assert set(itertools.product(Stream, Verdict)) - set(TRANSITIONS) == stays
     assert all(new is not old for (old, _), new in TRANSITIONS.items())

@@ -73,9 +73,17 @@ BO_ 1 F: 8 A
 
 @pytest.mark.parametrize(
     "signal",
-    ["0|16@1- (0.5,0) [-16384|16383.5]", "8|8@1+ (2,10) [10|520]", "3|13@1- (1,0) [-4096|4095]", "0|1@1+ (1,0) [0|1]",
-     "0|40@1+ (0.25,0) [0|1e9]", "8|48@1- (1,0) [-1e12|1e12]", "0|64@1+ (1,0) [0|1e15]", "16|32@1- (1,5) [0|9]"],
-)  # fmt: skip
+    [
+        "0|16@1- (0.5,0) [-16384|16383.5]",
+        "8|8@1+ (2,10) [10|520]",
+        "3|13@1- (1,0) [-4096|4095]",
+        "0|1@1+ (1,0) [0|1]",
+        "0|40@1+ (0.25,0) [0|1e9]",
+        "8|48@1- (1,0) [-1e12|1e12]",
+        "0|64@1+ (1,0) [0|1e15]",
+        "16|32@1- (1,5) [0|9]",
+    ],
+)
 def test_every_kind_of_whole_number_is_laid_out_as_cantools_does(signal: str) -> None:
     layout = cantools.database.load_string(DBC.format(signal=signal, types=""), "dbc").messages[0]
     bits, rng = BitLayout(layout, ["s"]), random.Random(signal)

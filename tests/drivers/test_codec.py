@@ -19,13 +19,27 @@ from retuner.schedule.gains import PidGains
 NODE = 5
 CODEC = Codec(NODE)
 SAMPLES: list[frames.Frame] = [
-    frames.Lease(65535, 7, 300, 255), frames.Read(1, 65535), frames.Abort(65535), frames.Stage(2, 63, -1.5, 300),
-    frames.Commit(2, 1, 0xFFFFFFFF), frames.Store(7, 255), frames.Confirm(7, 65535), frames.Auth(1, 15, 2**48 - 1),
-    frames.Setpoint(255, 120.25, 1), frames.Mode(1, 0, 47.125, 2), frames.Load(3, -5.0, 3),
-    frames.Heartbeat(2**32 - 1, 65535, 63), frames.Status(1, 2, 3, 255), frames.TelemetryPv(9, 88.5, -0.0001),
-    frames.TelemetrySp(9, 90.0, 1, -1, 31, 65535), frames.Identity(1, 0xBEEF, 2.0), frames.PageItem(2, 1, 15, 0.5, 9),
-    frames.PageEnd(2, 1, 3, 9, 12345), frames.Ack(5, 9, 18, 9, 2, 8191), frames.Challenge(127, 1, 2**48 - 1),
-]  # fmt: skip
+    frames.Lease(65535, 7, 300, 255),
+    frames.Read(1, 65535),
+    frames.Abort(65535),
+    frames.Stage(2, 63, -1.5, 300),
+    frames.Commit(2, 1, 0xFFFFFFFF),
+    frames.Store(7, 255),
+    frames.Confirm(7, 65535),
+    frames.Auth(1, 15, 2**48 - 1),
+    frames.Setpoint(255, 120.25, 1),
+    frames.Mode(1, 0, 47.125, 2),
+    frames.Load(3, -5.0, 3),
+    frames.Heartbeat(2**32 - 1, 65535, 63),
+    frames.Status(1, 2, 3, 255),
+    frames.TelemetryPv(9, 88.5, -0.0001),
+    frames.TelemetrySp(9, 90.0, 1, -1, 31, 65535),
+    frames.Identity(1, 0xBEEF, 2.0),
+    frames.PageItem(2, 1, 15, 0.5, 9),
+    frames.PageEnd(2, 1, 3, 9, 12345),
+    frames.Ack(5, 9, 18, 9, 2, 8191),
+    frames.Challenge(127, 1, 2**48 - 1),
+]
 
 
 def test_check_values_of_the_checksum() -> None:
@@ -87,8 +101,11 @@ def test_what_is_no_data_frame_is_refused() -> None:
         assert CODEC.decode(message) == Refused(refusal)
 
 
-CHECKED = [frame for frame in SAMPLES if any(s.name == "CHECKSUM" for s in _plans()[
-    CODEC.encode(frame).arbitration_id & 31].layout.signals)]  # fmt: skip
+CHECKED = [
+    frame
+    for frame in SAMPLES
+    if any(s.name == "CHECKSUM" for s in _plans()[CODEC.encode(frame).arbitration_id & 31].layout.signals)
+]
 
 
 @given(st.sampled_from(CHECKED), st.integers(0, 63))

@@ -35,10 +35,17 @@ def test_the_code_is_hmac_sha_256_over_everything_that_counts() -> None:
     inner = hashlib.sha256(bytes(b ^ 0x36 for b in padded) + said).digest()
     outer = hashlib.sha256(bytes(b ^ 0x5C for b in padded) + inner).digest()
     assert right == int.from_bytes(outer[:12], "little")
-    others = [commit_code(KEY, *numbers, SECOND) for numbers in (
-        (2, 2, 3, 4, 5, 6), (1, 3, 3, 4, 5, 6), (1, 2, 4, 4, 5, 6), (1, 2, 3, 5, 5, 6), (1, 2, 3, 4, 6, 6),
-        (1, 2, 3, 4, 5, 7),
-    )]  # fmt: skip
+    others = [
+        commit_code(KEY, *numbers, SECOND)
+        for numbers in (
+            (2, 2, 3, 4, 5, 6),
+            (1, 3, 3, 4, 5, 6),
+            (1, 2, 4, 4, 5, 6),
+            (1, 2, 3, 5, 5, 6),
+            (1, 2, 3, 4, 6, 6),
+            (1, 2, 3, 4, 5, 7),
+        )
+    ]
     others += [commit_code(KEY, 1, 2, 3, 4, 5, 6, FIRST), commit_code(KEY[::-1], 1, 2, 3, 4, 5, 6, SECOND)]
     assert len({right, *others}) == 9
 

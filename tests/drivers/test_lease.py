@@ -45,9 +45,13 @@ def test_nothing_is_changed_for_anybody_but_the_owner() -> None:
     dev = device()
     gains = dev.running.gains
     frames = [
-        Stage(0, OTHER % 64, 1.1, 1), Store(0, OTHER), Confirm(0, OTHER), Setpoint(1, 60.0, OTHER),
-        Mode(1, 0, 30.0, OTHER), Load(1, 5.0, OTHER),
-    ]  # fmt: skip
+        Stage(0, OTHER % 64, 1.1, 1),
+        Store(0, OTHER),
+        Confirm(0, OTHER),
+        Setpoint(1, 60.0, OTHER),
+        Mode(1, 0, 30.0, OTHER),
+        Load(1, 5.0, OTHER),
+    ]
     assert acks(say(dev, *frames)) == [Reason.NOT_OWNER] * len(frames)
     assert acks(say(dev, *stage(1, SECOND), commit(1, SECOND, owner=OTHER))) == [Reason.WRONG_CRC]
     step(dev)

@@ -47,8 +47,10 @@ def logged(make_bench: Callable[..., Any], tmp_path: Path) -> Callable[[], tuple
     from retuner.drivers.host.can_settings import CanDeviceSettings
 
     log = tmp_path / "bus.blf"
-    return lambda: (make_bench(log=log, host=CanDeviceSettings(sample_time_s=1.0, variable="pv"),
-                               sample_time_s=1.0), log)  # fmt: skip
+    return lambda: (
+        make_bench(log=log, host=CanDeviceSettings(sample_time_s=1.0, variable="pv"), sample_time_s=1.0),
+        log,
+    )
 
 
 def test_the_samples_are_those_of_the_host_bit_for_bit(logged) -> None:

@@ -25,8 +25,10 @@ def test_a_confirmed_set_stays() -> None:
     dev = device(trial_samples=4)
     write(dev, 1, SECOND, 0)
     assert acks(say(dev, Confirm(0, OWNER), Confirm(1, OWNER), Confirm(1, OWNER))) == [
-        Reason.STALE, Reason.OK, Reason.OK,
-    ]  # fmt: skip
+        Reason.STALE,
+        Reason.OK,
+        Reason.OK,
+    ]
     for _ in range(20):
         assert acks(step(dev)) == []
     assert dev.running.gains == SECOND

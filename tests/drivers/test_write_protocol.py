@@ -78,10 +78,16 @@ def test_a_silent_device_is_asked_for_ever_and_called_unknown_once() -> None:
 
 INPUTS = st.one_of(
     st.builds(Ack, st.sampled_from(list(Kind)), st.sampled_from([6, 7, 8]), st.sampled_from(list(Reason)), st.just(7)),
-    st.builds(ReadBack, st.just(Page.STAGED), st.sampled_from([6, 7]), st.sampled_from([OLD, NEW, None]),
-              st.sampled_from([1, RIGHT]), st.just(0)),
+    st.builds(
+        ReadBack,
+        st.just(Page.STAGED),
+        st.sampled_from([6, 7]),
+        st.sampled_from([OLD, NEW, None]),
+        st.sampled_from([1, RIGHT]),
+        st.just(0),
+    ),
     st.sampled_from([OLD_SET, NEW_SET, "restart", "wait"]),
-)  # fmt: skip
+)
 
 
 @given(st.lists(INPUTS, max_size=40))

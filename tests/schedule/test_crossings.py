@@ -17,10 +17,16 @@ DT_S = 0.5
 HEAT = Axis("pv", "degC", 20.0, (80.0, 150.0), 220.0, 2.0)
 FLOW = Axis("can", "%", 0.0, (30.0, 60.0), 100.0, 3.0, 0.0, 2.0, "flow")
 GAINS = (
-    PidGains(1.0, 0.05, 2.0), PidGains(4.0, 0.0, 9.0), PidGains(0.3, 0.2), PidGains(2.0, 0.01, 0.5),
-    PidGains(0.0, 0.1), PidGains(8.0, 0.4, 30.0), PidGains(1.5, 0.0), PidGains(0.7, 0.3, 1.0),
+    PidGains(1.0, 0.05, 2.0),
+    PidGains(4.0, 0.0, 9.0),
+    PidGains(0.3, 0.2),
+    PidGains(2.0, 0.01, 0.5),
+    PidGains(0.0, 0.1),
+    PidGains(8.0, 0.4, 30.0),
+    PidGains(1.5, 0.0),
+    PidGains(0.7, 0.3, 1.0),
     PidGains(3.0, 0.02, 12.0),
-)  # fmt: skip
+)
 MAPS = {
     "one axis": Regions.along(tuple("abc"), HEAT),
     "two axes": Regions.along(tuple("abcdefghi"), HEAT, FLOW),

@@ -33,9 +33,15 @@ def some_tables(draw):
     gains = [PidGains(*(sign * g for g in draw(st.tuples(sizes, sizes, sizes).filter(any)))) for _ in names]
     widest = min(b - a for a, b in pairwise(edges)) / 2
     regions = Regions(
-        draw(st.sampled_from(VARIABLES)), draw(printable | st.just("")), tuple(names), edges[0], tuple(edges[1:-1]),
-        edges[-1], draw(st.floats(0.0, widest)), draw(st.floats(0.0, 1e300)),
-    )  # fmt: skip
+        draw(st.sampled_from(VARIABLES)),
+        draw(printable | st.just("")),
+        tuple(names),
+        edges[0],
+        tuple(edges[1:-1]),
+        edges[-1],
+        draw(st.floats(0.0, widest)),
+        draw(st.floats(0.0, 1e300)),
+    )
     return GainTable(draw(printable), regions, tuple(gains), draw(st.sampled_from(Lookup)), draw(st.integers(0)))
 
 
@@ -162,11 +168,22 @@ def test_a_direction_that_differs_is_a_mistake():
 
 @pytest.mark.parametrize(
     "text",
-    ["", "a = 1", "[[[", "x = " + "[" * 100_000, "schema = " + "9" * 10_000, f"schema = {SCHEMA}",
-     f"schema = {SCHEMA}\nregion = 1", f"schema = {SCHEMA}\nregion = [1]", f"schema = {SCHEMA}\nregion = []",
-     f"schema = {SCHEMA}\nschedule = 1\n[[region]]\nname = 'a'\nform = 'parallel'\nkp = 1\nki = 0\nkd = 0",
-     f"schema = {SCHEMA}\n[region]\nname = 'a'", "\ud800", "\x00"],
-)  # fmt: skip
+    [
+        "",
+        "a = 1",
+        "[[[",
+        "x = " + "[" * 100_000,
+        "schema = " + "9" * 10_000,
+        f"schema = {SCHEMA}",
+        f"schema = {SCHEMA}\nregion = 1",
+        f"schema = {SCHEMA}\nregion = [1]",
+        f"schema = {SCHEMA}\nregion = []",
+        f"schema = {SCHEMA}\nschedule = 1\n[[region]]\nname = 'a'\nform = 'parallel'\nkp = 1\nki = 0\nkd = 0",
+        f"schema = {SCHEMA}\n[region]\nname = 'a'",
+        "\ud800",
+        "\x00",
+    ],
+)
 def test_garbage_is_refused_with_one_line(text):
     with pytest.raises(ValueError, match=r"\S") as caught:
         from_toml(text)
@@ -201,17 +218,21 @@ def test_any_mutation_is_a_table_or_a_value_error_of_one_line(data):
     """Cut, doubled, replaced: characters of the document itself, which get further than noise does."""
     start = data.draw(st.integers(0, len(TEXT)))
     end = min(len(TEXT), start + data.draw(st.integers(0, 40)))
-    put = data.draw(st.sampled_from(("", "[", "]", "=", '"', "-", "nan", "1e999", "true", "{}", "[[region]]", "\n"))
-                    | st.just(TEXT[start:end] * 2))  # fmt: skip
+    put = data.draw(
+        st.sampled_from(("", "[", "]", "=", '"', "-", "nan", "1e999", "true", "{}", "[[region]]", "\n"))
+        | st.just(TEXT[start:end] * 2)
+    )
     assert_table_or_one_line(TEXT[:start] + put + TEXT[end:])
 
 
 values = st.recursive(
-    st.none().map(lambda _: "nan") | st.integers().map(str) | st.floats().map(repr) | st.sampled_from(
-        ("true", '"parallel"', "'hard'", "1979-05-27", "07:32:00", '"""\n[[region]]\n"""')),
+    st.none().map(lambda _: "nan")
+    | st.integers().map(str)
+    | st.floats().map(repr)
+    | st.sampled_from(("true", '"parallel"', "'hard'", "1979-05-27", "07:32:00", '"""\n[[region]]\n"""')),
     lambda inner: st.lists(inner, max_size=3).map(lambda v: f"[{', '.join(v)}]") | inner.map(lambda v: f"{{a = {v}}}"),
     max_leaves=4,
-)  # fmt: skip
+)
 
 
 @settings(deadline=None)

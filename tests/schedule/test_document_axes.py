@@ -15,9 +15,12 @@ from retuner.schedule.table import GainTable, Lookup
 HEAT = Axis("sp", "degC", 20.0, (80.5,), 220.0, 2.0, 60.0)
 FLOW = Axis("can", "%", 0.0, (50.0,), 100.0, 5.0, 0.0, 10.0, "flow")
 TABLE = GainTable(
-    "boiler", Regions.along(("a", "b", "c", "d"), HEAT, FLOW), tuple(PidGains(1.0 + i, 0.1) for i in range(4)),
-    Lookup.INTERPOLATED, 3,
-)  # fmt: skip
+    "boiler",
+    Regions.along(("a", "b", "c", "d"), HEAT, FLOW),
+    tuple(PidGains(1.0 + i, 0.1) for i in range(4)),
+    Lookup.INTERPOLATED,
+    3,
+)
 TEXT = to_toml(TABLE)
 
 printable = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=20)
@@ -29,10 +32,16 @@ def some_axes(draw):
     variable = draw(st.sampled_from(VARIABLES))
     widest = min(b - a for a, b in pairwise(edges)) / 2
     return Axis(
-        variable, draw(printable | st.just("")), edges[0], tuple(edges[1:-1]), edges[-1], draw(st.floats(0.0, widest)),
-        draw(st.floats(0.0, 1e300)), draw(st.just(0.0) | st.floats(0.0, 1e300)),
+        variable,
+        draw(printable | st.just("")),
+        edges[0],
+        tuple(edges[1:-1]),
+        edges[-1],
+        draw(st.floats(0.0, widest)),
+        draw(st.floats(0.0, 1e300)),
+        draw(st.just(0.0) | st.floats(0.0, 1e300)),
         draw(printable | st.just("")) if variable == CAN else "",
-    )  # fmt: skip
+    )
 
 
 @st.composite

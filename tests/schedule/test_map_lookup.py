@@ -49,8 +49,12 @@ def test_interpolated_gains_are_the_bilinear_mean(gains, x, x2):
     if x > 115.0:
         u, row = min((Fraction(x) - 115) / 70, Fraction(1)), 1
     v = min(max((Fraction(x2) - 25) / 50, Fraction(0)), Fraction(1))
-    corners = [(2 * row, (1 - u) * (1 - v)), (2 * row + 1, (1 - u) * v), (2 * row + 2, u * (1 - v)),
-               (2 * row + 3, u * v)]  # fmt: skip
+    corners = [
+        (2 * row, (1 - u) * (1 - v)),
+        (2 * row + 1, (1 - u) * v),
+        (2 * row + 2, u * (1 - v)),
+        (2 * row + 3, u * v),
+    ]
     for name in ("kp", "ki", "kd"):
         exact = sum(w * Fraction(getattr(gains[i], name)) for i, w in corners)
         most = max(getattr(gains[i], name) for i, _ in corners)

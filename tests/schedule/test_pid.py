@@ -22,13 +22,15 @@ def laws(draw):
     kp, ki, kd = draw(st.tuples(sizes, sizes, sizes).filter(any))
     low = draw(st.floats(-100, 100))
     return PidLaw(
-        sign * kp, sign * ki, sign * kd,
+        sign * kp,
+        sign * ki,
+        sign * kd,
         b=draw(st.floats(0, 1)),
         tau_f_s=draw(st.just(0.0) | st.floats(1e-3, 1e2)),
         co_min=low,
         co_max=low + draw(st.floats(1e-3, 200)),
         co_rate_per_s=draw(st.none() | st.floats(1e-3, 1e3)),
-    )  # fmt: skip
+    )
 
 
 samples = st.lists(st.tuples(signals, signals, intervals), min_size=1, max_size=20)
@@ -83,8 +85,9 @@ def test_reverse_action_is_the_mirror_image(settings, sp, pv, co, steps):
 @given(laws(), signals, signals, st.floats(-200, 300), samples)
 def test_both_limits_are_treated_alike(settings, sp, pv, co, steps):
     """Turning the output's axis round (co -> -co) turns everything round, bit for bit: no side is special."""
-    turned = replace(settings, kp=-settings.kp, ki=-settings.ki, kd=-settings.kd,
-                     co_min=-settings.co_max, co_max=-settings.co_min)  # fmt: skip
+    turned = replace(
+        settings, kp=-settings.kp, ki=-settings.ki, kd=-settings.kd, co_min=-settings.co_max, co_max=-settings.co_min
+    )
     _, outputs = run(settings, start(settings, sp, pv, co), steps)
     _, other = run(turned, start(turned, sp, pv, -co), steps)
 

@@ -27,8 +27,14 @@ def random_law(rng: random.Random, sign: float, rate: float | None) -> PidLaw:
     kd = sign * log_uniform(rng, 0.01, 50.0) * rng.choice((0.0, 1.0))
     if ki and rng.random() < 0.2:
         kp = 0.0
-    return PidLaw(kp, ki, kd, rng.choice((0.0, rng.random(), 1.0)), rng.choice((0.0, log_uniform(rng, 0.1, 30.0))),
-                  co_rate_per_s=rate)  # fmt: skip
+    return PidLaw(
+        kp,
+        ki,
+        kd,
+        rng.choice((0.0, rng.random(), 1.0)),
+        rng.choice((0.0, log_uniform(rng, 0.1, 30.0))),
+        co_rate_per_s=rate,
+    )
 
 
 def random_case(rng: random.Random) -> Case:

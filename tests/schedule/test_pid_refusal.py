@@ -54,13 +54,20 @@ def test_a_result_too_large_for_a_number_is_refused():
 @pytest.mark.parametrize(
     ("settings", "what"),
     [
-        ({"b": 1.1}, "b = 1.1"), ({"b": -0.1}, "b = -0.1"), ({"b": math.nan}, "b = nan"),
-        ({"tau_f_s": -1.0}, "tau_f_s"), ({"tau_f_s": math.inf}, "tau_f_s"), ({"tau_f_s": math.nan}, "tau_f_s"),
-        ({"co_min": 100.0}, "co_min < co_max"), ({"co_max": math.inf}, "= inf"), ({"co_min": math.nan}, "co_min"),
-        ({"co_rate_per_s": 0.0}, "co_rate_per_s"), ({"co_rate_per_s": math.nan}, "co_rate_per_s"),
+        ({"b": 1.1}, "b = 1.1"),
+        ({"b": -0.1}, "b = -0.1"),
+        ({"b": math.nan}, "b = nan"),
+        ({"tau_f_s": -1.0}, "tau_f_s"),
+        ({"tau_f_s": math.inf}, "tau_f_s"),
+        ({"tau_f_s": math.nan}, "tau_f_s"),
+        ({"co_min": 100.0}, "co_min < co_max"),
+        ({"co_max": math.inf}, "= inf"),
+        ({"co_min": math.nan}, "co_min"),
+        ({"co_rate_per_s": 0.0}, "co_rate_per_s"),
+        ({"co_rate_per_s": math.nan}, "co_rate_per_s"),
         ({"co_rate_per_s": math.inf}, "None for no limit"),
     ],
-)  # fmt: skip
+)
 def test_settings_out_of_range_are_refused(settings, what):
     with pytest.raises(ValueError, match=what):
         law(PidGains(1.0, 1.0), **settings)

@@ -30,9 +30,15 @@ def some_axes(draw, filter_s=None):
         edges.append(edges[-1] + draw(st.floats(1.0, 50.0)))
     narrowest = min(b - a for a, b in pairwise(edges))
     return Axis(
-        draw(st.sampled_from(("sp", "can"))), "", edges[0], tuple(edges[1:-1]), edges[-1],
-        draw(st.floats(0.01, 0.49)) * narrowest, draw(st.just(0.0) | st.floats(0.5, 5.0)), filter_s,
-    )  # fmt: skip
+        draw(st.sampled_from(("sp", "can"))),
+        "",
+        edges[0],
+        tuple(edges[1:-1]),
+        edges[-1],
+        draw(st.floats(0.01, 0.49)) * narrowest,
+        draw(st.just(0.0) | st.floats(0.5, 5.0)),
+        filter_s,
+    )
 
 
 @st.composite

@@ -30,8 +30,9 @@ def test_hard_lookup_is_the_region_wherever_x_is():
 
 def test_interpolated_at_and_beyond_the_knots():
     for region in range(3):
-        for x, gains in zip((50.0, 115.0, 185.0, 20.0, -1e9, 220.0, 1e9), (*GAINS, *GAINS[:1] * 2, *GAINS[2:] * 2),
-                            strict=True):  # fmt: skip
+        for x, gains in zip(
+            (50.0, 115.0, 185.0, 20.0, -1e9, 220.0, 1e9), (*GAINS, *GAINS[:1] * 2, *GAINS[2:] * 2), strict=True
+        ):
             assert SMOOTH.at(region, x) == gains
 
 

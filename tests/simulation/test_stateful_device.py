@@ -76,8 +76,12 @@ class DeviceMachine(RuleBasedStateMachine):
             return Reason(answer.reason)
         return None
 
-    @rule(owner=OWNERS, samples=st.sampled_from([0, 3, 8, 100]), age=st.sampled_from([1, 1, 1, 0, -1]),
-          epoch=st.sampled_from([0, 0, 0, -1]))  # fmt: skip
+    @rule(
+        owner=OWNERS,
+        samples=st.sampled_from([0, 3, 8, 100]),
+        age=st.sampled_from([1, 1, 1, 0, -1]),
+        epoch=st.sampled_from([0, 0, 0, -1]),
+    )
     def lease(self, owner: int, samples: int, age: int, epoch: int) -> None:
         self.counter += max(age, 0)
         frame = Lease(owner, self.model.epoch + epoch, samples, (self.counter + min(age, 0)) % 256)

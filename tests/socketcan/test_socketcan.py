@@ -32,8 +32,10 @@ def run_inside(*command: str | Path, timeout_s: float = 240) -> subprocess.Compl
     """Run a command where there is a vcan0, or skip."""
     done = subprocess.run(
         [sys.executable, RUNNER, "--timeout", str(timeout_s), "--", *map(str, command)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode == IMPOSSIBLE:
         reason = done.stderr.strip().splitlines()[-1]
         if os.environ.get("RETUNER_REQUIRE_SOCKETCAN"):

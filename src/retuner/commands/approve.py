@@ -114,8 +114,12 @@ def approve(
         return _list(desk, every=every, as_json=as_json)
     full = _full_hash(desk, digest)
     reason = _closed(desk, full)
-    document: dict[str, object] = {"session": str(desk.folder), "approved": None if reason else full,
-                                   "reason": reason or None, "file": None}  # fmt: skip
+    document: dict[str, object] = {
+        "session": str(desk.folder),
+        "approved": None if reason else full,
+        "reason": reason or None,
+        "file": None,
+    }
     if not reason:
         document["file"] = str(desk.put(OrderKind.APPROVE, person, digest=full))
     text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {desk.who_takes_it()}"
@@ -148,10 +152,18 @@ def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> in
         most = max(desk.shown.changes, default=0)
         raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
     file = desk.put(OrderKind.REVERT, person, decision=decision)
-    document = {"session": str(desk.folder), "decision": decision, "region": change.region,
-                "gains": gains_dict(change.before), "file": str(file)}  # fmt: skip
-    _tell(document, f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: "
-                    f"{desk.who_takes_it()}", as_json=as_json)  # fmt: skip
+    document = {
+        "session": str(desk.folder),
+        "decision": decision,
+        "region": change.region,
+        "gains": gains_dict(change.before),
+        "file": str(file),
+    }
+    _tell(
+        document,
+        f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: {desk.who_takes_it()}",
+        as_json=as_json,
+    )
     return 0
 
 
@@ -172,8 +184,10 @@ def _full_hash(desk: Desk, digest: str) -> str:
     """The hash that a person means by its beginning."""
     known = [*desk.shown.proposals, *desk.shown.tried]
     if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
-        raise UserError(f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
-                        f"`retuner approve {desk.folder}` lists them")  # fmt: skip
+        raise UserError(
+            f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
+            f"`retuner approve {desk.folder}` lists them"
+        )
     meant = [one for one in known if one.startswith(digest)]
     if len(meant) != 1:
         what = "no proposal begins like this" if not meant else f"{len(meant)} proposals begin like this, give more"
@@ -187,14 +201,23 @@ def _list(desk: Desk, *, every: bool, as_json: bool) -> int:
     proposals = [one for one in able if not desk.shown.successor(one)]
     older = len(able) - len(proposals)
     waiting = [{"hash": digest, "region": region} for region, digest in desk.shown.waiting.items()]
-    document = {"session": str(desk.folder), "time_s": desk.shown.last_s, "waiting": waiting, "superseded": older,
-                "proposals": [_listed(desk, one) for one in (able if every else proposals)]}  # fmt: skip
+    document = {
+        "session": str(desk.folder),
+        "time_s": desk.shown.last_s,
+        "waiting": waiting,
+        "superseded": older,
+        "proposals": [_listed(desk, one) for one in (able if every else proposals)],
+    }
     lines = [_line(desk, one, able) for one in (able if every else proposals)]
-    lines += [f"{one['hash'][:SHORTEST]}  {one['region']}: tried and as promised; approve it to let the region go on"
-              for one in waiting]  # fmt: skip
+    lines += [
+        f"{one['hash'][:SHORTEST]}  {one['region']}: tried and as promised; approve it to let the region go on"
+        for one in waiting
+    ]
     hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
-    lines.append(f"{desk.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
-                 f"{desk.shown.last_s:,.0f} s{hidden}")  # fmt: skip
+    lines.append(
+        f"{desk.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
+        f"{desk.shown.last_s:,.0f} s{hidden}"
+    )
     _tell(document, "\n".join(lines), as_json=as_json)
     return 0
 
@@ -204,17 +227,25 @@ def _line(desk: Desk, proposal: Proposal, able: Sequence[Proposal]) -> str:
     successor = desk.shown.successor(proposal)
     older = sum(one.region == proposal.region for one in able) - 1
     told = f"superseded by {successor[:SHORTEST]}" if successor else f"supersedes {older} older" if older else ""
-    return (f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
-            f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
-            f"{proposal.t_s + desk.expires_after_s:,.0f} s{f'; {told}' * bool(told)}")  # fmt: skip
+    return (
+        f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
+        f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
+        f"{proposal.t_s + desk.expires_after_s:,.0f} s{f'; {told}' * bool(told)}"
+    )
 
 
 def _listed(desk: Desk, proposal: Proposal) -> dict[str, object]:
     """A proposal as plain values."""
-    return {"hash": proposal.digest, "decision": proposal.number, "region": proposal.region, "t_s": proposal.t_s,
-            "expires_s": proposal.t_s + desk.expires_after_s, "gains_before": gains_dict(proposal.before),
-            "gains_after": gains_dict(proposal.after),
-            "superseded_by": desk.shown.successor(proposal) or None}  # fmt: skip
+    return {
+        "hash": proposal.digest,
+        "decision": proposal.number,
+        "region": proposal.region,
+        "t_s": proposal.t_s,
+        "expires_s": proposal.t_s + desk.expires_after_s,
+        "gains_before": gains_dict(proposal.before),
+        "gains_after": gains_dict(proposal.after),
+        "superseded_by": desk.shown.successor(proposal) or None,
+    }
 
 
 def _tell(document: Mapping[str, object], text: str, *, as_json: bool) -> None:

@@ -41,17 +41,21 @@ def summary(config: Config) -> dict[str, object]:
     where = config.regions()
     regions = [
         {
-            "name": region.name, "low": where.span(i)[0], "high": where.span(i)[1], "unit": where.unit,
+            "name": region.name,
+            "low": where.span(i)[0],
+            "high": where.span(i)[1],
+            "unit": where.unit,
             "along": [
                 {"variable": axis.label, "low": axis.span(part)[0], "high": axis.span(part)[1], "unit": axis.unit}
                 for axis, part in zip(where.axes, where.cell(i), strict=True)
             ],
-            "neighbours": [where.names[other] for other in where.neighbours(i)], "form": region.form,
+            "neighbours": [where.names[other] for other in where.neighbours(i)],
+            "form": region.form,
             "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
             "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
         }
         for i, (region, gains) in enumerate(zip(config.schedule.regions, config.gains(), strict=True))
-    ]  # fmt: skip
+    ]
     return {**settings, "regions": regions}
 
 
@@ -93,8 +97,10 @@ def _region_lines(config: Config) -> list[str]:
     lines = []
     for i, region in enumerate(config.schedule.regions):
         tau_i = "no integral action" if region.integral_time_s is None else f"tau_i {region.integral_time_s:g} s"
-        lines.append(f"  {region.name:<{width}}  {where.text(i)}: kc {region.kc:g} %/{config.loop.pv_unit}, "
-                     f"{tau_i}, tau_d {region.tau_d_s:g} s ({region.form})")  # fmt: skip
+        lines.append(
+            f"  {region.name:<{width}}  {where.text(i)}: kc {region.kc:g} %/{config.loop.pv_unit}, "
+            f"{tau_i}, tau_d {region.tau_d_s:g} s ({region.form})"
+        )
     return lines
 
 

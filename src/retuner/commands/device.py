@@ -35,8 +35,10 @@ def device(path: Path, *, interface: str | None, channel: str | None, speed: flo
     machine = VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=fresh_epoch())
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock) as link:
-        sys.stderr.write(f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
-                         f"{speed:g} times real time; Ctrl-C ends it\n")  # fmt: skip
+        sys.stderr.write(
+            f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
+            f"{speed:g} times real time; Ctrl-C ends it\n"
+        )
         sys.stderr.flush()
         try:
             with stoppable():

@@ -97,11 +97,15 @@ def document(found: Finding) -> dict[str, object]:
     return {
         **told,
         "evidence": {**found.seen.evidence, **_mapping(told["evidence"])},
-        "gains": settings.get("gains"), "form": settings.get("form"), "margins": settings.get("margins"),
+        "gains": settings.get("gains"),
+        "form": settings.get("form"),
+        "margins": settings.get("margins"),
         "gains_in_force": _in_force(found),
-        "identifiable": estimate.get("identifiable", False), "model": estimate.get("model"), "std": estimate.get("std"),
+        "identifiable": estimate.get("identifiable", False),
+        "model": estimate.get("model"),
+        "std": estimate.get("std"),
         "notes": list(found.notes),
-    }  # fmt: skip
+    }
 
 
 def _mapping(value: object) -> dict[str, object]:
@@ -172,8 +176,14 @@ def _picture(found: Finding, options: RecordOptions) -> bytes:
     curves = [Explanation.of(SHOWN[name], found.window, found.result.fits[name]) for name in names]
     title = f"{Path(found.source).name}: {str(told.cause).replace('_', ' ')} ({told.confidence:.0%})"
     picture = RecordPicture(
-        found.window, title, told.reason, lines, curves, limits=(options.co_min, options.co_max),
-        loads_s=estimate.load_times_s if estimate is not None else (), noise_std=noise_sigma(found.window.pv),
+        found.window,
+        title,
+        told.reason,
+        lines,
+        curves,
+        limits=(options.co_min, options.co_max),
+        loads_s=estimate.load_times_s if estimate is not None else (),
+        noise_std=noise_sigma(found.window.pv),
         closed_loop=not options.open_loop,
-    )  # fmt: skip
+    )
     return record_png(picture)

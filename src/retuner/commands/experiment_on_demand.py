@@ -66,8 +66,9 @@ def on_demand(path: Path, kind: Kind, options: OnDemand, question: Question) -> 
             log = folder / BUS_LOG
             place: AbstractContextManager[Bench] = simulated(config, log) if in_process else live(config, speed, log)
             with place as bench:
-                return OnDemandExperiment(config, plan, question, folder, ledger, screen, bench,
-                                          yes=options.yes, as_json=options.as_json).run()  # fmt: skip
+                return OnDemandExperiment(
+                    config, plan, question, folder, ledger, screen, bench, yes=options.yes, as_json=options.as_json
+                ).run()
     except (DeviceError, UserError):
         if not (folder / RECORD).exists():  # nothing happened: leave no folder behind
             give_back(fresh)

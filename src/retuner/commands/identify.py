@@ -59,8 +59,11 @@ def described(found: Identification) -> list[str]:
         lines += ["settings that follow:", *tuning_lines(found.settings)]
     if found.margins_in_force is not None:
         m = found.margins_in_force
-        lines.append(f"with the gains in force: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg" if m.stable else
-                     "with the gains in force this loop is UNSTABLE")  # fmt: skip
+        lines.append(
+            f"with the gains in force: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg"
+            if m.stable
+            else "with the gains in force this loop is UNSTABLE"
+        )
     return lines
 
 
@@ -73,7 +76,14 @@ def _picture(recording: Recording, found: Identification, options: RecordOptions
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")
     model = Explanation.of("model", window, fitted_pv(window, estimate))
     picture = RecordPicture(
-        window, title, estimate.reason, described(found)[1:], [model], estimate.load_times_s,
-        (options.co_min, options.co_max), estimate.noise_std, closed_loop=not options.open_loop,
-    )  # fmt: skip
+        window,
+        title,
+        estimate.reason,
+        described(found)[1:],
+        [model],
+        estimate.load_times_s,
+        (options.co_min, options.co_max),
+        estimate.noise_std,
+        closed_loop=not options.open_loop,
+    )
     return record_png(picture)

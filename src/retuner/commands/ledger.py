@@ -28,8 +28,14 @@ def verify(path: Path, *, head: str | None, as_json: bool) -> int:
     with LedgerReader(path) as ledger:
         report = ledger.verify(head or "")
     if as_json:
-        document = {"file": str(path), "ok": report.ok, "rows": report.rows, "head": report.head,
-                    "broken_seq": report.broken_seq, "reason": report.reason or None}  # fmt: skip
+        document = {
+            "file": str(path),
+            "ok": report.ok,
+            "rows": report.rows,
+            "head": report.head,
+            "broken_seq": report.broken_seq,
+            "reason": report.reason or None,
+        }
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
     elif report.ok:
         sys.stdout.write(f"{path}: ok, {report.rows} rows, head {report.head}\n")

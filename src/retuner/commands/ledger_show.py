@@ -20,9 +20,17 @@ from retuner.report.ledger_words import Told, told
 from retuner.session.recorded_session import ledger_path
 
 COLUMNS = {
-    "row": "row", "time [s]": "when_s", "what": "kind", "who": "who", "region": "region", "why": "why", "old": "old",
-    "new": "new", "evidence": "evidence", "verdict": "verdict",
-}  # fmt: skip
+    "row": "row",
+    "time [s]": "when_s",
+    "what": "kind",
+    "who": "who",
+    "region": "region",
+    "why": "why",
+    "old": "old",
+    "new": "new",
+    "evidence": "evidence",
+    "verdict": "verdict",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +92,12 @@ def show(session: Path, selection: Selection, *, as_json: bool) -> int:
     rows, broken = believed(path)
     chosen = selection.rows(rows)
     if as_json:
-        document = {"ledger": str(path), "ok": not broken, "reason": broken or None,
-                    "rows": [{**told(row).to_dict(), "body": row.body} for row in chosen]}  # fmt: skip
+        document = {
+            "ledger": str(path),
+            "ok": not broken,
+            "reason": broken or None,
+            "rows": [{**told(row).to_dict(), "body": row.body} for row in chosen],
+        }
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
     else:
         console = Console()
@@ -168,6 +180,12 @@ def _no_formula(value: object) -> object:
 
 def _json_line(row: Row) -> str:
     """A row as it stands in the ledger, on one line."""
-    document = {"seq": row.seq, "clock_s": row.clock_s, "kind": row.kind, "body": row.body,
-                "previous": row.previous, "hash": row.hash}  # fmt: skip
+    document = {
+        "seq": row.seq,
+        "clock_s": row.clock_s,
+        "kind": row.kind,
+        "body": row.body,
+        "previous": row.previous,
+        "hash": row.hash,
+    }
     return json.dumps(document, allow_nan=False) + "\n"

@@ -38,8 +38,10 @@ def reduce(options: ReduceOptions, *, as_json: bool) -> int:
         raise UserError(f"--leads {options.leads}: give one of {', '.join(Leads)}")
     leads, lags = time_constants("--num-t", options.num_t), time_constants("--den-t", options.den_t)
     if min(lags, default=1.0) <= 0:
-        raise UserError(f"--den-t {min(lags):g}: a lag must be positive; a negative one is an unstable pole, and an "
-                        "integrator is counted by --integrators")  # fmt: skip
+        raise UserError(
+            f"--den-t {min(lags):g}: a lag must be positive; a negative one is an unstable pole, and an "
+            "integrator is counted by --integrators"
+        )
     if options.integrators < 0:
         raise UserError(f"--integrators {options.integrators}: give 0, 1 or 2")
     with user_input("retuner reduce"):

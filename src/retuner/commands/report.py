@@ -64,25 +64,47 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     config = recorded.config
     before = config.gain_table()
     names = before.regions.names
-    changes = [row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune"
-               and row.body.get("region") in names]  # fmt: skip
+    changes = [
+        row
+        for row in recorded.rows
+        if row.kind == "committed" and row.body.get("why") == "retune" and row.body.get("region") in names
+    ]
     after = _final_table(recorded, before, changes)
     commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
     linearise = make_plant(config).linearise if config.device else None
     summary = _summary(recorded)
-    scores = region_scores(before, after, commits, columns, None, linearise, config.loop.sample_time_s / 2,
-                           config.loop.tau_f_s, loads_at(config.scenario, columns["t"]))  # fmt: skip
+    scores = region_scores(
+        before,
+        after,
+        commits,
+        columns,
+        None,
+        linearise,
+        config.loop.sample_time_s / 2,
+        config.loop.tau_f_s,
+        loads_at(config.scenario, columns["t"]),
+    )
     steps = config.scenario.steps if config.scenario else []
     last = recorded.rows[-1]
     return ReportData(
-        config.loop.name, config.loop.pv_unit, before, after, _with_fixed(summary, scores),
-        [without_place(row.body) for row in rows], columns, None, [t_s for t_s, _ in commits],
+        config.loop.name,
+        config.loop.pv_unit,
+        before,
+        after,
+        _with_fixed(summary, scores),
+        [without_place(row.body) for row in rows],
+        columns,
+        None,
+        [t_s for t_s, _ in commits],
         [step.at_s for step in steps if step.at_s <= columns["t"][-1]],
-        {"session": str(recorded.folder), "ledger": f"{last.seq} rows, head {last.hash}",
-         "retuner": str(recorded.versions.get("retuner", ""))},
+        {
+            "session": str(recorded.folder),
+            "ledger": f"{last.seq} rows, head {last.hash}",
+            "retuner": str(recorded.versions.get("retuner", "")),
+        },
         stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
         advice=[words(one, "sentence") for one in parts(summary, "advice")],
-    )  # fmt: skip
+    )
 
 
 def _final_table(recorded: RecordedSession, table: GainTable, changes: list[Row]) -> GainTable:

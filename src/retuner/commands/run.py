@@ -130,8 +130,16 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
         screen.sample(sample, session.scenario.progress, session.table.regions.names[region])
 
     record = _recorder(ledger, screen, lambda: job_run.session)
-    job_run: Run = Run(config, record, mode=job.mode, log=job.folder / BUS_LOG, on_sample=on_sample,
-                       folder=job.folder, before=job.fresh.moved, tell=screen.say)  # fmt: skip
+    job_run: Run = Run(
+        config,
+        record,
+        mode=job.mode,
+        log=job.folder / BUS_LOG,
+        on_sample=on_sample,
+        folder=job.folder,
+        before=job.fresh.moved,
+        tell=screen.say,
+    )
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
     session, interrupted = _play(job, job_run)
     end = {"interrupted": interrupted, "bus_log": BUS_LOG, "bus_log_sha256": file_sha256(job.folder / BUS_LOG)}
@@ -157,8 +165,12 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
         One of them cannot be written.
     """
     options = job.options
-    named = {("adaptation", "mode"): options.mode, ("bus", "interface"): options.interface,
-             ("bus", "channel"): options.channel, ("adaptation", "pretune"): options.pretune or None}  # fmt: skip
+    named = {
+        ("adaptation", "mode"): options.mode,
+        ("bus", "interface"): options.interface,
+        ("bus", "channel"): options.channel,
+        ("adaptation", "pretune"): options.pretune or None,
+    }
     changes = {place: value for place, value in named.items() if value is not None}
     text, identity = session_identity(job.config, job.text, changes)
     body = {"config": summary(job.config), "retuner": version("retuner"), **identity, "samples": 0}
@@ -211,11 +223,22 @@ def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
 
 
 TOLD = {
-    "refused": ("region", "reason"), "link": ("state", "reason"), "restart": ("epoch",), "lost": ("samples",),
-    "command": ("command", "reason"), "unknown": ("reason",), "foreign": ("gains",), "dropped": ("reason",),
-    "bus": ("fault", "times"), "variable": ("name", "reason"), "abort": ("reason",), "restored": ("regions",),
-    "lockout": ("region", "undos"), "unrestored": ("regions", "reason"), "order": ("order", "by", "accepted", "reason"),
-}  # fmt: skip
+    "refused": ("region", "reason"),
+    "link": ("state", "reason"),
+    "restart": ("epoch",),
+    "lost": ("samples",),
+    "command": ("command", "reason"),
+    "unknown": ("reason",),
+    "foreign": ("gains",),
+    "dropped": ("reason",),
+    "bus": ("fault", "times"),
+    "variable": ("name", "reason"),
+    "abort": ("reason",),
+    "restored": ("regions",),
+    "lockout": ("region", "undos"),
+    "unrestored": ("regions", "reason"),
+    "order": ("order", "by", "accepted", "reason"),
+}
 """Rows beside decisions that a person at the screen should see, and which of their values."""
 
 
@@ -228,18 +251,35 @@ def _leave(
     before = config.gain_table()
     linearise = make_plant(config).linearise if config.device else None
     fixed_columns = fixed.trend.columns() if fixed else None
-    scores = region_scores(before, session.table, session.commits, columns, fixed_columns, linearise,
-                           config.loop.sample_time_s / 2, config.loop.tau_f_s,
-                           loads_at(config.scenario, columns["t"]))  # fmt: skip
+    scores = region_scores(
+        before,
+        session.table,
+        session.commits,
+        columns,
+        fixed_columns,
+        linearise,
+        config.loop.sample_time_s / 2,
+        config.loop.tau_f_s,
+        loads_at(config.scenario, columns["t"]),
+    )
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
     facts = _facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {})
     data = ReportData(
-        config.loop.name, config.loop.pv_unit, before, session.table, scores, list(session.decisions),
-        columns, fixed_columns, [t for t, _ in session.commits], session.scenario.played, facts,
+        config.loop.name,
+        config.loop.pv_unit,
+        before,
+        session.table,
+        scores,
+        list(session.decisions),
+        columns,
+        fixed_columns,
+        [t for t, _ in session.commits],
+        session.scenario.played,
+        facts,
         stopped=config.scenario is not None and not session.scenario.finished,
         advice=[one.sentence for one in advice_of(session)],
-    )  # fmt: skip
+    )
     write_whole(folder / REPORT, render(data))
     document = {**result(session, scores, ledger, folder), "interrupted": interrupted}
     write_json(folder / SUMMARY, document)
@@ -262,12 +302,16 @@ def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:
     """What a reader of the report needs to find the rest, or to do the run again."""
     config = job.config
     return {
-        "retuner": version("retuner"), "Python": platform.python_version(),
+        "retuner": version("retuner"),
+        "Python": platform.python_version(),
         "bus": f"{config.bus.interface} {config.bus.channel}, node {config.bus.node}",
         "seed": str(config.device.seed) if config.device else "a real controller",
         "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
-        "trend": trend, "bus log": BUS_LOG, "gains": GAINS, "configuration": CONFIG,
-    }  # fmt: skip
+        "trend": trend,
+        "bus log": BUS_LOG,
+        "gains": GAINS,
+        "configuration": CONFIG,
+    }
 
 
 def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:
@@ -276,13 +320,15 @@ def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: 
         "loop": session.table.loop,
         "folder": str(folder),
         "decisions": [decision.to_dict() for decision in session.decisions],
-        "gains": [{"region": name, **gains_dict(gains)} for name, gains in
-                  zip(session.table.regions.names, session.table.gains, strict=True)],
+        "gains": [
+            {"region": name, **gains_dict(gains)}
+            for name, gains in zip(session.table.regions.names, session.table.gains, strict=True)
+        ],
         "scores": [score.to_dict() for score in scores],
         "advice": [one.to_dict() for one in advice_of(session)],
         "revision": session.table.revision,
         "ledger_head": ledger.head(),
-    }  # fmt: skip
+    }
 
 
 def overridden(config: Config, options: RunOptions) -> Config:

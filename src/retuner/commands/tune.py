@@ -114,6 +114,8 @@ def described(result: TuneResult) -> list[str]:
     if m is not None and not m.stable:
         lines.append("  the closed loop would be UNSTABLE")
     elif m is not None:
-        lines.append(f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
-                     f"delay margin {m.delay_margin_s:.4g} s")  # fmt: skip
+        lines.append(
+            f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
+            f"delay margin {m.delay_margin_s:.4g} s"
+        )
     return [*lines, *(f"  note: {note}" for note in result.tuning.notes)]

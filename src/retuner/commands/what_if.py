@@ -117,6 +117,7 @@ def document(log: Path, config_file: Path, retuner: Retuner, found: Answer) -> d
         "samples": found.samples,
         "decisions": [decision.to_dict() for decision in found.decisions],
         "gains_changed_s": found.changes,
-        "gains": [{"region": name, **gains_dict(gains)} for name, gains in
-                  zip(table.regions.names, table.gains, strict=True)],
-    }  # fmt: skip
+        "gains": [
+            {"region": name, **gains_dict(gains)} for name, gains in zip(table.regions.names, table.gains, strict=True)
+        ],
+    }

@@ -13,23 +13,36 @@ class AdaptationConfig(Section):
 
     mode: Literal["off", "advise", "trial", "auto"] = setting(
         "off: only watch; advise: say what it would change, and write what a person approves; trial: write one proved "
-        "change a region, undo it when worse, else wait for a person; auto: the same, and go on", unit="-",
-        default="advise", source="nothing changes until somebody says so",
-    )  # fmt: skip
+        "change a region, undo it when worse, else wait for a person; auto: the same, and go on",
+        unit="-",
+        default="advise",
+        source="nothing changes until somebody says so",
+    )
     rule: Literal["simc"] = setting("Tuning rule", unit="-", default="simc", source="Skogestad 2003")
     ms_nominal: float = setting(
-        "Largest Ms on the identified process", unit="1", low=1.2, high=2.0, default=1.75,
+        "Largest Ms on the identified process",
+        unit="1",
+        low=1.2,
+        high=2.0,
+        default=1.75,
         source="between SIMC's 1.59 (first order) and 1.70 (integrating) and the limit 1.8",
-    )  # fmt: skip
+    )
     ms_worst: float = setting(
-        "Largest Ms on the worst model that the records allow", unit="1", low=1.2, high=3.0, default=2.1,
+        "Largest Ms on the worst model that the records allow",
+        unit="1",
+        low=1.2,
+        high=3.0,
+        default=2.1,
         source="a phase margin of at least 27 degrees and a gain margin of 1.9 remain",
-    )  # fmt: skip
+    )
     tau_c_max_ratio: float = setting(
-        "Largest tau_c over the dead time that the guard may choose before it shortens the step", unit="1", low=1,
-        high=3, default=1.3,
+        "Largest tau_c over the dead time that the guard may choose before it shortens the step",
+        unit="1",
+        low=1,
+        high=3,
+        default=1.3,
         source="slower costs more than a smaller step",
-    )  # fmt: skip
+    )
     kc_min: float | None = setting(
         "Least absolute proportional gain; absent: no limit",
         unit="%/pv",
@@ -47,16 +60,22 @@ class AdaptationConfig(Section):
         source="user",
     )
     step_up_max: float = setting(
-        "Greatest factor of one change towards more action", unit="1", above=1, high=10, default=2.0,
+        "Greatest factor of one change towards more action",
+        unit="1",
+        above=1,
+        high=10,
+        default=2.0,
         source="half of ABB ECA06's permitted factor of 4",
-    )  # fmt: skip
+    )
     step_down_max: float = setting(
         "Greatest factor of one change towards less action", unit="1", above=1, high=10, default=4.0, source="ABB ECA06"
     )
     locked: Many[Literal["kc", "tau_i", "tau_d"]] = setting(
-        "Parameters that stay as they are: [\"tau_d\"] for no derivative, [\"tau_i\", \"tau_d\"] for kc only", unit="-",
-        default=(), source="user",
-    )  # fmt: skip
+        'Parameters that stay as they are: ["tau_d"] for no derivative, ["tau_i", "tau_d"] for kc only',
+        unit="-",
+        default=(),
+        source="user",
+    )
     limits: LimitsConfig = setting("Further limits of a change", unit="-", default=LimitsConfig(), source="see there")
     admission: AdmissionConfig = setting(
         "What may teach a region", unit="-", default=AdmissionConfig(), source="see there"
@@ -65,44 +84,78 @@ class AdaptationConfig(Section):
         "What may be done without a model", unit="-", default=PatternConfig(), source="see there"
     )
     approval_s: float = setting(
-        "How long a proposal may be approved after it was made", unit="s", above=0, high=1e8, default=86400.0,
+        "How long a proposal may be approved after it was made",
+        unit="s",
+        above=0,
+        high=1e8,
+        default=86400.0,
         source="a day: every shift sees it",
-    )  # fmt: skip
+    )
     trial_responses: int = setting(
-        "Responses that must keep a change's promise before it has passed its trial", unit="responses", low=1, high=10,
-        default=1, source="more are surer and slower",
-    )  # fmt: skip
+        "Responses that must keep a change's promise before it has passed its trial",
+        unit="responses",
+        low=1,
+        high=10,
+        default=1,
+        source="more are surer and slower",
+    )
     trial_level: float = setting(
-        "Standard deviations of noise beyond the promise from which a response is worse", unit="1", low=2, high=6,
-        default=3.0, source="one false alarm in 700 by noise alone",
-    )  # fmt: skip
+        "Standard deviations of noise beyond the promise from which a response is worse",
+        unit="1",
+        low=2,
+        high=6,
+        default=3.0,
+        source="one false alarm in 700 by noise alone",
+    )
     trial_timeout_s: float = setting(
-        "An undecided trial is undone after this time", unit="s", low=1, high=1e8, default=86400.0,
+        "An undecided trial is undone after this time",
+        unit="s",
+        low=1,
+        high=1e8,
+        default=86400.0,
         source="a day: every shift sees it",
-    )  # fmt: skip
+    )
     cool_down_s: float | None = setting(
         "No change of a region for this long after one was undone, doubled each time; absent: 20 integral times",
-        unit="s", low=0, high=1e8, default=None, source="as long as several responses",
-    )  # fmt: skip
+        unit="s",
+        low=0,
+        high=1e8,
+        default=None,
+        source="as long as several responses",
+    )
     lock_out_after: int = setting(
-        "Changes undone in a row after which a region is locked until a person unlocks it", unit="changes", low=1,
-        high=20, default=3, source="what fails three times is not a matter of gains",
-    )  # fmt: skip
+        "Changes undone in a row after which a region is locked until a person unlocks it",
+        unit="changes",
+        low=1,
+        high=20,
+        default=3,
+        source="what fails three times is not a matter of gains",
+    )
     pretune: bool = setting(
-        "Before a run: first model and settings from a commanded step of co, the loop put back as it was", unit="-",
-        default=False, source="no test signal unless somebody says so",
-    )  # fmt: skip
+        "Before a run: first model and settings from a commanded step of co, the loop put back as it was",
+        unit="-",
+        default=False,
+        source="no test signal unless somebody says so",
+    )
     pretune_step_pct: float | None = setting(
-        "That step, negative for down; absent: 5 % of the range of co", unit="%", low=-50, high=50, default=None,
+        "That step, negative for down; absent: 5 % of the range of co",
+        unit="%",
+        low=-50,
+        high=50,
+        default=None,
         source="user",
-    )  # fmt: skip
+    )
     noise_band: float | None = setting(
         "Noise band of pv; absent: estimated from the data", unit="pv", above=0, high=1e9, default=None, source="user"
     )
     wait_s: float | None = setting(
-        "Longest wait for the next peak; absent: from the integral time in force", unit="s", above=0, high=1e7,
-        default=None, source="user",
-    )  # fmt: skip
+        "Longest wait for the next peak; absent: from the integral time in force",
+        unit="s",
+        above=0,
+        high=1e7,
+        default=None,
+        source="user",
+    )
 
     def problems(self) -> Iterator[Problem]:
         """Limits that leave room."""

@@ -17,27 +17,45 @@ class BusConfig(Section):
     """[bus]: the CAN bus, in python-can's own words."""
 
     interface: str = setting(
-        "python-can interface: virtual, socketcan, udp_multicast, ...", unit="-", text=(1, 64), default="virtual",
+        "python-can interface: virtual, socketcan, udp_multicast, ...",
+        unit="-",
+        text=(1, 64),
+        default="virtual",
         source="needs no hardware",
-    )  # fmt: skip
+    )
     channel: str = setting("Channel of the interface", unit="-", text=(1, 256), default="retuner", source="the user")
     node: int = setting("Node number of the controller", unit="-", low=1, high=NODES, default=1, source="retuner.dbc")
     hop_limit: int = setting(
-        "Networks that udp_multicast frames may cross; 0 keeps them on this host", unit="-", low=0, high=255, default=0,
+        "Networks that udp_multicast frames may cross; 0 keeps them on this host",
+        unit="-",
+        low=0,
+        high=255,
+        default=0,
         source="no frame leaves the host unasked",
-    )  # fmt: skip
+    )
     lease_s: float = setting(
-        "How long the controller stays reserved for a host that has died; at least 30 samples", unit="s", above=0,
-        high=3600, default=3.0, source="a restart of the host",
-    )  # fmt: skip
+        "How long the controller stays reserved for a host that has died; at least 30 samples",
+        unit="s",
+        above=0,
+        high=3600,
+        default=3.0,
+        source="a restart of the host",
+    )
     probation_samples: int = setting(
-        "Samples that must show a new set running before it is confirmed", unit="samples", low=0, high=10000, default=5,
+        "Samples that must show a new set running before it is confirmed",
+        unit="samples",
+        low=0,
+        high=10000,
+        default=5,
         source="the link must be seen to work",
-    )  # fmt: skip
+    )
     key_file: str = setting(
-        "File with the key that authenticates commits, hexadecimal, readable by you alone; empty for none", unit="-",
-        text=(0, 1024), default="", source="the user",
-    )  # fmt: skip
+        "File with the key that authenticates commits, hexadecimal, readable by you alone; empty for none",
+        unit="-",
+        text=(0, 1024),
+        default="",
+        source="the user",
+    )
 
 
 class OvenPlantConfig(Section):
@@ -114,8 +132,11 @@ class LinearPlantConfig(Section):
         if self.k == 0:
             yield Problem(("k",), "= 0: the output would not move this plant; give its gain")
         if len(self.leads_s) > len(self.lags_s) + self.integrators:
-            yield Problem(("leads_s",), f"has {len(self.leads_s)} leads for {len(self.lags_s) + self.integrators} lags "
-                          "and integrators; a plant needs at least as many of these")  # fmt: skip
+            yield Problem(
+                ("leads_s",),
+                f"has {len(self.leads_s)} leads for {len(self.lags_s) + self.integrators} lags "
+                "and integrators; a plant needs at least as many of these",
+            )
 
 
 class BoilerPlantConfig(Section):
@@ -127,13 +148,21 @@ class BoilerPlantConfig(Section):
         "Temperature of the water that comes in", unit="degC", low=-50, high=500, default=BOILER.inlet_c, source="plant"
     )
     power_max_c: float = setting(
-        "How much full power heats the nominal flow", unit="K", above=0, high=1e4, default=BOILER.power_max_c,
+        "How much full power heats the nominal flow",
+        unit="K",
+        above=0,
+        high=1e4,
+        default=BOILER.power_max_c,
         source="plant",
-    )  # fmt: skip
+    )
     rangeability: float = setting(
-        "Rangeability of the fuel valve (equal percentage)", unit="1", low=1.001, high=1000,
-        default=BOILER.rangeability, source="plant",
-    )  # fmt: skip
+        "Rangeability of the fuel valve (equal percentage)",
+        unit="1",
+        low=1.001,
+        high=1000,
+        default=BOILER.rangeability,
+        source="plant",
+    )
     tank_s: float = setting(
         "Lag of the tank at nominal flow", unit="s", above=0, high=1e5, default=BOILER.tank_s, source="plant"
     )
@@ -144,13 +173,21 @@ class BoilerPlantConfig(Section):
         "Sensor lag", unit="s", above=0, high=1e5, default=BOILER.tau_sensor_s, source="plant"
     )
     noise_c: float = setting(
-        "Standard deviation of the measurement noise", unit="degC", low=0, high=100, default=BOILER.noise_c,
+        "Standard deviation of the measurement noise",
+        unit="degC",
+        low=0,
+        high=100,
+        default=BOILER.noise_c,
         source="plant",
-    )  # fmt: skip
+    )
     flow_noise_pct: float = setting(
-        "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux", unit="%", low=0,
-        high=100, default=BOILER.flow_noise_pct, source="plant",
-    )  # fmt: skip
+        "Standard deviation of the measured flow's noise, which the device publishes as PLANT.aux",
+        unit="%",
+        low=0,
+        high=100,
+        default=BOILER.flow_noise_pct,
+        source="plant",
+    )
 
     def settings(self) -> BoilerSettings:
         """The boiler's physics as the plant takes it."""
@@ -162,9 +199,13 @@ class DeviceConfig(Section):
 
     kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the only one so far")
     confirm_within_s: float = setting(
-        "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time", unit="s",
-        low=0, high=1e6, default=0.0, source="off",
-    )  # fmt: skip
+        "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time",
+        unit="s",
+        low=0,
+        high=1e6,
+        default=0.0,
+        source="off",
+    )
     seed: int = setting("Seed of the measurement noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
     plant: Annotated[OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig, Field(discriminator="kind")] = setting(
         "The simulated plant behind the virtual device", unit="-", source="the user"
@@ -194,11 +235,17 @@ class ScenarioConfig(Section):
         """Steps in order, inside the run, and a setpoint to start with."""
         for i, step in enumerate(self.steps):
             if i > 0 and step.at_s < self.steps[i - 1].at_s:
-                yield Problem(("steps", i, "at_s"), f"= {step.at_s:g} s lies before the step above it at "
-                              f"{self.steps[i - 1].at_s:g} s; order the steps by time")  # fmt: skip
+                yield Problem(
+                    ("steps", i, "at_s"),
+                    f"= {step.at_s:g} s lies before the step above it at "
+                    f"{self.steps[i - 1].at_s:g} s; order the steps by time",
+                )
             if step.at_s >= self.duration_s:
-                yield Problem(("steps", i, "at_s"), f"= {step.at_s:g} s lies at or after the end of the run, "
-                              f"duration_s = {self.duration_s:g} s; make the run longer")  # fmt: skip
+                yield Problem(
+                    ("steps", i, "at_s"),
+                    f"= {step.at_s:g} s lies at or after the end of the run, "
+                    f"duration_s = {self.duration_s:g} s; make the run longer",
+                )
         if not any(step.at_s == 0 and step.sp is not None for step in self.steps):
             yield Problem(("steps",), "give no setpoint to start with; add {at_s = 0.0, sp = ...}")
 
@@ -207,9 +254,12 @@ class OutputConfig(Section):
     """[output]: what a run leaves behind, and where."""
 
     directory: str = setting(
-        "Folder for report, ledger, trend and bus log, relative to where the command runs", unit="-", text=(1, 1024),
-        default="runs/latest", source="git-ignored",
-    )  # fmt: skip
+        "Folder for report, ledger, trend and bus log, relative to where the command runs",
+        unit="-",
+        text=(1, 1024),
+        default="runs/latest",
+        source="git-ignored",
+    )
     trend: Literal["csv", "parquet"] = setting(
         "Format of the trend; parquet needs the extra of that name", unit="-", default="csv", source="base install"
     )

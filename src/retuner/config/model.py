@@ -36,9 +36,13 @@ class LoopConfig(Section):
         "Fastest move of the output; absent: no limit", unit="%/s", above=0, high=1e6, default=None, source="actuator"
     )
     b: float = setting(
-        "Setpoint weight of the proportional action: 1 acts on the error, 0 on pv alone", unit="1", low=0, high=1,
-        default=1.0, source="Astrom & Hagglund 2006, section 3.4; 1 is what SIMC assumes",
-    )  # fmt: skip
+        "Setpoint weight of the proportional action: 1 acts on the error, 0 on pv alone",
+        unit="1",
+        low=0,
+        high=1,
+        default=1.0,
+        source="Astrom & Hagglund 2006, section 3.4; 1 is what SIMC assumes",
+    )
     tau_f_s: float = setting(
         "Filter time of the derivative action; 0: no filter",
         unit="s",
@@ -109,8 +113,11 @@ class Config(Section):
         yield from self._time_problems()
         yield from self._scenario_problems()
         if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
-            yield Problem(("adaptation", "noise_band"), f"= {self.adaptation.noise_band:g} is more than half of the pv "
-                          f"range of {self._span:g}; give a few standard deviations of the noise")  # fmt: skip
+            yield Problem(
+                ("adaptation", "noise_band"),
+                f"= {self.adaptation.noise_band:g} is more than half of the pv "
+                f"range of {self._span:g}; give a few standard deviations of the noise",
+            )
 
     @property
     def _span(self) -> float:
@@ -122,37 +129,52 @@ class Config(Section):
             path = ("schedule", *self.schedule.axis_path(k))
             for i, bound in enumerate(axis.bounds):
                 if not low < bound < high:
-                    yield Problem((*path, "bounds", i), f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
-                                  f"the range of the scheduling variable {axis.signal or axis.variable}")  # fmt: skip
+                    yield Problem(
+                        (*path, "bounds", i),
+                        f"= {bound:g} must lie between {low:g} and {high:g} {unit}, "
+                        f"the range of the scheduling variable {axis.signal or axis.variable}",
+                    )
             narrowest = min(b - a for a, b in pairwise((low, *axis.bounds, high)))
             if axis.hysteresis > narrowest / 2 > 0:
-                yield Problem((*path, "hysteresis"), f"= {axis.hysteresis:g} must be at most half of the "
-                              f"narrowest region, {narrowest / 2:g} {unit}")  # fmt: skip
+                yield Problem(
+                    (*path, "hysteresis"),
+                    f"= {axis.hysteresis:g} must be at most half of the narrowest region, {narrowest / 2:g} {unit}",
+                )
 
     def _time_problems(self) -> Iterator[Problem]:
         sample = self.loop.sample_time_s
         for i, region in enumerate(self.schedule.region):
             tau_i = region.integral_time_s
             if tau_i is not None and tau_i < sample:
-                yield Problem(("schedule", "region", i, "tau_i_s"), f"= {tau_i:g} s must be at least "
-                              f"loop.sample_time_s = {sample:g} s")  # fmt: skip
+                yield Problem(
+                    ("schedule", "region", i, "tau_i_s"),
+                    f"= {tau_i:g} s must be at least loop.sample_time_s = {sample:g} s",
+                )
         wait = self.adaptation.wait_s
         if wait is not None and wait < sample:
             yield Problem(("adaptation", "wait_s"), f"= {wait:g} s must be at least loop.sample_time_s = {sample:g} s")
         if self.scenario is not None and self.scenario.duration_s < sample:
-            yield Problem(("scenario", "duration_s"), f"= {self.scenario.duration_s:g} s is shorter than one sample of "
-                          f"{sample:g} s")  # fmt: skip
+            yield Problem(
+                ("scenario", "duration_s"),
+                f"= {self.scenario.duration_s:g} s is shorter than one sample of {sample:g} s",
+            )
         yield from self._trial_problems()
 
     def _trial_problems(self) -> Iterator[Problem]:
         sample, confirm = self.loop.sample_time_s, self.device.confirm_within_s if self.device else 0.0
         least, most = (self.bus.probation_samples + CONFIRM_ROOM) * sample, SAMPLES_MAX * sample
         if confirm and not least <= confirm <= most:
-            yield Problem(("device", "confirm_within_s"), f"= {confirm:g} s must be 0, or {least:g} to {most:g} s: the "
-                          f"{self.bus.probation_samples} samples of probation and {CONFIRM_ROOM} more")  # fmt: skip
+            yield Problem(
+                ("device", "confirm_within_s"),
+                f"= {confirm:g} s must be 0, or {least:g} to {most:g} s: the "
+                f"{self.bus.probation_samples} samples of probation and {CONFIRM_ROOM} more",
+            )
 
     def _scenario_problems(self) -> Iterator[Problem]:
         for i, step in enumerate(self.scenario.steps if self.scenario else ()):
             if step.sp is not None and not self.loop.pv_min <= step.sp <= self.loop.pv_max:
-                yield Problem(("scenario", "steps", i, "sp"), f"= {step.sp:g} must lie in the pv range, "
-                              f"{self.loop.pv_min:g} to {self.loop.pv_max:g} {self.loop.pv_unit}")  # fmt: skip
+                yield Problem(
+                    ("scenario", "steps", i, "sp"),
+                    f"= {step.sp:g} must lie in the pv range, "
+                    f"{self.loop.pv_min:g} to {self.loop.pv_max:g} {self.loop.pv_unit}",
+                )

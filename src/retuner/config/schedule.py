@@ -25,34 +25,46 @@ class RegionConfig(Section):
 
     name: str = setting("Name of the region in reports", unit="-", text=(1, 32), source="the user")
     kc: float = setting(
-        "Controller gain of the named form, negative for a reverse-acting process", unit="%/pv", low=-1e9, high=1e9,
+        "Controller gain of the named form, negative for a reverse-acting process",
+        unit="%/pv",
+        low=-1e9,
+        high=1e9,
         source="the gains in force",
-    )  # fmt: skip
+    )
     tau_i_s: IntegralTime | Literal["none"] = setting(
         'Integral time of the named form, or "none" for no integral action', unit="s", source="the gains in force"
-    )  # fmt: skip
+    )
     tau_d_s: float = setting(
         "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the gains in force"
     )
     form: Literal["series", "ideal", "parallel"] = setting(
-        "Form of kc, tau_i_s and tau_d_s; parallel means the times are kp/ki and kd/kp", unit="-", default="series",
+        "Form of kc, tau_i_s and tau_d_s; parallel means the times are kp/ki and kd/kp",
+        unit="-",
+        default="series",
         source="SIMC's native form",
-    )  # fmt: skip
+    )
 
     cell: Many[Annotated[int, Field(ge=1, le=64)]] = setting(
         "With two axes the place on each, counted from 1; for all regions or for none (then row by row: the first "
-        "place on the first axis with all of the second, then the next)", unit="-", text=(0, 2), default=(),
+        "place on the first axis with all of the second, then the next)",
+        unit="-",
+        text=(0, 2),
+        default=(),
         source="the order in the file",
-    )  # fmt: skip
+    )
 
     mode: Literal["off", "advise", "trial", "auto"] | None = setting(
-        "What may be done in this region; absent: [adaptation] mode. --mode lowers it and does not raise it", unit="-",
-        default=None, source="user",
-    )  # fmt: skip
+        "What may be done in this region; absent: [adaptation] mode. --mode lowers it and does not raise it",
+        unit="-",
+        default=None,
+        source="user",
+    )
     locked: Many[Literal["kc", "tau_i", "tau_d"]] | None = setting(
-        "Parameters that stay as they are in this region; absent: those of [adaptation] locked", unit="-",
-        default=None, source="user",
-    )  # fmt: skip
+        "Parameters that stay as they are in this region; absent: those of [adaptation] locked",
+        unit="-",
+        default=None,
+        source="user",
+    )
 
     def problems(self) -> Iterator[Problem]:
         """Gains that a controller can have."""
@@ -79,31 +91,51 @@ class AxisConfig(Section):
         "Unit of the variable; absent: that of sp, pv or co", unit="-", text=(1, 16), default=None, source="[loop]"
     )
     range: Many[Edge] = setting(
-        "Lower and upper end of the variable; empty: those of sp, pv or co", unit="unit", text=(0, 2), default=(),
+        "Lower and upper end of the variable; empty: those of sp, pv or co",
+        unit="unit",
+        text=(0, 2),
+        default=(),
         source="[loop]",
-    )  # fmt: skip
+    )
     bounds: Many[float] = setting("Borders on the axis, increasing", unit="unit", default=(), source="the user")
     hysteresis: float = setting(
-        "How far beyond a border a place is kept", unit="unit", low=0, high=1e9, default=0.0,
+        "How far beyond a border a place is kept",
+        unit="unit",
+        low=0,
+        high=1e9,
+        default=0.0,
         source="more than the noise that the filter leaves",
-    )  # fmt: skip
+    )
     min_stay_s: float = setting("Shortest stay in a place", unit="s", low=0, high=1e6, default=0.0, source="the user")
     filter_s: float = setting(
-        "Time constant of the first-order filter of the variable; 0: none", unit="s", low=0, high=1e6, default=0.0,
+        "Time constant of the first-order filter of the variable; 0: none",
+        unit="s",
+        low=0,
+        high=1e6,
+        default=0.0,
         source="none for sp; some samples for what is noisy",
-    )  # fmt: skip
+    )
     dbc: str = setting(
         "With can: DBC file that describes the signal, relative to where the command runs; empty: the virtual device's "
-        "own plant.dbc", unit="-", text=(0, 1024), default="", source="the user",
-    )  # fmt: skip
+        "own plant.dbc",
+        unit="-",
+        text=(0, 1024),
+        default="",
+        source="the user",
+    )
     message: str = setting(
         "With can: name of the message in the DBC", unit="-", text=(0, 128), default="", source="the DBC"
     )
     signal: str = setting("With can: name of the signal in it", unit="-", text=(0, 128), default="", source="the DBC")
     stale_after_s: float = setting(
         "With can: age of the last value after which the variable is not known; the region stays then, and nothing is "
-        "learned", unit="s", above=0, high=1e6, default=STALE_AFTER_S, source="ten frames at one a second",
-    )  # fmt: skip
+        "learned",
+        unit="s",
+        above=0,
+        high=1e6,
+        default=STALE_AFTER_S,
+        source="ten frames at one a second",
+    )
 
     def problems(self) -> Iterator[Problem]:
         """Borders in order and within the range, and all that belongs to the variable."""
@@ -134,8 +166,9 @@ class AxisConfig(Section):
     def as_axis(self, unit: str, low: float, high: float) -> Axis:
         """The axis as the schedule room knows it; arguments as limits."""
         unit, low, high = self.limits(unit, low, high)
-        return Axis(self.variable, unit, low, self.bounds, high, self.hysteresis, self.min_stay_s, self.filter_s,
-                    self.signal)  # fmt: skip
+        return Axis(
+            self.variable, unit, low, self.bounds, high, self.hysteresis, self.min_stay_s, self.filter_s, self.signal
+        )
 
 
 NEEDED = (
@@ -158,18 +191,28 @@ class ScheduleConfig(Section):
         source="the user",
     )
     hysteresis: float = setting(
-        "How far beyond a border a region is kept", unit="pv or %", low=0, high=1e9, default=0.0,
+        "How far beyond a border a region is kept",
+        unit="pv or %",
+        low=0,
+        high=1e9,
+        default=0.0,
         source="more than the noise of the variable; 0 suits sp",
-    )  # fmt: skip
+    )
     min_stay_s: float = setting("Shortest stay in a region", unit="s", low=0, high=1e6, default=0.0, source="the user")
     filter_s: float = setting(
-        "Time constant of the first-order filter of the variable; 0: none", unit="s", low=0, high=1e6, default=0.0,
+        "Time constant of the first-order filter of the variable; 0: none",
+        unit="s",
+        low=0,
+        high=1e6,
+        default=0.0,
         source="none for sp; some samples for a noisy pv",
-    )  # fmt: skip
+    )
     lookup: Literal["hard", "interpolated"] = setting(
-        "hard: the gains of the region; interpolated: weighted between the regions' centres", unit="-", default="hard",
+        "hard: the gains of the region; interpolated: weighted between the regions' centres",
+        unit="-",
+        default="hard",
         source="the simplest to judge",
-    )  # fmt: skip
+    )
     axis: Many[AxisConfig] = setting(
         "One or two [[schedule.axis]] in place of the keys above", unit="-", text=(0, 2), default=(), source="the user"
     )
@@ -208,8 +251,11 @@ class ScheduleConfig(Section):
         counts = " x ".join(str(len(axis.bounds)) for axis in self.axes)
         made = prod(self.shape)
         if len(self.region) != made:
-            yield Problem(("region",), f"{len(self.region)} given, but {counts} bounds make {made} regions; "
-                          f"give {made} [[schedule.region]] or other bounds")  # fmt: skip
+            yield Problem(
+                ("region",),
+                f"{len(self.region)} given, but {counts} bounds make {made} regions; "
+                f"give {made} [[schedule.region]] or other bounds",
+            )
         for i, (low, high) in enumerate(pairwise(self.bounds), 1):
             if low >= high:
                 yield Problem(("bounds", i), f"= {high:g} must be greater than the bound before it, {low:g}")
@@ -229,8 +275,10 @@ class ScheduleConfig(Section):
                 yield Problem(("region", i, "name"), f"{region.name!r} is taken by another region; give each its own")
             seen.add(region.name)
             if region.kc * self.region[0].kc < 0:
-                yield Problem(("region", i, "kc"), f"= {region.kc:g} acts against the first region's "
-                              f"{self.region[0].kc:g}; all regions act one way")  # fmt: skip
+                yield Problem(
+                    ("region", i, "kc"),
+                    f"= {region.kc:g} acts against the first region's {self.region[0].kc:g}; all regions act one way",
+                )
 
     def _cell_problems(self) -> Iterator[Problem]:
         """Each cell once, or no cells at all."""
@@ -241,8 +289,10 @@ class ScheduleConfig(Section):
             if any(given) and not region.cell:
                 yield Problem(("region", i, "cell"), "is missing; give each region its cell, or none of them")
             elif region.cell and len(self.shape) == 1:
-                yield Problem(("region", i, "cell"), f"= [{shown}] has no meaning with one axis; order the regions "
-                              "from the lowest to the highest")  # fmt: skip
+                yield Problem(
+                    ("region", i, "cell"),
+                    f"= [{shown}] has no meaning with one axis; order the regions from the lowest to the highest",
+                )
             elif region.cell and not self._is_cell(region.cell):
                 most = ", ".join(map(str, self.shape))
                 yield Problem(("region", i, "cell"), f"= [{shown}] must be two numbers from 1 to {most}")

@@ -168,9 +168,9 @@ class DecisionView:
         return replace(model, theta_s=model.theta_s + self.sample_time_s / 2).linear()
 
 
-def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: float, lead_share: float = 0.25) -> (
-    Samples | None
-):  # fmt: skip
+def samples_of(
+    columns: Mapping[str, FloatArray], response: Document, end_s: float, lead_share: float = 0.25
+) -> Samples | None:
     """The samples of a response out of a trend: with a quarter of its length before it, in one region, without a gap.
 
     Without a response the last samples before the decision: what was seen when a trial was ended in mid-response.
@@ -199,8 +199,9 @@ def samples_of(columns: Mapping[str, FloatArray], response: Document, end_s: flo
 def _unbroken(region: FloatArray, t_s: FloatArray) -> int:
     """How many samples at the beginning belong to another region or lie before a gap."""
     gap = 3 * float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
-    cuts = [i + 1 for i, (a, b) in enumerate(pairwise(range(len(t_s))))
-            if region[a] != region[b] or t_s[b] - t_s[a] > gap]  # fmt: skip
+    cuts = [
+        i + 1 for i, (a, b) in enumerate(pairwise(range(len(t_s)))) if region[a] != region[b] or t_s[b] - t_s[a] > gap
+    ]
     return cuts[-1] if cuts else 0
 
 

@@ -37,14 +37,32 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Headings with the numbers under them; what is not here is in the JSON only, or under "other"."""
 SILENT_UP_TO = {
-    "at_low_limit": 0.0, "at_high_limit": 0.0, "still_share": 0.0, "quantum_pv": 0.0, "quantum_co": 0.0, "offset": 1.0,
+    "at_low_limit": 0.0,
+    "at_high_limit": 0.0,
+    "still_share": 0.0,
+    "quantum_pv": 0.0,
+    "quantum_co": 0.0,
+    "offset": 1.0,
     "compression_pv": 1.5,
-}  # fmt: skip
+}
 """Numbers that say nothing up to here, and are left to the JSON then."""
 OF_OSCILLATION = {
-    "period_s", "cycles", "regularity", "strength", "period_to_tau_i", "phase_deg", "amplitude_pv", "amplitude_co",
-    "triangle_co", "triangle_pv", "relay_pv", "tone_share", "distortion", "horch_drho", "stick_band",
-}  # fmt: skip
+    "period_s",
+    "cycles",
+    "regularity",
+    "strength",
+    "period_to_tau_i",
+    "phase_deg",
+    "amplitude_pv",
+    "amplitude_co",
+    "triangle_co",
+    "triangle_pv",
+    "relay_pv",
+    "tone_share",
+    "distortion",
+    "horch_drho",
+    "stick_band",
+}
 """Numbers for people only where the oscillation is regular: of a transient they say little."""
 REGULAR = 1.0
 """Regularity from which it is."""

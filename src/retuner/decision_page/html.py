@@ -61,8 +61,9 @@ def text_table(heads: Iterable[str], rows: Iterable[Iterable[object]], classes: 
 
 def pairs(rows: Sequence[tuple[str, object]]) -> str:
     """A table of names and values without a head; rows without a value are left out, and no rows are no table."""
-    lines = "".join(f"<tr><th>{escaped(name)}</th><td class=\"long\">{escaped(value)}</td></tr>"
-                    for name, value in rows if value)  # fmt: skip
+    lines = "".join(
+        f'<tr><th>{escaped(name)}</th><td class="long">{escaped(value)}</td></tr>' for name, value in rows if value
+    )
     return f'<table class="pairs">{lines}</table>' if lines else ""
 
 

@@ -6,23 +6,32 @@ from retuner.decision_page.html import paragraph, section, text_table
 from retuner.decision_page.row_values import Document, number, numbers_or_none, part, words
 
 MEASURES = {
-    "overshoot": ("overshoot (-E2/E1)", 100.0, " %"), "damping": ("damping", 1.0, ""),
-    "decay": ("ratio of successive peaks", 1.0, ""), "iae": ("IAE per unit of the upset", 1.0, ""),
-    "travel": ("travel of co per unit (told, not judged)", 1.0, ""), "settle_s": ("time to settle", 1.0, " s"),
+    "overshoot": ("overshoot (-E2/E1)", 100.0, " %"),
+    "damping": ("damping", 1.0, ""),
+    "decay": ("ratio of successive peaks", 1.0, ""),
+    "iae": ("IAE per unit of the upset", 1.0, ""),
+    "travel": ("travel of co per unit (told, not judged)", 1.0, ""),
+    "settle_s": ("time to settle", 1.0, " s"),
     "ms": ("Ms on every model that is still allowed, at least", 1.0, ""),
     "cost": ("IAE on them over that of the settings before, at least", 1.0, ""),
-}  # fmt: skip
+}
 """Numbers of a promise in words, with their factor and unit."""
 UPSETS = ("setpoint", "load")
-FINDINGS = {"better": "better than promised", "as_promised": "as promised", "worse": "worse than promised",
-            "inconclusive": "not judged"}  # fmt: skip
+FINDINGS = {
+    "better": "better than promised",
+    "as_promised": "as promised",
+    "worse": "worse than promised",
+    "inconclusive": "not judged",
+}
 
 
 def promise_section(view: DecisionView) -> str:
     """The promise that later responses are judged against."""
     promise = part(view.document, "promise")
-    rows = [(label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
-            for name, (label, factor, unit) in MEASURES.items()]  # fmt: skip
+    rows = [
+        (label, *(cell for upset in UPSETS for cell in _promised(promise, upset, name, factor, unit)))
+        for name, (label, factor, unit) in MEASURES.items()
+    ]
     rows = [row for row in rows if any(row[1:])]
     if not rows:
         return ""
@@ -37,8 +46,7 @@ def promise_section(view: DecisionView) -> str:
     heading = (
         "The promise of what was taken back" if view.undoes else "Promise, for the next responses to be judged against"
     )
-    return section(heading, text_table(heads, rows),
-                   paragraph(spread, "muted"))  # fmt: skip
+    return section(heading, text_table(heads, rows), paragraph(spread, "muted"))
 
 
 def _promised_ms(promise: Document) -> str:

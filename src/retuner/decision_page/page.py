@@ -25,10 +25,12 @@ MS_LIMIT = 1.8
 """Design limit of Ms, for the circle where the document names none (Astrom & Hagglund 2006: 1.4 to 2)."""
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
 BASES = {
-    "model": "from the process as known", "borrowed": "from the neighbours' process (borrowed)",
+    "model": "from the process as known",
+    "borrowed": "from the neighbours' process (borrowed)",
     "pattern": "from the pattern of the response, without a model",
-    "slow_oscillation": "from the slow oscillation, without a model", "pretune": "from a commanded step",
-}  # fmt: skip
+    "slow_oscillation": "from the slow oscillation, without a model",
+    "pretune": "from a commanded step",
+}
 """What a proposal rests on, in words."""
 FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
 """Groups of evidence that are shown at once; the others unfold."""
@@ -76,8 +78,11 @@ def badge(view: DecisionView) -> str:
 
 def ms_limit(view: DecisionView) -> float:
     """The limit of the nominal Ms that the guard held it to."""
-    limits = [number(check, "limit") for check in parts(view.verdict, "checks")
-              if words(check, "name").startswith("ms_nominal")]  # fmt: skip
+    limits = [
+        number(check, "limit")
+        for check in parts(view.verdict, "checks")
+        if words(check, "name").startswith("ms_nominal")
+    ]
     return next((limit for limit in limits if limit and limit > 1), MS_LIMIT)
 
 
@@ -95,9 +100,12 @@ def _how_it_ended(view: DecisionView) -> str:
         return ""
     band, start, end = (number(response, name) for name in ("band", "t_start_s", "t_end_s"))
     length = f"From {start:,.0f} to {end:,.0f} s. " if start is not None and end is not None else ""
-    endings = {"complete": "three peaks were verified", "quiet": "the error came to rest",
-               "timeout": "no further peak came within the waiting time",
-               "setpoint": "the next setpoint change cut it short"}  # fmt: skip
+    endings = {
+        "complete": "three peaks were verified",
+        "quiet": "the error came to rest",
+        "timeout": "no further peak came within the waiting time",
+        "setpoint": "the next setpoint change cut it short",
+    }
     ended = endings.get(words(response, "ending"), "")
     near = f" Errors below {band:.3g} {view.unit} count as none." if band is not None else ""
     return f"{length}It ended when {ended}.{near}" if ended else f"{length}{near}"
@@ -112,10 +120,13 @@ def _learned(view: DecisionView) -> str:
     surprise = words(view.document, "surprise").upper()
     rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, view.spread, view.unit)]
     none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
-    rows += [("records behind it", f"{records:.0f}" if records else none),
-             ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
-             ("the fit", words(view.estimate, "reason")), ("left by the fit", _residual(view)),
-             ("other models still allowed", str(len(view.allowed)) if view.allowed else "")]  # fmt: skip
+    rows += [
+        ("records behind it", f"{records:.0f}" if records else none),
+        ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
+        ("the fit", words(view.estimate, "reason")),
+        ("left by the fit", _residual(view)),
+        ("other models still allowed", str(len(view.allowed)) if view.allowed else ""),
+    ]
     if part(view.document, "known") and view.of_record:
         rows.append(("the record's own estimate", process_text(view.of_record)))
     return pairs(rows)
@@ -171,8 +182,14 @@ def _proposal(view: DecisionView) -> str:
     )
 
 
-SETTINGS_SHOWN = {"Kc (series)": ("kc", ""), "tau_I": ("tau_i", " s"), "tau_D": ("tau_d", " s"),
-                  "kp": ("kp", ""), "ki": ("ki", " /s"), "kd": ("kd", " s")}  # fmt: skip
+SETTINGS_SHOWN = {
+    "Kc (series)": ("kc", ""),
+    "tau_I": ("tau_i", " s"),
+    "tau_D": ("tau_d", " s"),
+    "kp": ("kp", ""),
+    "ki": ("ki", " /s"),
+    "kd": ("kd", " s"),
+}
 """Rows of the table of settings: label, name and unit; series form where it exists, and parallel, as it is sent."""
 
 
@@ -238,8 +255,14 @@ def _proof(view: DecisionView) -> str:
         mark = "passed" if passed is True else "NOT passed" if passed is False else ""
         words_ = words(check, "words") or words(check, "name").replace("_", " ")
         none = "unstable" if words(check, "name").startswith("ms_") else "none"
-        rows.append((escaped(words_), _value(check.get("value"), none), _value(check.get("limit"), "none"),
-                     f'<span class="{"good" if passed else "bad"}">{mark}</span>'))  # fmt: skip
+        rows.append(
+            (
+                escaped(words_),
+                _value(check.get("value"), none),
+                _value(check.get("limit"), "none"),
+                f'<span class="{"good" if passed else "bad"}">{mark}</span>',
+            )
+        )
     shown = table(("asked", "value", "limit", ""), rows) if rows else ""
     reason = words(verdict, "reason")
     return paragraph(f"{reason[:1].upper()}{reason[1:]}.") * bool(reason) + shown
@@ -266,9 +289,12 @@ def _margins(view: DecisionView) -> str:
 def _whereabouts(view: DecisionView) -> str:
     """Where the ledger has it."""
     loads = len(numbers(view.estimate, "loads"))
-    return pairs([
-        ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
-        ("gains in force then", settings_text(view.before) if view.before else ""),
-        ("code", words(view.document, "code")), ("load steps in the record", str(loads) if loads else ""),
-        ("the region then", words(view.document, "trial")),
-    ])  # fmt: skip
+    return pairs(
+        [
+            ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
+            ("gains in force then", settings_text(view.before) if view.before else ""),
+            ("code", words(view.document, "code")),
+            ("load steps in the record", str(loads) if loads else ""),
+            ("the region then", words(view.document, "trial")),
+        ]
+    )

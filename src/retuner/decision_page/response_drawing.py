@@ -54,8 +54,10 @@ def _draw(panels: list[Axes], view: DecisionView, samples: Samples) -> None:
     panels[-1].plot(*thinned(*steps(x, samples.co)), color=AFTER, lw=1.0)
     panels[-1].set_ylabel("co [%]")
     panels[-1].set_xlabel(f"{since} [{name}]")
-    marks = ((numbers(view.estimate, "loads"), "-.", "load step as the fit places it"),
-             (samples.changed_s, ":", "other gains run"))  # fmt: skip
+    marks = (
+        (numbers(view.estimate, "loads"), "-.", "load step as the fit places it"),
+        (samples.changed_s, ":", "other gains run"),
+    )
     for times, style, label in marks:
         for i, t_s in enumerate(times):
             for axes in panels:
@@ -89,8 +91,14 @@ def _peaks(axes: Axes, view: DecisionView, samples: Samples, zero: float, scale:
         axes.plot([at, at], [sp, sp - peak.e], color=SETPOINT, lw=0.9)
         axes.plot([at], [sp - peak.e], "o", color=SETPOINT, ms=4.5)
         below = peak.e > 0
-        axes.annotate(f"E{i} = {peak.e:.3g}", (at, sp - peak.e), (6, -LABEL_SHIFT if below else LABEL_SHIFT),
-                      textcoords="offset points", va="top" if below else "bottom", fontsize=9)  # fmt: skip
+        axes.annotate(
+            f"E{i} = {peak.e:.3g}",
+            (at, sp - peak.e),
+            (6, -LABEL_SHIFT if below else LABEL_SHIFT),
+            textcoords="offset points",
+            va="top" if below else "bottom",
+            fontsize=9,
+        )
 
 
 def _remainder(axes: Axes, view: DecisionView, samples: Samples, x: FloatArray) -> None:

@@ -45,8 +45,18 @@ def robustness_svg(view: DecisionView, ms_limit: float) -> str:
         return ""
     with settings(f"robustness {view.number}"):
         figure = Figure(figsize=(11.4, 4.1))
-        places = figure.add_gridspec(2, 3, width_ratios=(1.35, 1, 1), height_ratios=(1.7, 1), wspace=0.27, hspace=0.14,
-                                     left=0.055, right=0.985, top=0.85, bottom=0.12)  # fmt: skip
+        places = figure.add_gridspec(
+            2,
+            3,
+            width_ratios=(1.35, 1, 1),
+            height_ratios=(1.7, 1),
+            wspace=0.27,
+            hspace=0.14,
+            left=0.055,
+            right=0.985,
+            top=0.85,
+            bottom=0.12,
+        )
         _nyquist(figure.add_subplot(places[:, 0]), view, view.process, view.before, ms_limit)
         for column, load in ((1, False), (2, True)):
             top = figure.add_subplot(places[0, column])
@@ -69,16 +79,22 @@ def _nyquist(axes: Axes, view: DecisionView, process: LinearProcess, before: Pid
         assert tried is not None
         label = f"{name}, {len(others)} other model{'s' * (len(others) != 1)} still allowed" if not i else None
         axes.plot(*_curve(model, tried), color=AFTER, lw=0.6, alpha=0.45, label=label)
-    axes.plot(*_curve(process, before), color=BEFORE, lw=1.6, ls=(0, (4, 2)),
-              label=f"{old_name(view)}: {_ms(process, before)}")  # fmt: skip
+    axes.plot(
+        *_curve(process, before),
+        color=BEFORE,
+        lw=1.6,
+        ls=(0, (4, 2)),
+        label=f"{old_name(view)}: {_ms(process, before)}",
+    )
     if tried:
         axes.plot(*_curve(process, tried), color=AFTER, lw=1.8, label=f"{name}: {_ms(process, tried)}")
     axes.set_xlim(*REAL)
     axes.set_ylim(*IMAGINARY)
     axes.set_xlabel("real part of L(jw)")
     axes.set_ylabel("imaginary part")
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handlelength=1.8,
-                columnspacing=1.0)  # fmt: skip
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handlelength=1.8, columnspacing=1.0
+    )
 
 
 def old_name(view: DecisionView) -> str:
@@ -142,8 +158,10 @@ def _spread(
 ) -> None:
     """Between the lowest and the highest response of the other models."""
     t = np.linspace(0, until_s, 200)
-    found = [np.interp(t, one.t, one.pv, left=0.0) for one in
-             (step_response(model, gains, until_s, load=load) for model in models)]  # fmt: skip
+    found = [
+        np.interp(t, one.t, one.pv, left=0.0)
+        for one in (step_response(model, gains, until_s, load=load) for model in models)
+    ]
     if found:
         low, high = np.min(found, axis=0), np.max(found, axis=0)
         axes.fill_between(t / scale, low, high, color=AFTER, alpha=0.2, lw=0, label="other models")
@@ -159,8 +177,9 @@ def _frame(top: Axes, bottom: Axes, reach: list[StepResponse], unit: str, time: 
     top.set_ylabel(f"pv [{unit}]")
     bottom.set_ylabel("co [%]")
     bottom.set_xlabel(f"time [{time}]")
-    top.legend(loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3, borderaxespad=0.1, handlelength=1.6,
-               columnspacing=0.9)  # fmt: skip
+    top.legend(
+        loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3, borderaxespad=0.1, handlelength=1.6, columnspacing=0.9
+    )
 
 
 def _limit(axes: Axes, curves: list[FloatArray], lowest: float, highest: float) -> None:

@@ -27,12 +27,25 @@ _SIZE = re.compile(r'<svg ([^>]*?)width="[^"]*" height="[^"]*"', re.DOTALL)
 
 def settings(name: str) -> AbstractContextManager[None]:
     """The look of these drawings; name : tells the ids of one drawing on a page from those of another."""
-    return rc_context({
-        "svg.fonttype": "none", "text.parse_math": False, "font.size": 9.0, "axes.titlesize": 9.5,
-        "axes.spines.top": False, "axes.spines.right": False, "font.family": ["DejaVu Sans", "sans-serif"],
-        "axes.grid": True, "grid.alpha": 0.35, "grid.linewidth": 0.6, "axes.axisbelow": True,
-        "legend.frameon": False, "legend.fontsize": 8.5, "axes.xmargin": 0.0, "svg.hashsalt": name,
-    })  # fmt: skip
+    return rc_context(
+        {
+            "svg.fonttype": "none",
+            "text.parse_math": False,
+            "font.size": 9.0,
+            "axes.titlesize": 9.5,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "font.family": ["DejaVu Sans", "sans-serif"],
+            "axes.grid": True,
+            "grid.alpha": 0.35,
+            "grid.linewidth": 0.6,
+            "axes.axisbelow": True,
+            "legend.frameon": False,
+            "legend.fontsize": 8.5,
+            "axes.xmargin": 0.0,
+            "svg.hashsalt": name,
+        }
+    )
 
 
 def svg(figure: Figure, alt: str) -> str:

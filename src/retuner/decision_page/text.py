@@ -142,9 +142,12 @@ def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tu
     """Name and value with standard deviation of each parameter that the structure has; unit : of pv."""
     integrating = model.type in {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
     gain, per = ("k' (slope gain)", f" {unit}/(% s)") if integrating else ("k (gain)", f" {unit}/%")
-    rows = [(gain, "k", model.k, per),
-            ("tau1 (lag)", "tau1", model.tau1_s, " s"), ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
-            ("theta (dead time)", "theta", model.theta_s, " s")]  # fmt: skip
+    rows = [
+        (gain, "k", model.k, per),
+        ("tau1 (lag)", "tau1", model.tau1_s, " s"),
+        ("tau2 (second lag)", "tau2", model.tau2_s, " s"),
+        ("theta (dead time)", "theta", model.theta_s, " s"),
+    ]
     return [(label, f"{value:.4g}{_spread(value, std.get(name))}{unit}") for label, name, value, unit in rows if value]
 
 
@@ -162,10 +165,11 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
         columns += [found[0], *([max(found, key=lambda one: one.ms)] if view.allowed else [])]
     rows = []
     for label, name, unit, usual in (
-        ("Ms", "ms", "", "at most 1.8"), ("gain margin", "gm", "", "at least 2"),
+        ("Ms", "ms", "", "at most 1.8"),
+        ("gain margin", "gm", "", "at least 2"),
         ("phase margin", "pm_deg", " deg", "at least 45 deg"),
         ("delay margin", "delay_margin_s", " s", f"more than theta, {view.process.theta_s:.3g} s"),
-    ):  # fmt: skip
+    ):
         rows.append((label, *(_margin(one, name, unit) for one in columns), usual))
     return rows
 

@@ -162,9 +162,15 @@ def _read_setpoint(found: Findings, window: Window, question: Question) -> None:
         found.refused["two-step"] = str(refusal)
         return
     found.measured["overshoot"] = {
-        "dy_s": seen.dy_s, "dy_p": seen.dy_p, "dy_u": seen.dy_u, "t_p": seen.t_p_s, "dy_inf": seen.dy_inf,
-        "overshoot": seen.d, "b": seen.b, "a": seen.a,
-    }  # fmt: skip
+        "dy_s": seen.dy_s,
+        "dy_p": seen.dy_p,
+        "dy_u": seen.dy_u,
+        "t_p": seen.t_p_s,
+        "dy_inf": seen.dy_inf,
+        "overshoot": seen.d,
+        "b": seen.b,
+        "a": seen.a,
+    }
     if question.kc is None:
         found.refused["two-step"] = "the proportional gain of the experiment is not known; give --kc0"
         return

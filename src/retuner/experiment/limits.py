@@ -22,8 +22,10 @@ def cannot_begin(plan: Plan, rest: Rest, sample: LoopSample) -> Trouble | None:
     """No room for the amplitude, or the wrong mode."""
     low, high = plan.co_levels(rest.co)
     if not (plan.co_low <= low and high <= plan.co_high):
-        return Cause.NO_ROOM, (f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %, its range is "
-                               f"{plan.co_low:g} to {plan.co_high:g} %")  # fmt: skip
+        return Cause.NO_ROOM, (
+            f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %, its range is "
+            f"{plan.co_low:g} to {plan.co_high:g} %"
+        )
     if plan.kind == Kind.SETPOINT and sample.mode != LoopMode.AUTO:
         return Cause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual"
     return None
@@ -34,8 +36,10 @@ def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | No
     if excited_s <= plan.time_s:
         return None
     if plan.kind == Kind.RELAY and relay.switches < 2:
-        return Cause.NEVER_SWITCHED, (f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
-                                      "sign of the gains in force right?")  # fmt: skip
+        return Cause.NEVER_SWITCHED, (
+            f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
+            "sign of the gains in force right?"
+        )
     return Cause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
 
 

@@ -50,9 +50,18 @@ class OnDemandExperiment:
     """
 
     def __init__(
-        self, config: Config, plan: Plan, question: Question, folder: Path, ledger: Ledger, screen: RunScreen,
-        bench: Bench, *, yes: bool, as_json: bool,
-    ) -> None:  # fmt: skip
+        self,
+        config: Config,
+        plan: Plan,
+        question: Question,
+        folder: Path,
+        ledger: Ledger,
+        screen: RunScreen,
+        bench: Bench,
+        *,
+        yes: bool,
+        as_json: bool,
+    ) -> None:
         self._config, self._question, self._ledger = config, question, ledger
         self._screen, self._bench = screen, bench
         self._yes, self._as_json = yes, as_json
@@ -148,8 +157,10 @@ class OnDemandExperiment:
         for line in lines:
             self._screen.say(line)
         if conductor.phase is Phase.STRANDED:
-            sys.stderr.write(f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
-                             f"bring back by hand: {self._before_text()}\n")  # fmt: skip
+            sys.stderr.write(
+                f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
+                f"bring back by hand: {self._before_text()}\n"
+            )
 
     def _forbidden(self) -> str:
         """Why nobody may write these settings, empty when a person may."""

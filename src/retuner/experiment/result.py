@@ -52,7 +52,7 @@ class Outcome:
             "applied": self.written == "",
             "write": self.written,
             "folder": str(self.folder),
-        }  # fmt: skip
+        }
 
     def leave(self) -> None:
         """Write the files, each whole."""

@@ -68,9 +68,14 @@ class Conductor:
     """
 
     def __init__(
-        self, device: Device, plan: Plan, sample_time_s: float, silent_s: float, record: Recorder,
+        self,
+        device: Device,
+        plan: Plan,
+        sample_time_s: float,
+        silent_s: float,
+        record: Recorder,
         on_sample: Callable[[LoopSample, Phase], None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.device, self.plan = device, plan
         self.phase = Phase.CONNECTING
         self.cause: Cause | None = None
@@ -205,10 +210,13 @@ class Conductor:
             self.abort(*trouble)
             return
         work = {
-            Phase.CONNECTING: self._connect, Phase.RESTING: self._wait_for_rest,
+            Phase.CONNECTING: self._connect,
+            Phase.RESTING: self._wait_for_rest,
             Phase.PREPARING: self._wait_for_control,
-            Phase.EXCITING: self._excite, Phase.PARKING: self._park, Phase.RESTORING: self._verify,
-        }.get(self.phase)  # fmt: skip
+            Phase.EXCITING: self._excite,
+            Phase.PARKING: self._park,
+            Phase.RESTORING: self._verify,
+        }.get(self.phase)
         if work is not None:
             work(sample)
 
@@ -236,8 +244,17 @@ class Conductor:
         if trouble:
             self.abort(*trouble)
             return
-        self._note({"phase": "before", "gains": gains_dict(running.gains), "sp": sample.sp, "mode": sample.mode,
-                    "co": rest.co, "kind": self.plan.kind, "amplitude": self.plan.amplitude})  # fmt: skip
+        self._note(
+            {
+                "phase": "before",
+                "gains": gains_dict(running.gains),
+                "sp": sample.sp,
+                "mode": sample.mode,
+                "co": rest.co,
+                "kind": self.plan.kind,
+                "amplitude": self.plan.amplitude,
+            }
+        )
         if self.lost_ledger is None:
             self._move(Happening.AT_REST)
 

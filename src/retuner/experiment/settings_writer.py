@@ -65,8 +65,11 @@ class GainWriter:
             if device.connected and running is not None and not device.writing:
                 if running.gains != base:
                     return "another set runs by now than when these settings were shown"
-                self._record("intent", self._now_s, {"why": "experiment", "gains": gains_dict(gains),
-                                                     "base": running.seq, "before": gains_dict(base)})  # fmt: skip
+                self._record(
+                    "intent",
+                    self._now_s,
+                    {"why": "experiment", "gains": gains_dict(gains), "base": running.seq, "before": gains_dict(base)},
+                )
                 try:
                     self._seq = device.begin_write(gains, self._now_s)
                 except WriteRefusedError as refusal:
@@ -86,8 +89,12 @@ class GainWriter:
                     case Reverted():
                         return "the controller went back to its confirmed gains"
                     case WriteDone() if event.seq == self._seq:
-                        body = {"why": "experiment", "sequence": event.seq, "gains": gains_dict(event.gains),
-                                "crc": event.running.crc}  # fmt: skip
+                        body = {
+                            "why": "experiment",
+                            "sequence": event.seq,
+                            "gains": gains_dict(event.gains),
+                            "crc": event.running.crc,
+                        }
                         self._record("committed", self._now_s, body)
                         patience_s = self._now_s + CONFIRM_SAMPLES * self._dt_s
                         self._running = True

@@ -44,8 +44,13 @@ class Difference:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {"decision": self.decision, "row": self.row, "key": self.key, "recorded": self.recorded,
-                "replayed": self.replayed}  # fmt: skip
+        return {
+            "decision": self.decision,
+            "row": self.row,
+            "key": self.key,
+            "recorded": self.recorded,
+            "replayed": self.replayed,
+        }
 
 
 @dataclass(slots=True)

@@ -43,10 +43,15 @@ class RunScreen:
         self._unit = unit
         self._quiet = quiet
         self._progress = Progress(
-            TextColumn("[bold]{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
-            TextColumn("{task.fields[state]}"), TimeElapsedColumn(), console=console,
-            disable=quiet or not console.is_terminal, transient=True,
-        )  # fmt: skip
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.fields[state]}"),
+            TimeElapsedColumn(),
+            console=console,
+            disable=quiet or not console.is_terminal,
+            transient=True,
+        )
         self._task: TaskID | None = None
         self._samples = 0
 
@@ -134,6 +139,14 @@ def scores_table(scores: list[RegionScore], unit: str) -> Table:
         same = s.iae_fixed is None or s.iae == s.iae_fixed
         colour = "green" if s.iae_fixed is not None and s.iae < s.iae_fixed else "red"
         retuned = f"{s.iae:,.0f}" if same else f"[{colour}]{s.iae:,.0f}[/]"
-        table.add_row(escape(s.region), short_settings(s.before), short_settings(s.after), str(s.changes),
-                      ms_text(s.ms_before), ms_text(s.ms_after), fixed, retuned)  # fmt: skip
+        table.add_row(
+            escape(s.region),
+            short_settings(s.before),
+            short_settings(s.after),
+            str(s.changes),
+            ms_text(s.ms_before),
+            ms_text(s.ms_after),
+            fixed,
+            retuned,
+        )
     return table

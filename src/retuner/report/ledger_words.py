@@ -22,8 +22,20 @@ BY = {
 """Who stands behind a row, where it does not say so itself."""
 BY_ORDER = {"approved", "ordered_back"}
 """Codes of decisions that a person stands behind; the order before them says who."""
-HIDDEN = {"samples", "gains", "before", "reason", "region", "why", "by", "decision", "proposal", "crc", "running",
-          "record"}  # fmt: skip
+HIDDEN = {
+    "samples",
+    "gains",
+    "before",
+    "reason",
+    "region",
+    "why",
+    "by",
+    "decision",
+    "proposal",
+    "crc",
+    "running",
+    "record",
+}
 """Values of other rows that have a column of their own, or say nothing to a person."""
 
 
@@ -83,8 +95,13 @@ def _decision(body: Document) -> Words:
     judgement = words(part(body, "judgement"), "reason")
     evidence = " | ".join(text for text in (response_text(body), cause_text(body), model_text(body)) if text)
     title = f"{words(body, 'action')} {int(number(body, 'number') or 0)}: {words(body, 'reason')}"
-    return (title, _settings(body, "gains_before"), _settings(body, "gains_after") if changes else "", evidence,
-            " | ".join(text for text in (proof, judgement) if text))  # fmt: skip
+    return (
+        title,
+        _settings(body, "gains_before"),
+        _settings(body, "gains_after") if changes else "",
+        evidence,
+        " | ".join(text for text in (proof, judgement) if text),
+    )
 
 
 def _write(body: Document) -> Words:
@@ -107,8 +124,10 @@ def _order(body: Document) -> Words:
 def _trial(body: Document) -> Words:
     """A change that is on trial now, and what it promises."""
     promised = part(body, "promise")
-    pairs = [(upset, *(numbers(part(promised, name), "iae") for name in (upset, f"{upset}_before")))
-             for upset in ("setpoint", "load")]  # fmt: skip
+    pairs = [
+        (upset, *(numbers(part(promised, name), "iae") for name in (upset, f"{upset}_before")))
+        for upset in ("setpoint", "load")
+    ]
     told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
     verdict = f"promises IAE per unit of {', '.join(told)}" if told else ""
     return "on trial", _settings(body, "verified"), _settings(body, "gains"), _digest(body), verdict
@@ -145,9 +164,16 @@ def _other(body: Document) -> Words:
 
 
 WORDS: dict[str, Callable[[Document], Words]] = {
-    "decision": _decision, "intent": _write, "committed": _write, "refused": _write, "order": _order,
-    "session": _session, "trial": _trial, "judged": _judged, "restore": _restore,
-}  # fmt: skip
+    "decision": _decision,
+    "intent": _write,
+    "committed": _write,
+    "refused": _write,
+    "order": _order,
+    "session": _session,
+    "trial": _trial,
+    "judged": _judged,
+    "restore": _restore,
+}
 
 
 def _settings(body: Document, name: str) -> str:

@@ -32,8 +32,15 @@ def _bands(axes: Axes, hours: np.ndarray, region: np.ndarray, regions: Regions) 
         axes.axvspan(hours[start], hours[end], color=BANDS[i % len(BANDS)], lw=0)
         if i not in named and hours[end] - hours[start] > 0.05 * (hours[-1] - hours[0]):
             named.add(i)
-            axes.text((hours[start] + hours[end]) / 2, 1.01, regions.names[i], transform=axes.get_xaxis_transform(),
-                      ha="center", va="bottom", fontsize=10)  # fmt: skip
+            axes.text(
+                (hours[start] + hours[end]) / 2,
+                1.01,
+                regions.names[i],
+                transform=axes.get_xaxis_transform(),
+                ha="center",
+                va="bottom",
+                fontsize=10,
+            )
 
 
 def time_axis(t_s: np.ndarray) -> tuple[np.ndarray, str]:

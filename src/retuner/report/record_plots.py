@@ -63,8 +63,18 @@ def record_png(picture: RecordPicture) -> bytes:
     figure = Figure(figsize=(15, 8.2))
     figure.suptitle(picture.title, x=0.06, ha="left", fontsize=14, weight="bold")
     figure.text(0.06, 0.935, picture.subtitle, ha="left", va="top", fontsize=10.5, wrap=True)
-    grid = figure.add_gridspec(3, 2, width_ratios=(2.1, 1), height_ratios=(2, 1.3, 1), hspace=0.12, wspace=0.08,
-                               left=0.06, right=0.955, top=0.88, bottom=0.07)  # fmt: skip
+    grid = figure.add_gridspec(
+        3,
+        2,
+        width_ratios=(2.1, 1),
+        height_ratios=(2, 1.3, 1),
+        hspace=0.12,
+        wspace=0.08,
+        left=0.06,
+        right=0.955,
+        top=0.88,
+        bottom=0.07,
+    )
     top = figure.add_subplot(grid[0, 0])
     middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
     x, unit = time_axis(picture.window.t_s)

@@ -40,16 +40,28 @@ def regions_now(names: Sequence[str], decisions: Sequence[Document]) -> list[Reg
 
 def _region(name: str, own: list[Document]) -> RegionNow:
     """One region out of its decisions."""
-    known = next((one for one in reversed(own) if decided_on(one) is not None
-                  and (number(one, "records") or part(one, "known"))), {})  # fmt: skip
+    known = next(
+        (
+            one
+            for one in reversed(own)
+            if decided_on(one) is not None and (number(one, "records") or part(one, "known"))
+        ),
+        {},
+    )
     judged = next((one for one in reversed(own) if part(one, "diagnosis")), {})
     changed = [one for one in own if words(one, "action") == "commit"]
     last = own[-1] if own else {}
     return RegionNow(
-        name, len(own), len(changed), sum(words(one, "action") == "restore" for one in own),
-        cause_text(judged) if judged else "", model_text(known) if known else "",
-        bool(changed) and words(changed[-1], "basis") == BORROWED, words(last, "trial"), words(last, "mode"),
-    )  # fmt: skip
+        name,
+        len(own),
+        len(changed),
+        sum(words(one, "action") == "restore" for one in own),
+        cause_text(judged) if judged else "",
+        model_text(known) if known else "",
+        bool(changed) and words(changed[-1], "basis") == BORROWED,
+        words(last, "trial"),
+        words(last, "mode"),
+    )
 
 
 def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[str] = ()) -> str:
@@ -58,17 +70,22 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
     advice : sentences that propose to split or merge regions.
     """
     names = table.regions.names
-    rows = [(now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
-            for now in regions_now(names, decisions)]  # fmt: skip
+    rows = [
+        (now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
+        for now in regions_now(names, decisions)
+    ]
     heads = ("region", "responses", "process as known", "last cause", "state")
     return text_table(heads, rows) + "".join(map(paragraph, advice)) + _grid(table)
 
 
 def _marks(now: RegionNow) -> str:
     """What a person should know of a region besides."""
-    told = [f"mode {now.mode}" if now.mode else "", now.trial if now.trial != IDLE else "",
-            "settings borrowed from a neighbour's model" if now.borrowed else "",
-            f"{now.undone} undone" if now.undone else ""]  # fmt: skip
+    told = [
+        f"mode {now.mode}" if now.mode else "",
+        now.trial if now.trial != IDLE else "",
+        "settings borrowed from a neighbour's model" if now.borrowed else "",
+        f"{now.undone} undone" if now.undone else "",
+    ]
     return ", ".join(one for one in told if one)
 
 
@@ -79,7 +96,14 @@ def _grid(table: GainTable) -> str:
         return ""
     down, across = regions.axes
     heads = (f"{down.label} \\ {across.label}", *(across.text(j) for j in range(len(across))))
-    rows = [(down.text(i), *(f"{regions.names[at]}: {settings_text(table.gains_of(at))}"
-                             for at in range(i * len(across), (i + 1) * len(across))))
-            for i in range(len(down))]  # fmt: skip
+    rows = [
+        (
+            down.text(i),
+            *(
+                f"{regions.names[at]}: {settings_text(table.gains_of(at))}"
+                for at in range(i * len(across), (i + 1) * len(across))
+            ),
+        )
+        for i in range(len(down))
+    ]
     return f"<h3>{escaped('Settings over both variables')}</h3>{text_table(heads, rows)}"

@@ -59,8 +59,10 @@ class ReportData:
 def render(data: ReportData) -> str:
     """The page as text."""
     documents = [document_of(decision) for decision in data.decisions]
-    views = [view_of(one, data.run, data.unit, later=what_came_of(one, documents))
-             for one in worth_pages(documents, MOST_PAGES)]  # fmt: skip
+    views = [
+        view_of(one, data.run, data.unit, later=what_came_of(one, documents))
+        for one in worth_pages(documents, MOST_PAGES)
+    ]
     body = [
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
         paragraph(_lead(data, documents), "lead"),
@@ -68,18 +70,23 @@ def render(data: ReportData) -> str:
         _scores_table(data),
         overview(data.after, documents, data.advice),
         "<h2>The whole run</h2>",
-        image(trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit, _undone(documents)),
-              "Trend with region bands"),
+        image(
+            trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit, _undone(documents)),
+            "Trend with region bands",
+        ),
         _twins(data),
         "<h2>Decisions</h2>",
-        paragraph("One row per recognised response; rows that write or advise other gains are shaded. A number with a "
-                  "link has a page that shows the whole reasoning.", "muted"),
+        paragraph(
+            "One row per recognised response; rows that write or advise other gains are shaded. A number with a "
+            "link has a page that shows the whole reasoning.",
+            "muted",
+        ),
         _decisions_table(documents, {view.number for view in views}),
         _pages(views),
         "<h2>Provenance</h2>",
         table(("what", "value"), ((escaped(k), f"<code>{escaped(v)}</code>") for k, v in data.facts.items())),
         OPEN_TARGET if views else "",
-    ]  # fmt: skip
+    ]
     return html_document(f"{data.loop}: retuning report", "".join(body))
 
 
@@ -126,25 +133,43 @@ def ms_text(ms: float | None) -> str:
 
 def _scores_table(data: ReportData) -> str:
     unit = escaped(data.unit)
-    heads = ("region", "commissioned gains", "final gains", "changes", "Ms before", "Ms after",
-             f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")  # fmt: skip
+    heads = (
+        "region",
+        "commissioned gains",
+        "final gains",
+        "changes",
+        "Ms before",
+        "Ms after",
+        f"IAE fixed [{unit} s]",
+        f"IAE retuned [{unit} s]",
+    )
     rows = []
     for s in data.scores:
         fixed = s.iae if s.iae_fixed is None else s.iae_fixed
         mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
-        rows.append((*map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
-                     ms_text(s.ms_before), ms_text(s.ms_after), "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
-                     f'<span class="{mark}">{s.iae:,.0f}</span>'))  # fmt: skip
-    note = ('<p class="muted">Settings in series form unless marked. Ms is the peak of the sensitivity on the true '
-            "process, the largest over the operating points visited; 1.8 is the limit.</p>")  # fmt: skip
+        rows.append(
+            (
+                *map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
+                ms_text(s.ms_before),
+                ms_text(s.ms_after),
+                "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
+                f'<span class="{mark}">{s.iae:,.0f}</span>',
+            )
+        )
+    note = (
+        '<p class="muted">Settings in series form unless marked. Ms is the peak of the sensitivity on the true '
+        "process, the largest over the operating points visited; 1.8 is the limit.</p>"
+    )
     return table(heads, rows) + note
 
 
 def _twins(data: ReportData) -> str:
     """The same step before and after, per region."""
     names = data.after.regions.names
-    images = [image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
-              for twin in twin_steps(data.run, data.events)]  # fmt: skip
+    images = [
+        image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
+        for twin in twin_steps(data.run, data.events)
+    ]
     if not images:
         return ""
     return f'<h2>The same step, first and last time</h2><div class="twins">{"".join(images)}</div>'
@@ -158,8 +183,15 @@ def _decisions_table(documents: Sequence[Document], paged: set[int]) -> str:
         name = f"{number(document, 'number') or 0:.0f}"
         link = f'<a href="#{_anchor(int(name))}">{name}</a>' if int(name) in paged else name
         when = f"{number(document, 't_s') or 0.0:,.0f}"
-        told = (when, words(document, "region"), response_text(document), cause_text(document),
-                words(document, "reason"), model_text(document), change_text(document))  # fmt: skip
+        told = (
+            when,
+            words(document, "region"),
+            response_text(document),
+            cause_text(document),
+            words(document, "reason"),
+            model_text(document),
+            change_text(document),
+        )
         rows.append((link, *map(escaped, told)))
         classes.append("" if words(document, "action") == "none" else "commit")
     return table(heads, rows, classes)
@@ -175,8 +207,11 @@ def _pages(views: list[DecisionView]) -> str:
     if not views:
         return ""
     left = len(views) == MOST_PAGES
-    note = (f"The newest {MOST_PAGES} decisions that propose, write, restore or were refused by the proof."
-            if left else "Every decision that proposes, writes, restores or was refused by the proof.")  # fmt: skip
+    note = (
+        f"The newest {MOST_PAGES} decisions that propose, write, restore or were refused by the proof."
+        if left
+        else "Every decision that proposes, writes, restores or was refused by the proof."
+    )
     more = f" {note} `retuner report FOLDER --decision N` makes the page of any other."
     return f"<h2>Decision pages</h2>{paragraph(more.strip(), 'muted')}{''.join(map(_folded, views))}"
 
@@ -184,5 +219,6 @@ def _pages(views: list[DecisionView]) -> str:
 def _folded(view: DecisionView) -> str:
     """A page that opens with a click on its line."""
     line = f"{view.number}. {view.t_s:,.0f} s, {words(view.document, 'region')}: {one_line(view.document)}"
-    return (f'<details class="page" id="{_anchor(view.number)}"><summary>{escaped(line)}</summary>'
-            f"{article(view)}</details>")  # fmt: skip
+    return (
+        f'<details class="page" id="{_anchor(view.number)}"><summary>{escaped(line)}</summary>{article(view)}</details>'
+    )

@@ -44,12 +44,17 @@ class RegionScore:
     def to_dict(self) -> dict[str, object]:
         """Plain values; an infinite Ms (unstable) is null with stable_... false."""
         return {
-            "region": self.region, "before": gains_dict(self.before), "after": gains_dict(self.after),
+            "region": self.region,
+            "before": gains_dict(self.before),
+            "after": gains_dict(self.after),
             "changes": self.changes,
-            "ms_before": _finite(self.ms_before), "ms_after": _finite(self.ms_after),
-            "stable_before": _stable(self.ms_before), "stable_after": _stable(self.ms_after),
-            "iae": self.iae, "iae_fixed": self.iae_fixed,
-        }  # fmt: skip
+            "ms_before": _finite(self.ms_before),
+            "ms_after": _finite(self.ms_after),
+            "stable_before": _stable(self.ms_before),
+            "stable_after": _stable(self.ms_after),
+            "iae": self.iae,
+            "iae_fixed": self.iae_fixed,
+        }
 
 
 def _finite(value: float | None) -> float | None:
@@ -61,9 +66,16 @@ def _stable(value: float | None) -> bool | None:
 
 
 def region_scores(
-    before: GainTable, after: GainTable, commits: list[tuple[float, int]], run: Columns, fixed: Columns | None,
-    linearise: Linearise | None, half_sample_s: float, tau_f_s: float = 0.0, loads: FloatArray | None = None,
-) -> list[RegionScore]:  # fmt: skip
+    before: GainTable,
+    after: GainTable,
+    commits: list[tuple[float, int]],
+    run: Columns,
+    fixed: Columns | None,
+    linearise: Linearise | None,
+    half_sample_s: float,
+    tau_f_s: float = 0.0,
+    loads: FloatArray | None = None,
+) -> list[RegionScore]:
     """Score every region.
 
     before, after : gain tables. commits : (time, region) of each change. run, fixed : trends by column.

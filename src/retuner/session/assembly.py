@@ -121,8 +121,15 @@ def make_plant(config: Config) -> Plant:
     if isinstance(plant, BoilerPlantConfig):
         return BoilerPlant(plant.settings(), plant.start_c, seed)
     process = LinearProcess(plant.k, plant.lags_s, plant.leads_s, plant.theta_s, plant.integrators)
-    return LinearPlant(process, start_pv=plant.start_pv, start_co=plant.start_co_pct, noise=plant.noise, seed=seed,
-                       co_min=config.loop.co_min_pct, co_max=config.loop.co_max_pct)  # fmt: skip
+    return LinearPlant(
+        process,
+        start_pv=plant.start_pv,
+        start_co=plant.start_co_pct,
+        noise=plant.noise,
+        seed=seed,
+        co_min=config.loop.co_min_pct,
+        co_max=config.loop.co_max_pct,
+    )
 
 
 def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
@@ -181,8 +188,14 @@ def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
     """How to open the bus; patience is in the far side's seconds."""
     bus = config.bus
     patience = max(10.0 * speed, 10.0 * config.loop.sample_time_s)
-    return LinkSettings(bus.interface, bus.channel, bus.hop_limit, silent_after_s=patience,
-                        reopen_first_s=0.2 * speed, reopen_max_s=5.0 * speed)  # fmt: skip
+    return LinkSettings(
+        bus.interface,
+        bus.channel,
+        bus.hop_limit,
+        silent_after_s=patience,
+        reopen_first_s=0.2 * speed,
+        reopen_max_s=5.0 * speed,
+    )
 
 
 def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:

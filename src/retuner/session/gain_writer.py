@@ -132,8 +132,13 @@ class GainWriter:
         write, self._under_way = self._under_way, None
         if write is None:
             return
-        body = {"why": write.why, "region": self._name(write.region), "sequence": event.seq,
-                "gains": gains_dict(event.gains), "crc": event.running.crc}  # fmt: skip
+        body = {
+            "why": write.why,
+            "region": self._name(write.region),
+            "sequence": event.seq,
+            "gains": gains_dict(event.gains),
+            "crc": event.running.crc,
+        }
         mixed = self.retuner.table.lookup == Lookup.INTERPOLATED
         stored = write.stored if mixed and write.stored is not None else event.gains
         if write.why == Why.RETUNE and mixed:
@@ -148,9 +153,13 @@ class GainWriter:
         self.commits.append((self.t_s, write.region))
         trial = self.retuner.desk.trial(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
-            row = {"region": self._name(write.region), "gains": gains_dict(stored),
-                   "verified": gains_dict(trial.old), "promise": trial.promise.to_dict() if trial.promise else None,
-                   "decision": write.decision.digest() if write.decision else None}  # fmt: skip
+            row = {
+                "region": self._name(write.region),
+                "gains": gains_dict(stored),
+                "verified": gains_dict(trial.old),
+                "promise": trial.promise.to_dict() if trial.promise else None,
+                "decision": write.decision.digest() if write.decision else None,
+            }
             self._record("trial", self.t_s, row)
 
     def failed(self, event: WriteFailed, now_s: float) -> TrialEvent | None:
@@ -172,9 +181,14 @@ class GainWriter:
         Leaving gains in force that nothing vouches for would be worse than a missing row.
         """
         decision = wanted.decision
-        body = {"why": wanted.why, "region": self._name(wanted.region), "gains": gains_dict(wanted.gains),
-                "base": running.seq, "before": gains_dict(running.gains),
-                "decision": decision.digest() if decision else None}  # fmt: skip
+        body = {
+            "why": wanted.why,
+            "region": self._name(wanted.region),
+            "gains": gains_dict(wanted.gains),
+            "base": running.seq,
+            "before": gains_dict(running.gains),
+            "decision": decision.digest() if decision else None,
+        }
         self._record("intent", self.t_s, body)
         if self.frozen and wanted.why != Why.RESTORE:
             return
@@ -206,8 +220,12 @@ class GainWriter:
         """What the controller reports is the verified set: recorded, and told."""
         desk = self.retuner.desk
         regions = desk.restoring
-        body = {"regions": [self._name(region) for region in regions], "gains": gains_dict(running.gains),
-                "sequence": running.seq, "crc": running.crc}  # fmt: skip
+        body = {
+            "regions": [self._name(region) for region in regions],
+            "gains": gains_dict(running.gains),
+            "sequence": running.seq,
+            "crc": running.crc,
+        }
         self._record("restored", self.t_s, body)
         self._refusals = 0
         self._restore_at_s = float("-inf")
@@ -258,8 +276,16 @@ class GainWriter:
     def _dropped(self, wanted: Wanted, reason: str) -> None:
         """A decision is not written: recorded, and told."""
         if wanted.decision is not None:
-            self._record("dropped", self.t_s, {"why": wanted.why, "region": self._name(wanted.region),
-                                               "decision": wanted.decision.digest(), "reason": reason})  # fmt: skip
+            self._record(
+                "dropped",
+                self.t_s,
+                {
+                    "why": wanted.why,
+                    "region": self._name(wanted.region),
+                    "decision": wanted.decision.digest(),
+                    "reason": reason,
+                },
+            )
             self.retuner.not_written(wanted.region)
 
     def _give_up(
@@ -270,8 +296,13 @@ class GainWriter:
         if wanted.why == Why.RESTORE:
             self._restore_at_s = now_s + self._span_s(RESTORE_RETRY_SAMPLES << min(self._refusals, RESTORE_DOUBLINGS))
             self._refusals += 1
-        body = {"why": wanted.why, "region": self._name(wanted.region), "reason": reason,
-                "running": gains_dict(running) if running else None, "unchanged": not written}  # fmt: skip
+        body = {
+            "why": wanted.why,
+            "region": self._name(wanted.region),
+            "reason": reason,
+            "running": gains_dict(running) if running else None,
+            "unchanged": not written,
+        }
         self._record("refused", self.t_s, body)
         if wanted.why == Why.RETUNE and not written:
             self.retuner.not_written(wanted.region)

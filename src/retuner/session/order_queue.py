@@ -70,8 +70,11 @@ class Shown:
 
     def open(self, expires_after_s: float) -> list[Proposal]:
         """The ones that could be taken up, were they not superseded, and nobody has approved yet, oldest first."""
-        return [p for p in self.proposals.values()
-                if p.digest not in self.approved and self.standing(p, expires_after_s) is Standing.OPEN]  # fmt: skip
+        return [
+            p
+            for p in self.proposals.values()
+            if p.digest not in self.approved and self.standing(p, expires_after_s) is Standing.OPEN
+        ]
 
 
 def superseded(successor: str) -> str:
@@ -121,8 +124,9 @@ def _decision(found: Shown, body: Mapping[str, Any]) -> None:
     found.in_force[region] = before
     if body["action"] == Action.ADVISE and body["gains_after"] is not None:
         found.newest[region] = digest
-        found.proposals[digest] = Proposal(digest, number, region, float(body["t_s"]), before,
-                                           gains_of(body["gains_after"]), body.get("promise"))  # fmt: skip
+        found.proposals[digest] = Proposal(
+            digest, number, region, float(body["t_s"]), before, gains_of(body["gains_after"]), body.get("promise")
+        )
     elif body["action"] == Action.COMMIT:
         found.tried[digest] = region
 
@@ -174,9 +178,14 @@ class OrderDesk:
     """
 
     def __init__(
-        self, box: OrderBox, retuner: Retuner, record: Recorder, decisions: Reversible[Decision],
-        expires_after_s: float, before: Before | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        box: OrderBox,
+        retuner: Retuner,
+        record: Recorder,
+        decisions: Reversible[Decision],
+        expires_after_s: float,
+        before: Before | None = None,
+    ) -> None:
         self._box = box
         self._retuner = retuner
         self._record = record

@@ -84,8 +84,15 @@ class Order:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {"order": str(self.kind), "by": self.by, "at": self.at, "note": self.note, "digest": self.digest,
-                "decision": self.decision, "region": self.region}  # fmt: skip
+        return {
+            "order": str(self.kind),
+            "by": self.by,
+            "at": self.at,
+            "note": self.note,
+            "digest": self.digest,
+            "decision": self.decision,
+            "region": self.region,
+        }
 
     @classmethod
     def from_dict(cls, body: Mapping[str, Any]) -> "Order":
@@ -104,8 +111,15 @@ class Order:
                 raise ValueError(f"{name} must be {'text' if kind is str else 'a whole number'}")
         if body["order"] not in tuple(OrderKind):
             raise ValueError(f"order must be {', '.join(OrderKind)}")
-        return cls(OrderKind(body["order"]), body["by"], body["at"], body["note"], body["digest"], body["decision"],
-                   body["region"])  # fmt: skip
+        return cls(
+            OrderKind(body["order"]),
+            body["by"],
+            body["at"],
+            body["note"],
+            body["digest"],
+            body["decision"],
+            body["region"],
+        )
 
 
 def put_order(session: Path, order: Order) -> Path:

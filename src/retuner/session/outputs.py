@@ -14,8 +14,14 @@ from retuner.files import sync_folder, write_whole
 from retuner.ledger.lock import WriterLock
 
 LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
-    "ledger.sqlite", "report.html", "summary.json", "gains.toml", "bus.blf", "trend", "config.toml",
-)  # fmt: skip
+    "ledger.sqlite",
+    "report.html",
+    "summary.json",
+    "gains.toml",
+    "bus.blf",
+    "trend",
+    "config.toml",
+)
 ORDERS = "orders"
 OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG}
 

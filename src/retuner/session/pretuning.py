@@ -100,8 +100,10 @@ class Pretuning:
             raise conductor.lost_ledger
         if conductor.phase is Phase.STRANDED:
             before = conductor.before
-            raise UserError(f"pretune: NOT RESTORED ({conductor.text}), the run does not begin; bring back by hand: "
-                            f"{before.words if before else 'the state of before'}")  # fmt: skip
+            raise UserError(
+                f"pretune: NOT RESTORED ({conductor.text}), the run does not begin; bring back by hand: "
+                f"{before.words if before else 'the state of before'}"
+            )
         if conductor.cause is Cause.INTERRUPTED:
             raise KeyboardInterrupt
         if conductor.cause is not None and not conductor.touched:
@@ -110,8 +112,10 @@ class Pretuning:
             self._say(f"pretune aborted: {conductor.text}; {conductor.phase.value}; the run goes on without it")
             return
         self._samples = conductor.excited
-        self._say(f"pretune: a step of {self._plan.amplitude:g} % of co, {len(self._samples)} samples; "
-                  f"{conductor.phase.value}")  # fmt: skip
+        self._say(
+            f"pretune: a step of {self._plan.amplitude:g} % of co, {len(self._samples)} samples; "
+            f"{conductor.phase.value}"
+        )
 
     def _note(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """A row of the step. It stands before the session's first sample, so its own time goes into the row."""

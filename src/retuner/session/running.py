@@ -106,10 +106,17 @@ class Run:
     """
 
     def __init__(
-        self, config: Config, record: Recorder, *, mode: Mode | None = None, log: Path | None = None,
+        self,
+        config: Config,
+        record: Recorder,
+        *,
+        mode: Mode | None = None,
+        log: Path | None = None,
         on_sample: Callable[[Session, LoopSample], None] | None = None,
-        folder: Path | None = None, before: Path | None = None, tell: Callable[[str], None] | None = None,
-    ) -> None:  # fmt: skip
+        folder: Path | None = None,
+        before: Path | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         self.config = config
         self.mode = mode
         self._record = record
@@ -214,9 +221,13 @@ class Run:
         session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled)
         if self._folder is not None:
             session.orders = OrderDesk(
-                OrderBox(self._folder), retuner, self._record, session.decisions, self.config.adaptation.approval_s,
+                OrderBox(self._folder),
+                retuner,
+                self._record,
+                session.decisions,
+                self.config.adaptation.approval_s,
                 left_before(self._before),
-            ).take  # fmt: skip
+            ).take
         if self._pretuning is not None:
             session.orders = self._pretuning.decisions(retuner, session.orders)
         self.session = session
@@ -248,6 +259,8 @@ def real_time_speed(text: str, *, simulated: bool) -> float:
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {text}: give max, or a positive number (1 is real time)")
     if simulated:
-        raise UserError("--speed: the virtual bus runs in simulated time as fast as it goes; leave the option out, or "
-                        "give --interface of a bus on which `retuner device` runs")  # fmt: skip
+        raise UserError(
+            "--speed: the virtual bus runs in simulated time as fast as it goes; leave the option out, or "
+            "give --interface of a bus on which `retuner device` runs"
+        )
     return speed

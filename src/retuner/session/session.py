@@ -169,8 +169,13 @@ class Session:
                 "judged", decision.t_s, {"region": decision.region, **judged.to_dict(), "trial": decision.trial}
             )
         if decision.action == Action.RESTORE and decision.gains_after is not None:
-            body = {"region": decision.region, "cause": decision.code.removeprefix("undo_"), "reason": decision.reason,
-                    "gains": gains_dict(decision.gains_after), "decision": decision.digest()}  # fmt: skip
+            body = {
+                "region": decision.region,
+                "cause": decision.code.removeprefix("undo_"),
+                "reason": decision.reason,
+                "gains": gains_dict(decision.gains_after),
+                "decision": decision.digest(),
+            }
             self._record("restore", decision.t_s, body)
         elif decision.action == Action.COMMIT:
             self.writer.ask(decision)
@@ -221,7 +226,10 @@ class Session:
             self.left_open = "the controller has not reported that it runs the verified gains"
             running = self.device.running
             names = self.table.regions.names
-            body = {"regions": [names[region] for region in (*desk.undecided, *desk.restoring)],
-                    "write_open": self.writer.open, "running": gains_dict(running.gains) if running else None,
-                    "reason": self.left_open}  # fmt: skip
+            body = {
+                "regions": [names[region] for region in (*desk.undecided, *desk.restoring)],
+                "write_open": self.writer.open,
+                "running": gains_dict(running.gains) if running else None,
+                "reason": self.left_open,
+            }
             self._record("unrestored", self.writer.t_s, body)

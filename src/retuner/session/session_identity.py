@@ -26,8 +26,13 @@ def versions() -> dict[str, str]:
     than the number of a release.
     """
     made_with = {name: version(name) for name in PACKAGES}
-    return {**made_with, "code": code(), "python": platform.python_version(), "system": platform.system(),
-            "machine": platform.machine()}  # fmt: skip
+    return {
+        **made_with,
+        "code": code(),
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "machine": platform.machine(),
+    }
 
 
 def code() -> str:

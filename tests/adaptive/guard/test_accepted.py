@@ -99,30 +99,46 @@ def limits_of(draw: st.DrawFn) -> GuardSettings:
     """Limits that leave room, some of them tight."""
     kc_min, tau_i_min = draw(st.sampled_from([0.0, 0.5, 2.0])), draw(TIMES)
     return GuardSettings(
-        kc_min=kc_min, kc_max=draw(st.sampled_from([2.0, 10.0, math.inf])), tau_i_min_s=tau_i_min,
+        kc_min=kc_min,
+        kc_max=draw(st.sampled_from([2.0, 10.0, math.inf])),
+        tau_i_min_s=tau_i_min,
         tau_i_max_s=draw(st.sampled_from([30.0, 200.0, math.inf])),
         tau_d_max_s=draw(st.sampled_from([2.0, 20.0, math.inf])),
         total_ratio_max=draw(st.sampled_from([1.0, 1.5, 4.0, 1000.0])),
         tau_i_samples=draw(st.sampled_from([0.0, 20.0])),
-        pattern_step_max=draw(st.sampled_from([1.0, 1.5, 4.0])), records_min=draw(st.sampled_from([1, 3])),
-    )  # fmt: skip
+        pattern_step_max=draw(st.sampled_from([1.0, 1.5, 4.0])),
+        records_min=draw(st.sampled_from([1, 3])),
+    )
 
 
 @settings(max_examples=200, deadline=None)
-@given(sets=st.tuples(KC, KC, KC), limits=limits_of(), kind=st.sampled_from(sorted(MODELS)), urgent=st.booleans(),
-       locks=st.builds(Locks, st.booleans(), st.booleans(), st.booleans()), odd=st.booleans(),
-       kp=st.sampled_from([(1, 1, 1), (0, 1, 1), (1, 0, 1), (1, 1, 0)]))  # fmt: skip
+@given(
+    sets=st.tuples(KC, KC, KC),
+    limits=limits_of(),
+    kind=st.sampled_from(sorted(MODELS)),
+    urgent=st.booleans(),
+    locks=st.builds(Locks, st.booleans(), st.booleans(), st.booleans()),
+    odd=st.booleans(),
+    kp=st.sampled_from([(1, 1, 1), (0, 1, 1), (1, 0, 1), (1, 1, 0)]),
+)
 def test_no_accepted_change_shows_a_failed_check(
-    sets: tuple[tuple[float, float, float], ...], limits: GuardSettings, kind: str, urgent: bool, locks: Locks,
-    odd: bool, kp: tuple[int, int, int],
-) -> None:  # fmt: skip
-    in_force, wanted, start = (times(p * share, i, 0.0) if not share or not d else
-                               PidGains(GAINS.kp * p, GAINS.ki * i, GAINS.kp * p * d)
-                               for (p, i, d), share in zip(sets, kp, strict=True))  # fmt: skip
+    sets: tuple[tuple[float, float, float], ...],
+    limits: GuardSettings,
+    kind: str,
+    urgent: bool,
+    locks: Locks,
+    odd: bool,
+    kp: tuple[int, int, int],
+) -> None:
+    in_force, wanted, start = (
+        times(p * share, i, 0.0) if not share or not d else PidGains(GAINS.kp * p, GAINS.ki * i, GAINS.kp * p * d)
+        for (p, i, d), share in zip(sets, kp, strict=True)
+    )
     assume(all(kp) or not locks.tau_d)
     evidence = Evidence(innovation=40.0 * odd, gate=20.0) if MODELS[kind] else PATTERN
-    asked = ChangeRequest(in_force, start, Tuning("pattern", "parallel", wanted), MODELS[kind], 1.0, evidence,
-                          urgent=urgent, locks=locks)  # fmt: skip
+    asked = ChangeRequest(
+        in_force, start, Tuning("pattern", "parallel", wanted), MODELS[kind], 1.0, evidence, urgent=urgent, locks=locks
+    )
     verdict = prove(asked, limits)
     assert all(0 < len(check.words) < 90 for check in verdict.checks)
     if verdict.accepted:

@@ -17,8 +17,14 @@ from retuner.schedule.gains import PidGains
 OLD = IdealGains(1.0, 20.0).to_parallel()
 
 
-def cut(wanted: PidGains, limits: GuardSettings = SETTINGS, old: PidGains = OLD, over: bool = False,
-        locks: Locks = NO_LOCKS, commissioned: PidGains | None = None) -> list[Goal]:  # fmt: skip
+def cut(
+    wanted: PidGains,
+    limits: GuardSettings = SETTINGS,
+    old: PidGains = OLD,
+    over: bool = False,
+    locks: Locks = NO_LOCKS,
+    commissioned: PidGains | None = None,
+) -> list[Goal]:
     asked = replace(request(old, commissioned=commissioned), locks=locks)
     return goals(wanted, 5.0, asked, limits, over_limit=over)
 
@@ -108,8 +114,9 @@ def test_what_is_beyond_the_commissioned_set_may_stay_but_go_no_farther() -> Non
     assert (more.no_room, more.cut_by) == (False, Ruling.OUTSIDE_TOTAL)
     (less,) = cut(IdealGains(0.7, 150.0, 10.0).to_parallel(), old=old, commissioned=start)
     assert times_of(less.gains) == pytest.approx((0.7, 150.0, 10.0))
-    (up,) = cut(IdealGains(0.02, 150.0, 10.0).to_parallel(), old=IdealGains(0.01, 150.0, 10.0).to_parallel(),
-                commissioned=start)  # fmt: skip
+    (up,) = cut(
+        IdealGains(0.02, 150.0, 10.0).to_parallel(), old=IdealGains(0.01, 150.0, 10.0).to_parallel(), commissioned=start
+    )
     assert up.gains.kp == pytest.approx(0.02)
 
 
@@ -192,8 +199,16 @@ TIME = st.floats(0.1, 1000)
 
 
 @settings(deadline=None)
-@given(kc=GAIN, tau_i=TIME, tau_d=st.floats(0, 50), kc0=GAIN, tau_i0=TIME, over=st.booleans(),
-       kc_max=st.sampled_from([0.5, 5.0, math.inf]), tau_i_max=st.sampled_from([30.0, math.inf]))  # fmt: skip
+@given(
+    kc=GAIN,
+    tau_i=TIME,
+    tau_d=st.floats(0, 50),
+    kc0=GAIN,
+    tau_i0=TIME,
+    over=st.booleans(),
+    kc_max=st.sampled_from([0.5, 5.0, math.inf]),
+    tau_i_max=st.sampled_from([30.0, math.inf]),
+)
 def test_every_goal_is_inside_whatever_is_asked(
     kc: float, tau_i: float, tau_d: float, kc0: float, tau_i0: float, over: bool, kc_max: float, tau_i_max: float
 ) -> None:

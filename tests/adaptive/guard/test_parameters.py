@@ -63,10 +63,11 @@ def test_the_derivative_has_limits_of_its_own() -> None:
 @pytest.mark.parametrize("more", [True, False])
 def test_every_parameter_can_have_its_own_limit(parameter: Parameter, more: bool) -> None:
     names = {
-        Parameter.KC: ("kc_up_max", "kc_down_max"), Parameter.TAU_I: ("tau_i_shorter_max", "tau_i_longer_max"),
+        Parameter.KC: ("kc_up_max", "kc_down_max"),
+        Parameter.TAU_I: ("tau_i_shorter_max", "tau_i_longer_max"),
         Parameter.TAU_D: ("tau_d_up_max", "tau_d_down_max"),
         Parameter.INTEGRAL: ("integral_up_max", "integral_down_max"),
-    }  # fmt: skip
+    }
     own = GuardSettings(**{names[parameter][not more]: 1.25})
     for other in Parameter:
         for way in (True, False):
@@ -105,8 +106,12 @@ def test_absolute_limits_on_kc_leave_no_point() -> None:
     assert within_limits(PidGains(-1.0, -0.1), PidGains(-0.5, -0.1), 1.0, GuardSettings(kc_min=0.75)) is None
 
 
-@given(o=st.tuples(FACTOR, FACTOR, FACTOR), n=st.tuples(FACTOR, FACTOR, FACTOR), share=st.floats(0.05, 1),
-       sign=st.sampled_from([1, -1]))  # fmt: skip
+@given(
+    o=st.tuples(FACTOR, FACTOR, FACTOR),
+    n=st.tuples(FACTOR, FACTOR, FACTOR),
+    share=st.floats(0.05, 1),
+    sign=st.sampled_from([1, -1]),
+)
 def test_steps_lie_on_the_straight_way_within_every_limit(
     o: tuple[float, float, float], n: tuple[float, float, float], share: float, sign: int
 ) -> None:

@@ -195,9 +195,13 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
     Ruling.URGENT: (request(times(6.0, 40.0)), SETTINGS),
     Ruling.SAFER: (request(times(2.5, 2.5), models=known(0.6)), SETTINGS),
     Ruling.UNPROVED_STEP: (
-        replace(request(times(0.6, 0.6), models=()), evidence=Evidence(support=Support.PATTERN)), SETTINGS),
+        replace(request(times(0.6, 0.6), models=()), evidence=Evidence(support=Support.PATTERN)),
+        SETTINGS,
+    ),
     Ruling.UNPROVED_WAY_OUT: (
-        replace(request(times(3, 3), models=()), evidence=Evidence(support=Support.PATTERN), urgent=True), SETTINGS),
+        replace(request(times(3, 3), models=()), evidence=Evidence(support=Support.PATTERN), urgent=True),
+        SETTINGS,
+    ),
     Ruling.TOO_SMALL: (request(times(0.97, 0.98)), SETTINGS),
     Ruling.NOT_ROBUST: (request(times(0.9, 0.5), models=known(0.45)), SETTINGS),
     Ruling.NOT_ROBUST_AT_BORDER: (replace(request(times(0.8, 0.8)), borders=(neighbour(FASTER),)), SETTINGS),
@@ -210,9 +214,8 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
     Ruling.TOO_FEW_RECORDS: (request(times(0.6, 0.6)), GuardSettings(records_min=2)),
     Ruling.NOT_SETTLED: (replace(request(times(0.6, 0.6)), evidence=Evidence(settled=False)), SETTINGS),
     Ruling.TOO_OLD: (replace(request(times(0.6, 0.6)), evidence=Evidence(age_s=3e6)), SETTINGS),
-    Ruling.CONTRADICTED: (
-        replace(request(times(0.6, 0.6)), evidence=Evidence(innovation=40.0, gate=20.0)), SETTINGS),
-}  # fmt: skip
+    Ruling.CONTRADICTED: (replace(request(times(0.6, 0.6)), evidence=Evidence(innovation=40.0, gate=20.0)), SETTINGS),
+}
 
 
 @pytest.mark.parametrize("ruling", list(Ruling))
@@ -234,8 +237,20 @@ def test_every_ruling_is_reached_and_told_with_its_numbers(ruling: Ruling) -> No
 
 def test_the_proof_holds_every_question() -> None:
     asked = {c.name for c in prove(replace(request(times(0.6, 0.6)), borders=(neighbour(MODEL),)), SETTINGS).checks}
-    assert asked >= {"records", "age", "innovation", "step_kc", "step_tau_i", "step_integral", "total_kc",
-                     "total_tau_i", "tau_i_min", "ms_nominal", "ms_worst", "ms_border"}  # fmt: skip
+    assert asked >= {
+        "records",
+        "age",
+        "innovation",
+        "step_kc",
+        "step_tau_i",
+        "step_integral",
+        "total_kc",
+        "total_tau_i",
+        "tau_i_min",
+        "ms_nominal",
+        "ms_worst",
+        "ms_border",
+    }
 
 
 def test_doubtful_evidence_still_lets_a_loop_over_its_limit_have_less() -> None:
@@ -263,8 +278,15 @@ GAIN = st.floats(0.02, 50)
 
 
 @settings(max_examples=120, deadline=None)
-@given(kp=GAIN, ki=GAIN, std=st.floats(0.001, 0.6), sign=st.sampled_from([1, -1]), urgent=st.booleans(),
-       kind=st.sampled_from(["fopdt", "integrating"]), ratio=st.sampled_from([1.5, 4.0, 1000.0]))  # fmt: skip
+@given(
+    kp=GAIN,
+    ki=GAIN,
+    std=st.floats(0.001, 0.6),
+    sign=st.sampled_from([1, -1]),
+    urgent=st.booleans(),
+    kind=st.sampled_from(["fopdt", "integrating"]),
+    ratio=st.sampled_from([1.5, 4.0, 1000.0]),
+)
 def test_nothing_passes_unproved(
     kp: float, ki: float, std: float, sign: int, urgent: bool, kind: str, ratio: float
 ) -> None:

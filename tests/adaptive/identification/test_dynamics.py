@@ -9,9 +9,13 @@ from scipy.signal import lsim, lti
 from retuner.adaptive.identification.dynamics import Clock, Dynamics
 
 MEMBERS = {
-    "first": (0.0, 0.1), "two lags": (2.0, 0.1), "equal lags": (2.5, 0.1), "swings": (6.0, 0.1),
-    "integrating": (0.0, 0.0), "integrating with lag": (3.0, 0.0),
-}  # fmt: skip
+    "first": (0.0, 0.1),
+    "two lags": (2.0, 0.1),
+    "equal lags": (2.5, 0.1),
+    "swings": (6.0, 0.1),
+    "integrating": (0.0, 0.0),
+    "integrating with lag": (3.0, 0.0),
+}
 
 
 def reference(c2: float, c0: float) -> lti:
@@ -45,9 +49,7 @@ def test_a_rounded_step_is_a_step_through_one_more_lag(member: str, lag: float) 
     np.testing.assert_allclose(Dynamics(c2, c0).rounded_step(t, lag), expected, atol=1e-4 * np.max(expected))
 
 
-@given(
-    c2=st.just(0.0) | st.floats(1e-6, 20), c0=st.floats(0, 2), theta=st.floats(0, 30), seed=st.integers(0, 1000)
-)  # fmt: skip
+@given(c2=st.just(0.0) | st.floats(1e-6, 20), c0=st.floats(0, 2), theta=st.floats(0, 30), seed=st.integers(0, 1000))
 def test_even_and_uneven_sampling_agree(c2: float, c0: float, theta: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     t, coarse = np.arange(40.0), rng.standard_normal(40)

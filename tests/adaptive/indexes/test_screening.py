@@ -151,9 +151,11 @@ def test_every_number_has_its_words_and_no_word_is_idle(rng, wave):
 def test_any_record_gives_finite_numbers(wave, kinds, n, seed, scale):
     rng = np.random.default_rng(seed)
     shapes = {
-        "noise": rng.normal(size=n), "constant": np.full(n, 0.1), "ramp": np.arange(float(n)),
+        "noise": rng.normal(size=n),
+        "constant": np.full(n, 0.1),
+        "ramp": np.arange(float(n)),
         "spike": np.where(np.arange(n) == n // 2, 1.0, 0.0),
-    }  # fmt: skip
+    }
     sp, pv, co = (scale * (shapes[k] if k in shapes else wave(k, n=n, period=17.0)) for k in kinds)
     found = screen(Window(np.arange(float(n)), sp, pv, co), PidGains(-1, -0.1))
     assert all(math.isfinite(v) for v in found.evidence.values())

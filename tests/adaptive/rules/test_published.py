@@ -64,8 +64,15 @@ def test_settings(case: dict) -> None:
 def test_margins(case: dict) -> None:
     found = margins(process_of(case), gains_of(case))
     assert found.stable
-    values = {"ms": found.ms, "mt": found.mt, "gm": found.gm, "pm": found.pm_deg, "delay": found.delay_margin_s,
-              "w180": found.w180, "wc": found.wc}  # fmt: skip
+    values = {
+        "ms": found.ms,
+        "mt": found.mt,
+        "gm": found.gm,
+        "pm": found.pm_deg,
+        "delay": found.delay_margin_s,
+        "w180": found.w180,
+        "wc": found.wc,
+    }
     for name, value in values.items():
         if name in case:
             assert_printed(value, case[name])
@@ -117,7 +124,9 @@ def test_ultimate_of_the_slides_example() -> None:
 
 def test_the_slides_reaction_curve_slip_would_be_unstable() -> None:
     # 0.33 L instead of L/0.3 = 3.33 L for Ti of the PI rule (their example process again)
-    process, good = LinearProcess(4.0, (7.0,), (), 3.5), tune(ProcessModel(ProcessType.FOPDT, 4.0, 7.0, 0.0, 3.5),
-                                                              "zn-reaction").tuning.gains  # fmt: skip
+    process, good = (
+        LinearProcess(4.0, (7.0,), (), 3.5),
+        tune(ProcessModel(ProcessType.FOPDT, 4.0, 7.0, 0.0, 3.5), "zn-reaction").tuning.gains,
+    )
     assert margins(process, good).stable
     assert not margins(process, PidGains(good.kp, good.kp / (0.33 * 3.5))).stable

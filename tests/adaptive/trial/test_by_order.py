@@ -119,10 +119,12 @@ def test_a_proposal_comes_back_from_its_document(
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"digest": "ab"}, "no SHA-256"), ({"digest": "G" * 64}, "no SHA-256"), ({"t_s": math.nan}, "finite"),
+        ({"digest": "ab"}, "no SHA-256"),
+        ({"digest": "G" * 64}, "no SHA-256"),
+        ({"t_s": math.nan}, "finite"),
         ({"after": PidGains(-1.0, -0.1)}, "other way round"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_proposal_is_refused(changed: dict[str, object], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         replace(OFFERED, **changed)

@@ -27,8 +27,10 @@ from retuner.schedule.table import GainTable
 
 S = TrialSettings()
 HALF_S = 0.5
-TRUE = [Plausible(replace(MODEL, k=MODEL.k * k, theta_s=MODEL.theta_s * theta), 0.5)
-        for k, theta in product((1.0, 0.9, 1.1), (1.0, 0.9, 1.1))]  # fmt: skip
+TRUE = [
+    Plausible(replace(MODEL, k=MODEL.k * k, theta_s=MODEL.theta_s * theta), 0.5)
+    for k, theta in product((1.0, 0.9, 1.1), (1.0, 0.9, 1.1))
+]
 SLUGGISH = BAD["kc /4"]
 STRONG = PidGains(1.8 * GOOD.kp, 1.8 * GOOD.ki)
 """Ms about 2.8: no runaway, and hardly a swing after a load."""

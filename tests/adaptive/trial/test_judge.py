@@ -166,8 +166,12 @@ def test_an_output_at_its_limit_says_nothing_of_the_iae() -> None:
 def test_peaks_within_noise_do_not_speak_against_the_gains() -> None:
     peaks = (Peak(1.0, 0.5), Peak(2.0, -0.17), Peak(3.0, 0.06))
     base = example()
-    noisy = replace(base, response=Response(base.response.t_start_s, base.response.t_end_s, peaks, Ending.COMPLETE,
-                                            sp_changed=False, band=0.1))  # fmt: skip
+    noisy = replace(
+        base,
+        response=Response(
+            base.response.t_start_s, base.response.t_end_s, peaks, Ending.COMPLETE, sp_changed=False, band=0.1
+        ),
+    )
     assert judge(noisy, PROMISE, GOOD, S).finding is not Finding.WORSE
     sure = replace(noisy, response=replace(noisy.response, peaks=tuple(Peak(p.t_s, 50 * p.e) for p in peaks)))
     assert judge(sure, PROMISE, GOOD, S).finding is Finding.WORSE

@@ -15,8 +15,14 @@ FOUND = {
     "settle_s": [165.0, 163.0, None],
 }
 SWINGING = {**FOUND, "iae": [None, None, None], "overshoot": [0.61, 0.5, 0.7]}
-PROMISE = {"setpoint": FOUND, "load": FOUND, "setpoint_before": SWINGING, "load_before": SWINGING, "models": 5,
-           "ms": [1.56, 1.5, 1.72]}  # fmt: skip
+PROMISE = {
+    "setpoint": FOUND,
+    "load": FOUND,
+    "setpoint_before": SWINGING,
+    "load_before": SWINGING,
+    "models": 5,
+    "ms": [1.56, 1.5, 1.72],
+}
 WORSE = {
     "finding": "worse",
     "reason": "worse than promised: successive peaks in the ratio 0.60",
@@ -43,10 +49,16 @@ START, END = 1100.0, 1500.0
 MODEL = {"type": "sopdt", "k": 2.0, "tau1": 240.0, "tau2": 9.0, "theta": 26.0}
 BEFORE, WANTED = {"kp": 2.4, "ki": 0.016, "kd": 0.0}, {"kp": 1.5, "ki": 0.006, "kd": 0.0}
 RESPONSE = {
-    "t_start_s": START, "t_end_s": END, "peaks": [[1120.0, 15.0], [1210.0, -8.0], [1310.0, 2.4]],
-    "ending": "complete", "upset": "setpoint", "overshoot": 8.0 / 15.0, "damping": 10.4 / 23.0, "period_s": 190.0,
+    "t_start_s": START,
+    "t_end_s": END,
+    "peaks": [[1120.0, 15.0], [1210.0, -8.0], [1310.0, 2.4]],
+    "ending": "complete",
+    "upset": "setpoint",
+    "overshoot": 8.0 / 15.0,
+    "damping": 10.4 / 23.0,
+    "period_s": 190.0,
     "band": 0.25,
-}  # fmt: skip
+}
 COMMIT: dict[str, object] = {
     "number": 8, "t_s": END, "loop": "oven", "region": "middle", "mode": "auto", "action": "commit", "code": "accepted",
     "reason": "Ms 2.88 is over 1.8, gain margin 1.72", "numbers": {}, "gains_before": BEFORE, "gains_after": WANTED,
@@ -74,22 +86,60 @@ def changed(**parts: object) -> dict[str, object]:
 
 
 REFUSED = changed(
-    action="none", gains_after=None, code="not_robust", reason="refused: not robust on every model",
-    verdict={"accepted": False, "ruling": "not_robust", "step": 0.0, "tau_c_s": 36.0, "reason": "refused: not robust",
-             "ms": {"nominal": 1.3, "worst": None, "before": 1.3}}, promise=None, trial="idle",
-)  # fmt: skip
+    action="none",
+    gains_after=None,
+    code="not_robust",
+    reason="refused: not robust on every model",
+    verdict={
+        "accepted": False,
+        "ruling": "not_robust",
+        "step": 0.0,
+        "tau_c_s": 36.0,
+        "reason": "refused: not robust",
+        "ms": {"nominal": 1.3, "worst": None, "before": 1.3},
+    },
+    promise=None,
+    trial="idle",
+)
 ADVISED = changed(action="advise", mode="advise")
 RESTORED = changed(
-    action="restore", code="worse_than_promised", reason="the loop answers worse than was promised", proposal=None,
-    verdict=None, estimate=None, diagnosis=None, response=None, basis=None, surprise=None, records=0, promise=None,
-    judgement=WORSE, trial="restoring the verified set", number=9, t_s=END + 900.0, gains_before=WANTED,
+    action="restore",
+    code="worse_than_promised",
+    reason="the loop answers worse than was promised",
+    proposal=None,
+    verdict=None,
+    estimate=None,
+    diagnosis=None,
+    response=None,
+    basis=None,
+    surprise=None,
+    records=0,
+    promise=None,
+    judgement=WORSE,
+    trial="restoring the verified set",
+    number=9,
+    t_s=END + 900.0,
+    gains_before=WANTED,
     gains_after=BEFORE,
-)  # fmt: skip
-PATTERN = changed(basis="pattern", estimate=None, surprise=None, records=0, verdict=None, diagnosis=None,
-                  proposal={"rule": "pattern", "form": "ideal", "parallel": WANTED, "tau_c": None})  # fmt: skip
+)
+PATTERN = changed(
+    basis="pattern",
+    estimate=None,
+    surprise=None,
+    records=0,
+    verdict=None,
+    diagnosis=None,
+    proposal={"rule": "pattern", "form": "ideal", "parallel": WANTED, "tau_c": None},
+)
 BORROWED = changed(basis="borrowed", records=0, known={"model": MODEL, "std": {"k": 0.8, "theta": 9.0}})
-EVERY_KIND = {"commit": COMMIT, "refuse": REFUSED, "advise": ADVISED, "restore": RESTORED, "pattern": PATTERN,
-              "borrowed": BORROWED}  # fmt: skip
+EVERY_KIND = {
+    "commit": COMMIT,
+    "refuse": REFUSED,
+    "advise": ADVISED,
+    "restore": RESTORED,
+    "pattern": PATTERN,
+    "borrowed": BORROWED,
+}
 
 
 def samples() -> Samples:

@@ -22,8 +22,17 @@ def texts(svg: str) -> list[str]:
 
 def test_the_response_shows_peaks_model_load_and_units() -> None:
     shown = texts(response_svg(view()))
-    for label in ("E1 = 15", "E2 = -8", "E3 = 2.4", "pv, sp [degC]", "co [%]", "pv as the model has it", "noise band",
-                  "load step as the fit places it", "time since the response began [s]"):  # fmt: skip
+    for label in (
+        "E1 = 15",
+        "E2 = -8",
+        "E3 = 2.4",
+        "pv, sp [degC]",
+        "co [%]",
+        "pv as the model has it",
+        "noise band",
+        "load step as the fit places it",
+        "time since the response began [s]",
+    ):
         assert label in shown
 
 
@@ -58,9 +67,12 @@ def test_equal_decisions_give_equal_drawings_and_others_other_ids() -> None:
 
 @settings(max_examples=12, deadline=None)
 @given(
-    st.sampled_from(["fopdt", "integrating", "integrating-lag", "sopdt"]), st.floats(-6, 6), st.floats(-3, 3),
-    st.sampled_from([1.0, -1.0]), st.booleans(),
-)  # fmt: skip
+    st.sampled_from(["fopdt", "integrating", "integrating-lag", "sopdt"]),
+    st.floats(-6, 6),
+    st.floats(-3, 3),
+    st.sampled_from([1.0, -1.0]),
+    st.booleans(),
+)
 def test_loops_of_all_kinds_are_drawn(
     kind: str, log_k: float, log_gain: float, sign: float, integral_only: bool
 ) -> None:
@@ -70,8 +82,12 @@ def test_loops_of_all_kinds_are_drawn(
     model = {"type": kind, "k": sign * 10**log_k, "tau1": lags[0], "tau2": lags[1], "theta": 10.0}
     gain = sign * 10 ** (log_gain - log_k)
     before = {"kp": 0.0 if integral_only else gain, "ki": gain / 90, "kd": 0.0}
-    document = changed(estimate={"model": model, "std": {}}, gains_before=before,
-                       gains_after={"kp": gain / 3, "ki": gain / 300, "kd": 0.0}, verdict=None)  # fmt: skip
+    document = changed(
+        estimate={"model": model, "std": {}},
+        gains_before=before,
+        gains_after={"kp": gain / 3, "ki": gain / 300, "kd": 0.0},
+        verdict=None,
+    )
     assert "Ms = 1.8" in texts(robustness_svg(view(document), 1.8))
 
 

@@ -19,17 +19,28 @@ APART = " The proposal does not rest on it."
 @pytest.mark.parametrize(
     ("parts", "begins", "ends"),
     [
-        ({"surprise": "odd"}, BEFORE,
-         "This record contradicts that: by itself it shows k 2 tau1 240 s tau2 9 s theta 26 s."),
-        ({"surprise": "odd", "estimate": VAGUE, "basis": "pattern"}, BEFORE,
-         f"theta 26 s (not settled either: k is known to 80 % only).{APART}"),
-        ({"surprise": "silent", "estimate": VAGUE, "basis": "pattern"}, BEFORE,
-         f", which shows nothing of the process.{APART}"),
-        ({"surprise": "agrees", "estimate": VAGUE, "basis": "slow_oscillation"},
-         f"{RESTS}a process that the records do not settle yet (k 1.4 +- 0.42 (30.0%) degC/%, ",
-         f": k is known to 80 % only.{APART}"),
+        (
+            {"surprise": "odd"},
+            BEFORE,
+            "This record contradicts that: by itself it shows k 2 tau1 240 s tau2 9 s theta 26 s.",
+        ),
+        (
+            {"surprise": "odd", "estimate": VAGUE, "basis": "pattern"},
+            BEFORE,
+            f"theta 26 s (not settled either: k is known to 80 % only).{APART}",
+        ),
+        (
+            {"surprise": "silent", "estimate": VAGUE, "basis": "pattern"},
+            BEFORE,
+            f", which shows nothing of the process.{APART}",
+        ),
+        (
+            {"surprise": "agrees", "estimate": VAGUE, "basis": "slow_oscillation"},
+            f"{RESTS}a process that the records do not settle yet (k 1.4 +- 0.42 (30.0%) degC/%, ",
+            f": k is known to 80 % only.{APART}",
+        ),
     ],
-)  # fmt: skip
+)
 def test_curves_that_the_record_does_not_bear_out_say_so(parts: dict[str, object], begins: str, ends: str) -> None:
     shown = view(changed(known=KNOWN, **parts), drawn=False)
     told = footing(shown)

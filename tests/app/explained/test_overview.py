@@ -30,8 +30,9 @@ def test_the_overview_says_what_is_known_borrowed_and_advised() -> None:
 
 
 def test_a_map_of_two_variables_is_a_grid() -> None:
-    regions = Regions.along(("a", "b", "c", "d"), Axis("sp", "degC", 0.0, (50.0,), 100.0),
-                            Axis("co", "%", 0.0, (40.0,), 100.0))  # fmt: skip
+    regions = Regions.along(
+        ("a", "b", "c", "d"), Axis("sp", "degC", 0.0, (50.0,), 100.0), Axis("co", "%", 0.0, (40.0,), 100.0)
+    )
     table = GainTable("oven", regions, tuple(PidGains(kp, 0.1) for kp in (1.0, 2.0, 3.0, 4.0)))
     text = overview(table, [])
     assert '<tr class=""><td>50 to 100 degC</td><td>c: Kc 3 tau_I 30 s</td><td>d: Kc 4 tau_I 40 s</td></tr>' in text

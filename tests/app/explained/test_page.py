@@ -83,8 +83,22 @@ def test_the_page_says_what_happened(document: dict[str, object], said: list[str
 
 def test_numbers_of_the_page_are_those_of_the_decision() -> None:
     text = words_of(article(view(drawn=False)))
-    for number in ("2 +- 0.03", "240 +- 2.6", "9 +- 0.4", "26 +- 0.35", "1.654", "1.75", "2.1", "0.016 /s", "0.006 /s",
-                   "250 s", "30.7 deg", "confidence 99%", "0.08 degC", "1.3 times the noise"):  # fmt: skip
+    for number in (
+        "2 +- 0.03",
+        "240 +- 2.6",
+        "9 +- 0.4",
+        "26 +- 0.35",
+        "1.654",
+        "1.75",
+        "2.1",
+        "0.016 /s",
+        "0.006 /s",
+        "250 s",
+        "30.7 deg",
+        "confidence 99%",
+        "0.08 degC",
+        "1.3 times the noise",
+    ):
         assert number in text, number
     assert "NOT passed" in text
 
@@ -120,8 +134,15 @@ def test_no_text_becomes_markup() -> None:
 
 def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
     text = words_of(article(view(drawn=False)))
-    for told in ("106.5 (103 .. 110)", "5 % (0 .. 8)", "61 %", "165 s (163 .. never at rest)", "never at rest",
-                 "over the 5 models", "Ms promised: 1.56 (1.5 .. 1.72)."):  # fmt: skip
+    for told in (
+        "106.5 (103 .. 110)",
+        "5 % (0 .. 8)",
+        "61 %",
+        "165 s (163 .. never at rest)",
+        "never at rest",
+        "over the 5 models",
+        "Ms promised: 1.56 (1.5 .. 1.72).",
+    ):
         assert told in text, told
     promise: Any = COMMIT["promise"]
     without = words_of(article(view(changed(promise={**promise, "ms": None}), drawn=False)))
@@ -179,8 +200,18 @@ def test_the_circle_is_the_guards_limit() -> None:
     assert ms_limit(view(changed(verdict={"checks": [{"name": "ms_nominal", "limit": 0.5}]}))) == 1.8
 
 
-ODD = st.one_of(st.none(), st.just(math.inf), st.just(math.nan), st.text(max_size=5), st.floats(), st.booleans(),
-                st.just([]), st.just({}), st.just([{}]), st.integers(-5, 5))  # fmt: skip
+ODD = st.one_of(
+    st.none(),
+    st.just(math.inf),
+    st.just(math.nan),
+    st.text(max_size=5),
+    st.floats(),
+    st.booleans(),
+    st.just([]),
+    st.just({}),
+    st.just([{}]),
+    st.integers(-5, 5),
+)
 
 
 def paths(document: object, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
