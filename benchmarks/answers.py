@@ -173,9 +173,15 @@ def identified(index: str) -> Answer:
     asked = {"input": _input(record), "group": case.group, "family": case.family}
     try:
         found = identify(
-            record.t, record.sp, record.pv, record.co, open_loop=case.gains is None, gains=case.gains,
-            co_min=case.co_min, co_max=case.co_max,
-        )  # fmt: skip
+            record.t,
+            record.sp,
+            record.pv,
+            record.co,
+            open_loop=case.gains is None,
+            gains=case.gains,
+            co_min=case.co_min,
+            co_max=case.co_max,
+        )
     except ValueError as error:
         return {**asked, "refused": str(error)}
     return {**asked, **found.to_dict()}
@@ -262,8 +268,11 @@ def all_answers(asked: list[tuple[str, str]], jobs: int) -> tuple[dict[str, dict
 
 def libraries() -> dict[str, str]:
     """What the last digits depend on beside the code."""
-    return {"python": platform.python_version(), "machine": platform.machine(),
-            **{name: version(name) for name in ("numpy", "scipy", "filterpy")}}  # fmt: skip
+    return {
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        **{name: version(name) for name in ("numpy", "scipy", "filterpy")},
+    }
 
 
 def read(path: Path) -> Answer:

@@ -27,9 +27,18 @@ SAMPLES = (900, 1100)
 DRAWS = 2000
 """Cases looked at for one that long."""
 AUTOMATIC = (
-    "setpoint", "load", "setpoint and load", "several", "ramp drift", "random-walk drift", "quantised", "saturated",
-    "irregular time", "starts in motion", "pid",
-)  # fmt: skip
+    "setpoint",
+    "load",
+    "setpoint and load",
+    "several",
+    "ramp drift",
+    "random-walk drift",
+    "quantised",
+    "saturated",
+    "irregular time",
+    "starts in motion",
+    "pid",
+)
 CAUSES = ("ok", "aggressive", "sluggish", "slow_integrating", "stiction", "external", "saturation", "noise")
 TRAPS = ("random walk",)
 
@@ -113,13 +122,23 @@ def timed(work: Callable[[], Any], rounds: int) -> tuple[list[float], list[float
 def measured(kind: Kind, rounds: int) -> Row:
     """Times and answers of one kind."""
     case = drawn(kind)
-    row: Row = {"kind": kind.name, "source": kind.source, "index": case.index, "family": case.family,
-                "samples": len(case.record.t)}  # fmt: skip
+    row: Row = {
+        "kind": kind.name,
+        "source": kind.source,
+        "index": case.index,
+        "family": case.family,
+        "samples": len(case.record.t),
+    }
     for name, work in calls(case).items():
         took, measure, answer = timed(work, rounds)
         ratio = statistics.median(one / other for one, other in zip(took, measure, strict=True))
-        row[name] = {"seconds": took, "median_s": statistics.median(took), "yardstick_s": measure, "ratio": ratio,
-                     "answer": json.loads(json.dumps(answer, default=str))}  # fmt: skip
+        row[name] = {
+            "seconds": took,
+            "median_s": statistics.median(took),
+            "yardstick_s": measure,
+            "ratio": ratio,
+            "answer": json.loads(json.dumps(answer, default=str)),
+        }
     return row
 
 
