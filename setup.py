@@ -1,6 +1,13 @@
-"""Maps the three rooms at the top level to subpackages of retuner; all else stands in pyproject.toml."""
+"""Maps the three rooms at the top level to subpackages of retuner, and the compiled engine; all else is in pyproject.toml.
 
-from setuptools import find_packages, setup
+The engine is optional: without a compiler everything is installed but it, and numpy computes the fits. It knows only
+Python's stable interface, so one wheel serves 3.11 and later. No contraction of a * b + c: the same bits everywhere.
+"""
+
+import os
+import sys
+
+from setuptools import Extension, find_packages, setup
 
 ROOMS = ("schedule", "adaptive", "drivers")
 
@@ -10,4 +17,20 @@ for room in ROOMS:
     package_dir[f"retuner.{room}"] = room
     packages += [f"retuner.{room}", *(f"retuner.{room}.{name}" for name in find_packages(room))]
 
-setup(packages=packages, package_dir=package_dir)
+STABLE = "0x030B0000"
+flags = ["/O2", "/std:c11"] if sys.platform == "win32" else ["-std=c11", "-O3", "-ffp-contract=off"]
+engine = Extension(
+    "retuner.adaptive.identification._engine",
+    sources=["adaptive/identification/_engine.c"],
+    define_macros=[("Py_LIMITED_API", STABLE)],
+    extra_compile_args=flags + os.environ.get("RETUNER_CFLAGS", "").split(),
+    py_limited_api=True,
+    optional=True,
+)
+
+setup(
+    packages=packages,
+    package_dir=package_dir,
+    ext_modules=[engine],
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+)

@@ -222,7 +222,7 @@ def _time_scale(best: Candidate) -> float:
 def _frequencies(best: Candidate, period_s: float) -> list[float]:
     """Where to look for a tone, rad/s: at the screened period, and at the peak of what the linear fit leaves."""
     record = best.fit.misfit.record
-    left = record.pv - best.fit.at.explained
+    left = record.pv - best.fit.explained
     power = np.abs(np.fft.rfft(left * np.hanning(len(left)), PADDED * len(left))) ** 2
     first = FEWEST_CYCLES * PADDED
     peak = first + int(np.argmax(power[first:]))

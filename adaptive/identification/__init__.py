@@ -1,1 +1,1 @@
-"""The fit engine: one family of processes and one misfit, shared by identification and by the rivals of diagnosis."""
+"""The fit: one family of processes and one misfit, shared by identification and by the rivals of diagnosis; two engines."""

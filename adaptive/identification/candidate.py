@@ -31,7 +31,7 @@ class Candidate:
 def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
     """What a fit leaves, and its criterion; a prior's share of the misfit belongs to it."""
     record = fit.misfit.record
-    left = colour(record.pv - fit.at.explained, record.resolution, fit.misfit.most_order)
+    left = colour(record.pv - fit.explained, record.resolution, fit.misfit.most_order)
     known = 0.0 if prior is None else float(np.sum(prior.residuals(fit.x) ** 2))
     return Candidate(
         fit, left, criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range) + known

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -31,6 +30,8 @@ LEAST_DISCRIMINANT = 1e-8
 """Equal lags are told apart by this much, or the partial fractions would cancel; the response changes by 1e-9."""
 SERIES = 1e-4
 """Below this s t the integral of a mode is computed from its series; the next term is (s t)^2 / 12."""
+STILL = 1e-200
+"""A rate below this is none: products with it would lose their digits."""
 LEAST_APART = 1e-5
 """The same for a load's lag that equals one of the process."""
 
@@ -39,7 +40,7 @@ LEAST_APART = 1e-5
 class Clock:
     """Sampling instants with what the fast path needs to know of them.
 
-    t_s : shape (n,). dt_s : the common interval where the sampling is even, else None.
+    t_s : shape (n,), exactly even where it is nearly so. dt_s : the common interval where it is even, else None.
     """
 
     t_s: FloatArray
@@ -51,7 +52,8 @@ class Clock:
         dt = np.diff(t_s)
         mean = float((t_s[-1] - t_s[0]) / len(dt))
         grid = t_s[0] + mean * np.arange(len(t_s))
-        return cls(t_s, mean if float(np.max(np.abs(grid - t_s))) <= EVEN * mean * math.sqrt(len(dt)) else None)
+        even = float(np.max(np.abs(grid - t_s))) <= EVEN * mean * math.sqrt(len(dt))
+        return cls(np.ascontiguousarray(grid if even else t_s), mean if even else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +61,20 @@ class Dynamics:
     """The delay-free part 1 / (c2 s^2 + s + c0): unit slope at first.
 
     c2_s : second lag tau1 tau2 / (tau1 + tau2) in seconds, >= 0. c0_per_s : 1 / (tau1 + tau2), >= 0.
+    least : equal lags are told apart by this much in D.
     """
 
     c2_s: float
     c0_per_s: float
+    least: float = LEAST_DISCRIMINANT
 
     def modes(self) -> tuple[tuple[complex, complex], ...]:
         """(rate s_j, weight) of the modes; one for first order and integrating."""
         if self.c2_s == 0:
             return ((complex(self.c0_per_s), 1.0 + 0j),)
         d = 1 - 4 * self.c2_s * self.c0_per_s
-        if abs(d) < LEAST_DISCRIMINANT:
-            d = math.copysign(LEAST_DISCRIMINANT, d)
+        if abs(d) < self.least:
+            d = math.copysign(self.least, d)
         root = cmath.sqrt(d)
         s1, s2 = 2 * self.c0_per_s / (1 + root), (1 + root) / (2 * self.c2_s)
         weight = 1 / (self.c2_s * (s2 - s1))  # 1/root, and still right where the discriminant was moved
@@ -93,7 +97,7 @@ class Dynamics:
         slow = _held(complex(rate), t)
         found = []
         for s, w in self.modes():
-            apart = rate - s if abs(rate - s) >= LEAST_APART * rate else complex(LEAST_APART * rate)
+            apart = apart_from(s, rate)
             found.append(w * rate * (_held(rate - apart, t) - slow) / apart)
         return _summed(found)
 
@@ -108,10 +112,10 @@ class Dynamics:
 
         theta_s : dead time in seconds, >= 0, any real number.
         """
-        if self.c2_s and 4 * self.c2_s * self.c0_per_s > 1:
-            (s, w), _ = self.modes()  # the second mode is the conjugate of the first
-            return 2 * np.real(w * _mode(clock, u, s, theta_s))
-        return _summed([w.real * _mode(clock, u, s.real, theta_s) for s, w in self.modes()])
+        modes = self.modes()
+        if modes[0][0].imag:
+            return 2 * np.real(modes[0][1] * moved_mode(clock, u, modes[0][0], theta_s))  # the other is its conjugate
+        return _summed([w.real * moved_mode(clock, u, s.real, theta_s) for s, w in modes])
 
 
 def _summed(modes: list[Array]) -> FloatArray:
@@ -119,10 +123,15 @@ def _summed(modes: list[Array]) -> FloatArray:
     return np.asarray(np.real(modes[0] if len(modes) == 1 else modes[0] + modes[1]), dtype=np.float64)
 
 
+def apart_from(s: complex, rate: float) -> complex:
+    """How far a load's own lag lies from a mode; never nothing, or the partial fractions would cancel."""
+    return rate - s if abs(rate - s) >= LEAST_APART * rate else complex(LEAST_APART * rate)
+
+
 def _held(s: complex, t: FloatArray | np.float64) -> Array:
     """Integral of exp(-s x) from 0 to t."""
     rate = s.real if s.imag == 0 else s
-    if rate == 0:
+    if abs(rate) < STILL:
         return np.asarray(t)
     return np.asarray(-np.expm1(-rate * t) / rate)
 
@@ -130,44 +139,76 @@ def _held(s: complex, t: FloatArray | np.float64) -> Array:
 def _held_twice(s: complex, t: FloatArray) -> Array:
     """Integral of _held from 0 to t; a series where the difference would cancel."""
     small = np.abs(s) * t < SERIES
-    rate = s if s else 1.0 + 0j
+    rate = s if abs(s) >= STILL else 1.0 + 0j
     return np.where(small, t**2 / 2 * (1 - s * t / 3), (t - _held(s, t)) / rate)
 
 
-def _mode(clock: Clock, u: FloatArray, s: complex, theta_s: float) -> Array:
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Where a record is read theta late: nothing before sample `first`; from there, since_s after the samples `at`."""
+
+    first: int
+    at: slice | npt.NDArray[np.intp]
+    since_s: FloatArray | np.float64
+
+    @classmethod
+    def of(cls, clock: Clock, theta_s: float) -> "Reading":
+        """theta_s : dead time, >= 0."""
+        n = len(clock.t_s)
+        if clock.dt_s is not None:
+            first = min(math.ceil(min(theta_s / clock.dt_s - 1e-12, n)), n)
+            return cls(first, slice(0, n - first), np.float64(max(first * clock.dt_s - theta_s, 0.0)))
+        read_at = clock.t_s - theta_s
+        at = np.searchsorted(clock.t_s, read_at, side="right") - 1
+        first = int(np.searchsorted(at, 0))
+        return cls(first, at[first:], np.maximum(read_at[first:] - clock.t_s[at[first:]], 0.0))
+
+
+def moved_mode(clock: Clock, u: FloatArray, s: complex, theta_s: float) -> Array:
     """Response of 1/(s' + s) to the held input, read theta_s late."""
-    if clock.dt_s is None:
-        return _uneven(clock.t_s, u, s, theta_s)
-    dt, n = clock.dt_s, len(u)
-    x = _run_even(u, s, dt)
-    shift = math.ceil(theta_s / dt - 1e-12)
-    out = np.zeros(n, dtype=x.dtype)
-    if shift >= n:
-        return out
-    rest = np.float64(max(shift * dt - theta_s, 0.0))  # how far into the held interval the reading falls
-    kept = n - shift
-    out[shift:] = x[:kept] * np.exp(-s * rest) + u[:kept] * _held(s, rest)
+    x, late = run_mode(clock, u, s), Reading.of(clock, theta_s)
+    out = np.zeros_like(x)
+    out[late.first :] = x[late.at] * np.exp(-s * late.since_s) + u[late.at] * _held(s, late.since_s)
     return out
 
 
-def _run_even(u: FloatArray, s: complex, dt: float) -> Array:
-    """The mode at the samples without dead time, even sampling."""
-    a, b = np.exp(-s * dt), _held(s, np.float64(dt))
-    return np.asarray(lfilter(np.array([0.0, b]), np.array([1.0, -a]), u))
+def run_mode(clock: Clock, u: FloatArray, s: complex) -> Array:
+    """The same at the samples, without dead time."""
+    dt = np.float64(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
+    return recursion(np.exp(-s * dt), _held(s, dt) * u[:-1])
 
 
-def _uneven(t_s: FloatArray, u: FloatArray, s: complex, theta_s: float) -> Array:
-    """The same for uneven sampling."""
-    dt = np.diff(t_s)
-    decay, gain = np.exp(-s * dt), _held(s, dt)
-    x = np.empty(len(u), dtype=decay.dtype)
+BLOCK = 64
+"""Samples that one product of matrices takes at a time."""
+
+
+def recursion(decay: Array, moved: Array) -> Array:
+    """x_0 = 0, x_(i+1) = decay_i x_i + moved_i; shape (len(moved) + 1,). decay : one, or one for each."""
+    decay = np.asarray(decay)
+    if decay.ndim == 0:
+        return _even_recursion(decay, moved)
+    x = np.empty(len(moved) + 1, dtype=np.result_type(decay, moved))
     now = x[0] = 0.0
-    for i, (a, moved) in enumerate(zip(decay.tolist(), (gain * u[:-1]).tolist(), strict=True), 1):
-        now = a * now + moved
+    for i, (a, step) in enumerate(zip(decay.tolist(), moved.tolist(), strict=True), 1):
+        now = a * now + step
         x[i] = now
-    read_at = t_s - theta_s
-    at = np.searchsorted(t_s, read_at, side="right") - 1
-    inside = at >= 0
-    at = np.maximum(at, 0)
-    since = np.maximum(read_at - t_s[at], 0.0)
-    return np.where(inside, x[at] * np.exp(-s * since) + u[at] * _held(s, since), 0.0)
+    return x
+
+
+def _even_recursion(decay: Array, moved: Array) -> Array:
+    """By blocks: within one, a triangle of powers of the decay; from one to the next, what is left of the last."""
+    n = len(moved)
+    powers = decay ** np.arange(BLOCK + 1)
+    padded = np.zeros(-(-n // BLOCK) * BLOCK, dtype=np.result_type(decay, moved))
+    padded[:n] = moved
+    inside = padded.reshape(-1, BLOCK) @ np.where(LATER, 0.0, powers[np.where(LATER, 0, AGO)]).T
+    carried, now = [], powers[0] * 0
+    for last in inside[:, -1].tolist():
+        carried.append(now)
+        now = powers[BLOCK] * now + last
+    whole = inside + np.array(carried)[:, None] * powers[1:]
+    return np.concatenate([[0.0], whole.ravel()[:n]])
+
+
+AGO = np.arange(BLOCK)[:, None] - np.arange(BLOCK)
+LATER = AGO < 0

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import qr
 
 from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import (
@@ -128,7 +127,7 @@ def estimate_of(
     ordered = sorted(firsts.values(), key=lambda c: (c is not best, c.criterion))  # the winner leads among equals
     alternatives = tuple(_alternative(c, priors.get(c.fit.misfit.type)) for c in ordered)
     fit = best.fit
-    left = record.pv - fit.at.explained
+    left = record.pv - fit.explained
     log = alternatives[0].log
     around = plausible(found, log.p, priors)
     explained = 1 - float(np.var(left) / np.var(record.pv))
@@ -193,7 +192,7 @@ def _compress(jacobian: FloatArray, r: FloatArray, p: FloatArray, d: int) -> tup
     if loads.shape[1]:
         q, _ = np.linalg.qr(loads)
         process, r = process - q @ (q.T @ process), r - q @ (q.T @ r)
-    q, triangle = qr(process, mode="economic")
+    q, triangle = np.linalg.qr(process)
     z = triangle @ p[:d] - q.T @ r
     return np.asarray(triangle, dtype=np.float64), np.asarray(z, dtype=np.float64)
 

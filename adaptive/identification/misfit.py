@@ -18,12 +18,14 @@ Where the remainder is coloured (a drifting load, an unmodelled disturbance), bo
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 
+from retuner.adaptive.identification.changes import changes_of
 from retuner.adaptive.identification.dynamics import Dynamics
+from retuner.adaptive.identification.engine import compiled
 from retuner.adaptive.identification.record import Record
 from retuner.adaptive.identification.structure import LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, swing_excess
 from retuner.adaptive.process.model import ProcessType
@@ -58,6 +60,10 @@ def colour(r: FloatArray, least_std: float, most_order: int = MOST_ORDER) -> Col
 
     least_std : no remainder is taken to be smaller than this (the resolution of the record).
     """
+    engine = compiled()
+    if engine is not None:
+        std, ar = engine.colour(r, least_std, most_order)
+        return Colour(ar, std)
     n = len(r)
     white = max(float(np.sqrt(np.mean(r**2))), least_std)
     best, lowest = Colour((), white), n * math.log(white**2)
@@ -65,7 +71,8 @@ def colour(r: FloatArray, least_std: float, most_order: int = MOST_ORDER) -> Col
         return best
     covariance = np.array([float(r[: n - k] @ r[k:]) / n for k in range(most_order + 1)])
     for order in range(1, most_order + 1):
-        a = solve_toeplitz(covariance[:order], -covariance[1 : order + 1])
+        lags = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+        a = np.linalg.solve(covariance[lags], -covariance[1 : order + 1])
         variance = max(float(covariance[0] + a @ covariance[1 : order + 1]), least_std**2)
         criterion = n * math.log(variance) + order * math.log(n)
         if criterion < lowest:
@@ -90,10 +97,6 @@ RAMP_SPREAD = 0.5
 """Prior standard deviation of a drift over the whole record, as a share of pv's range."""
 SWING_WEIGHT = 30.0
 """Residual, in standard deviations, per e-fold beyond the least damping: a wall, but one with a slope."""
-LOG_STEP = 1e-6
-"""Step of the numerical derivative by a logarithm."""
-TIME_STEP = 1e-4
-"""Step of the numerical derivative by a load time, in sampling intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,37 +173,48 @@ class Misfit:
         dynamics = dynamics_at(self.type, p)
         return self.sign * math.exp(p[SLOPE]) * dynamics.held(self.record.clock, self.input, math.exp(p[THETA]))
 
+    @property
+    def starts(self) -> list[float]:
+        """Instants from which the process moves by what is not in the record: its beginning, and the ends of gaps."""
+        return [0.0, *self.record.gaps_s]
+
+    @property
+    def priors(self) -> int:
+        """Number of columns with a prior: the first ones."""
+        kinds = 1 + int(self.type in SECOND) + 2 * int(self.record.motion_at_start > 0)
+        return kinds * len(self.starts) + int(self.ramp)
+
     def columns(self, p: FloatArray) -> tuple[FloatArray, int]:
         """Columns of the linear unknowns, shape (n, c), each about one in size; the first `count` have a prior."""
         t, dynamics = self.record.t_s, dynamics_at(self.type, p)
-        starts = [0.0, *self.record.gaps_s]
         theta = math.exp(p[THETA])
-        found = [_unit(dynamics.step(t - at)) for at in starts]
+        found = [_unit(dynamics.step(t - at)) for at in self.starts]
         if dynamics.c2_s:
-            found += [_unit(dynamics.impulse(t - at)) for at in starts]
-        for at in starts if self.record.motion_at_start else ():
+            found += [_unit(dynamics.impulse(t - at)) for at in self.starts]
+        for at in self.starts if self.record.motion_at_start else ():
             since = t - at
             found.append(_unit(dynamics.step(since - theta)))
             found.append(_unit(dynamics.ramp(since) - dynamics.ramp(since - theta)))
         if self.ramp:
             found.append(t / self.record.span_s)
-        count = len(found)
-        found += [self._load(p, dynamics, j) for j in range(self.loads)]
+        found += [_unit(self._load(p, dynamics, j)) for j in range(self.loads)]
         if self.harmonics:
             w = math.exp(p[-1])
             found += [f(i * w * t) for i in range(1, self.harmonics + 1) for f in (np.cos, np.sin)]
-        return np.stack([*found, np.ones_like(t)], axis=1), count
+        return np.stack([*found, np.ones_like(t)], axis=1), self.priors
 
     def _load(self, p: FloatArray, dynamics: Dynamics, j: int) -> FloatArray:
-        """The column of one load step."""
+        """The response to one load step."""
         d = SIZE[self.type]
         since = self.record.t_s - p[d + j]
-        if self.rounded:
-            return _unit(dynamics.rounded_step(since, math.exp(p[d + self.loads])))
-        return _unit(dynamics.step(since))
+        return dynamics.rounded_step(since, math.exp(p[d + self.loads])) if self.rounded else dynamics.step(since)
 
     def solve(self, p: FloatArray) -> Projection:
         """The linear unknowns solved for; residuals in units of sigma, prior rows at the end."""
+        engine = compiled()
+        if engine is not None:
+            q, r, c, moved, columns, triangle = engine.projected(self, p)
+            return Projection(p, q, r, c, moved, columns, self.priors, triangle)
         columns, count = self.columns(p)
         moved = self.moved(p)
         basis = self._rows(columns, count)
@@ -211,21 +225,27 @@ class Misfit:
         r = np.append((target - q @ inside) / self.sigma, swing)
         return Projection(p, q, r, _back(triangle, inside), moved, columns, count, triangle)
 
+    def costs(self, points: Sequence[FloatArray]) -> list[float]:
+        """Sum of squares at every point."""
+        engine = compiled()
+        return engine.costs(self, points) if engine is not None else [self.solve(p).cost for p in points]
+
     def residuals(self, p: FloatArray) -> FloatArray:
         """Residuals in units of sigma: n samples, the priors of the start, the wall of the least damping."""
         return self.solve(p).r
 
     def jacobian(self, at: Projection) -> FloatArray:
         """Derivative of the residuals by p (Kaufman's approximation), shape (len(residuals), len(p))."""
+        engine = compiled()
+        if engine is not None:
+            return engine.jacobian(self, at.p)
         p, n = at.p, len(self.record.pv)
         changes = np.zeros((len(at.r) - 1, len(p)))
-        changes[:n] = self.whitened(np.stack([self._change(at, j) for j in range(len(p))], axis=1))
+        changes[:n] = self.whitened(np.stack(changes_of(self, at), axis=1))
         found = np.zeros((len(at.r), len(p)))
         found[:-1] = (at.q @ (at.q.T @ changes) - changes) / self.sigma
-        for j in (LAG.get(self.type), SECOND.get(self.type)):
-            if j is not None:
-                rise = swing_excess(self.type, _ahead(p, j, LOG_STEP)) - swing_excess(self.type, p)
-                found[-1, j] = SWING_WEIGHT * rise / LOG_STEP
+        if self.type == ProcessType.SOPDT and swing_excess(self.type, p) > 0:
+            found[-1, LAG[self.type]], found[-1, SECOND[self.type]] = -SWING_WEIGHT, SWING_WEIGHT
         return found
 
     def whitened(self, values: FloatArray) -> FloatArray:
@@ -237,41 +257,21 @@ class Misfit:
             found[lag:] += a * values[:-lag]
         return found
 
-    def _change(self, at: Projection, j: int) -> FloatArray:
-        """Derivative of the fitted pv by p[j] with the linear unknowns held, shape (n,)."""
-        p, d = at.p, SIZE[self.type]
-        if j == SLOPE:
-            return at.moved
-        if d <= j < d + self.loads:
-            h = TIME_STEP * self.record.sample_time_s
-            column = at.priors + j - d
-            change = self._load(_ahead(p, j, h), dynamics_at(self.type, p), j - d) - at.columns[:, column]
-            return np.asarray(at.c[column] * change / h, dtype=np.float64)
-        ahead = _ahead(p, j, LOG_STEP)
-        columns = self.columns(ahead)[0]
-        if j >= d:
-            return (columns - at.columns) @ at.c / LOG_STEP
-        return (self.moved(ahead) - at.moved + (columns - at.columns) @ at.c) / LOG_STEP
+    def prior_weights(self) -> list[float]:
+        """Of every column with a prior: what one of its size counts, in pv units."""
+        starts, spread = len(self.starts), max(self.start_spread, AT_REST)
+        spreads = [spread] * (starts * (1 + int(self.type in SECOND)))
+        if self.record.motion_at_start:
+            spreads += [max(self.start_spread * self.record.motion_at_start, AT_REST)] * (2 * starts)
+        if self.ramp:
+            spreads.append(RAMP_SPREAD)
+        return [self.sigma / (spread * self.record.pv_range) for spread in spreads]
 
     def _rows(self, columns: FloatArray, count: int) -> FloatArray:
         """The columns whitened, with a row for every prior."""
-        spread = np.full(count, max(self.start_spread, AT_REST))
-        starts = 1 + len(self.record.gaps_s)
-        last = count - int(self.ramp)
-        if self.record.motion_at_start:
-            spread[last - 2 * starts : last] = max(self.start_spread * self.record.motion_at_start, AT_REST)
-        if self.ramp:
-            spread[-1] = RAMP_SPREAD
         priors = np.zeros((count, columns.shape[1]))
-        priors[np.arange(count), np.arange(count)] = self.sigma / (spread * self.record.pv_range)
+        priors[np.arange(count), np.arange(count)] = self.prior_weights()
         return np.concatenate([self.whitened(columns), priors])
-
-
-def _ahead(p: FloatArray, j: int, h: float) -> FloatArray:
-    """p with one component moved."""
-    ahead = p.copy()
-    ahead[j] += h
-    return ahead
 
 
 def _unit(column: FloatArray) -> FloatArray:

@@ -132,6 +132,5 @@ def _with_loads(jacobian: FloatArray, step: FloatArray) -> FloatArray:
 
 def _deviance(misfit: Misfit, p: FloatArray, prior: Prior | None) -> float:
     """Misfit squared with the prior's share."""
-    r = misfit.residuals(p)
     known = prior.residuals(p[: SIZE[misfit.type]]) if prior is not None else np.zeros(0)
-    return float(r @ r + known @ known)
+    return misfit.costs([p])[0] + float(known @ known)

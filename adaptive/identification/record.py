@@ -56,7 +56,7 @@ class Record:
         noise = max(noise_sigma(window.pv), resolution)
         dt = window.sample_time_s
         return cls(
-            window.pv,
+            np.ascontiguousarray(window.pv),
             window.co - window.co[0],
             Clock.of(t),
             dt,

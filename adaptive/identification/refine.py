@@ -9,9 +9,11 @@ record is what a supervising thread can spare).
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from retuner.adaptive.identification.engine import compiled
 from retuner.adaptive.identification.misfit import Misfit, Projection
 from retuner.adaptive.identification.structure import LAG, SECOND, SIZE, SLOPE, THETA
 from retuner.adaptive.signals.sample import FloatArray
@@ -80,14 +82,23 @@ def pinned(size: int, place: int, value: float, prior: Prior | None) -> Prior:
     return Prior(np.concatenate([prior.root, row]), np.concatenate([prior.target, target]))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
-    """A refined optimum. deviance : sum of squares there, in units of the misfit's sigma, prior included."""
+    """A refined optimum.
+
+    p : the parameters. deviance : sum of squares there, in units of the misfit's sigma, prior included.
+    explained : the fitted pv, shape (n,).
+    """
 
     misfit: Misfit
     p: FloatArray
     deviance: float
-    at: Projection
+    explained: FloatArray
+
+    @cached_property
+    def at(self) -> Projection:
+        """The linear problem solved there."""
+        return self.misfit.solve(self.p)
 
     @property
     def x(self) -> FloatArray:
@@ -127,9 +138,23 @@ def refine(
 ) -> Fit:
     """Minimise the misfit (and the prior's share) from a start, until a step lowers it by a share below `enough`."""
     low, high = bounds(misfit)
-    d = SIZE[misfit.type]
     stride = np.full(misfit.size, LOG_STRIDE)
+    d = SIZE[misfit.type]
     stride[d : d + misfit.loads] = TIME_STRIDE * misfit.record.span_s
+    engine = compiled()
+    if engine is not None:
+        return Fit(misfit, *engine.refined(misfit, start, (low, high, stride), prior, evaluations, enough))
+    at, cost = _descended(misfit, start, (low, high, stride), prior, evaluations, enough)
+    return Fit(misfit, at.p, cost, at.explained)
+
+
+def _descended(
+    misfit: Misfit, start: FloatArray, limits: tuple[FloatArray, FloatArray, FloatArray], prior: Prior | None,
+    evaluations: int, enough: float,
+) -> tuple[Projection, float]:  # fmt: skip
+    """The descent itself; limits : lowest, highest and stride of p."""
+    low, high, stride = limits
+    d = SIZE[misfit.type]
     at = misfit.solve(np.clip(start, low, high))
     cost, damping, ends = _cost(at, d, prior), DAMPING, 0
     normal, gradient = _normal(misfit, at, d, prior)
@@ -148,7 +173,7 @@ def refine(
         if ends > 1:
             break
         normal, gradient = _normal(misfit, at, d, prior)
-    return Fit(misfit, at.p, cost, at)
+    return at, cost
 
 
 def _cost(at: Projection, d: int, prior: Prior | None) -> float:

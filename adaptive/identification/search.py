@@ -6,11 +6,14 @@ steps are added one by one where they take away most of the misfit. The best nod
 """
 
 import math
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from retuner.adaptive.identification.dynamics import Clock, Dynamics
+from retuner.adaptive.identification.engine import compiled
 from retuner.adaptive.identification.misfit import Misfit
 from retuner.adaptive.identification.refine import LEAST_TIME, Fit, refine
 from retuner.adaptive.identification.structure import LAG, SECOND, SIZE, THETA
@@ -36,28 +39,76 @@ def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatA
 
     misfit : its type says which structure: first order, or integrating.
     """
-    t, u, pv = _thinned(misfit)
-    record = misfit.record
-    lags = np.geomspace(LAG_RANGE[0] * record.sample_time_s, LAG_RANGE[1] * record.span_s, LAG_NODES)
-    if misfit.type == ProcessType.INTEGRATING:
-        lags = np.array([math.inf])
-    longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
-    thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
-    at = np.linspace(0.0, record.span_s, LOAD_NODES + 2)[1:-1]
-    ranked: dict[int, list[tuple[float, FloatArray]]] = {m: [] for m in range(most_loads + 1)}
-    clock = Clock.of(t)
-    for lag in lags:
-        dynamics = Dynamics(0.0, 1.0 / float(lag))
-        steps = dynamics.step(t[:, None] - at[None, :])
+    grid = Grid.of(misfit)
+    engine = compiled()
+    nodes = (
+        engine.searched(grid, misfit.sigma, most_loads) if engine is not None else _searched(grid, misfit, most_loads)
+    )
+    ranked: dict[int, list[Node]] = {m: [] for m in range(most_loads + 1)}
+    for node in nodes:
+        ranked[len(node.loads)].append(node)
+    return {
+        m: [_point(node, misfit.sign) for node in sorted(found, key=lambda n: n.deviance)[:count]]
+        for m, found in ranked.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What is searched: the record thinned, and the nodes. lags_s : infinite for an integrating process.
+
+    at_s : candidates for the time of a load step.
+    """
+
+    clock: Clock
+    co: FloatArray
+    pv: FloatArray
+    lags_s: FloatArray
+    thetas_s: FloatArray
+    at_s: FloatArray
+
+    @classmethod
+    def of(cls, misfit: Misfit) -> "Grid":
+        """The grid of a record."""
+        t, u, pv = _thinned(misfit)
+        record = misfit.record
+        lags = np.geomspace(LAG_RANGE[0] * record.sample_time_s, LAG_RANGE[1] * record.span_s, LAG_NODES)
+        if misfit.type == ProcessType.INTEGRATING:
+            lags = np.array([math.inf])
+        longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
+        thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
+        return cls(Clock.of(t), u, pv, lags, thetas, np.linspace(0.0, record.span_s, LOAD_NODES + 2)[1:-1])
+
+
+class Node(NamedTuple):
+    """A node solved: misfit, slope gain, lag, dead time, and times of the load steps in order."""
+
+    deviance: float
+    slope: float
+    lag_s: float
+    theta_s: float
+    loads: list[float]
+
+
+def _point(node: Node, sign: int) -> FloatArray:
+    """p of a node."""
+    signed = max(node.slope * sign, 1e-3 * abs(node.slope) + 1e-300)  # a wrong sign starts near zero
+    lag = [math.log(node.lag_s)] if math.isfinite(node.lag_s) else []
+    return np.array([math.log(signed), math.log(node.theta_s), *lag, *node.loads])
+
+
+def _searched(grid: Grid, misfit: Misfit, most_loads: int) -> Iterator[Node]:
+    """Every node with 0, 1, ... load steps."""
+    t = grid.clock.t_s
+    for lag in grid.lags_s.tolist():
+        dynamics = Dynamics(0.0, 1.0 / lag)
+        steps = dynamics.step(t[:, None] - grid.at_s[None, :])
         steps /= np.maximum(np.max(np.abs(steps), axis=0), 1e-300)
         rest = np.stack([np.ones_like(t), dynamics.step(t) / max(float(dynamics.step(t)[-1]), 1e-300)], axis=1)
-        for theta in thetas:
-            x = dynamics.held(clock, u, float(theta))
-            for deviance, slope, loads in _node(pv, x, rest, steps, at, misfit.sigma, most_loads):
-                signed = max(slope * misfit.sign, 1e-3 * abs(slope) + 1e-300)  # a wrong sign starts near zero
-                p = [math.log(signed), math.log(theta), *([math.log(lag)] if math.isfinite(lag) else []), *loads]
-                ranked[len(loads)].append((deviance, np.array(p)))
-    return {m: [p for _, p in sorted(found, key=lambda f: f[0])[:count]] for m, found in ranked.items()}
+        for theta in grid.thetas_s.tolist():
+            x = dynamics.held(grid.clock, grid.co, theta)
+            for deviance, slope, loads in _node(grid.pv, x, rest, steps, grid.at_s, misfit.sigma, most_loads):
+                yield Node(deviance, slope, lag, theta, loads)
 
 
 def _thinned(misfit: Misfit) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -66,11 +117,11 @@ def _thinned(misfit: Misfit) -> tuple[FloatArray, FloatArray, FloatArray]:
     u = record.co if misfit.co is None else misfit.co
     n = -(-len(u) // MOST_ROWS)
     if n == 1:
-        return record.t_s, u, record.pv
+        return record.t_s, np.ascontiguousarray(u), record.pv
     first = np.arange(0, len(u), n)
     held = np.diff(record.t_s, append=2 * record.t_s[-1] - record.t_s[-2])
     averaged = np.add.reduceat(u * held, first) / np.add.reduceat(held, first)
-    return record.t_s[first], np.asarray(averaged, dtype=np.float64), record.pv[first]
+    return record.t_s[first], np.asarray(averaged, dtype=np.float64), np.ascontiguousarray(record.pv[first])
 
 
 def _node(
@@ -122,8 +173,8 @@ def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: 
     misfit = replace(smaller.misfit, type=type_)
     nested = _insert(smaller, type_, smaller.x, LEAST_TIME * 2 * misfit.record.sample_time_s)
     points = [nested, *_splits(smaller, type_), *(long_lag(o, type_) for o in others)]
-    ranked = sorted(points, key=lambda p: float(np.sum(misfit.residuals(p) ** 2)))
-    found = min((refine(misfit, p) for p in ranked[:count]), key=lambda f: f.deviance)
+    order = np.argsort(misfit.costs(points), kind="stable")[:count]
+    found = min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
     if found.deviance > smaller.deviance * WORSE:
         found = min(found, refine(misfit, nested), key=lambda f: f.deviance)
     return found

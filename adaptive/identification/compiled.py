@@ -1,0 +1,107 @@
+"""The compiled engine in the terms of the house: problems packed into buffers, answers unpacked.
+
+    numbers = (dt or 0, span, sigma, sign, type, loads, harmonics, ramp, rounded, motion, starts, order of the filter,
+               the starts, the filter, the weights of the priors)
+
+What each function computes, and why, stands with the numpy engine's function of the same name.
+"""
+
+import math
+from array import array
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from retuner.adaptive.identification import _engine
+from retuner.adaptive.identification.search import Grid, Node
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+if TYPE_CHECKING:
+    from retuner.adaptive.identification.misfit import Misfit
+    from retuner.adaptive.identification.refine import Prior
+
+TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
+"""In the order of their numbers."""
+NOTHING = np.zeros(0)
+
+Packed = tuple[FloatArray, FloatArray, FloatArray, "array[float]"]
+
+
+def packed(misfit: "Misfit") -> Packed:
+    """t, pv, co and the numbers of a problem."""
+    record = misfit.record
+    weights, starts = misfit.prior_weights(), misfit.starts
+    numbers = array("d", (
+        record.clock.dt_s or 0.0, record.span_s, misfit.sigma, misfit.sign, TYPES.index(misfit.type), misfit.loads,
+        misfit.harmonics, misfit.ramp, misfit.rounded, record.motion_at_start > 0, len(starts), len(misfit.ar),
+        *starts, *misfit.ar, *weights,
+    ))  # fmt: skip
+    return record.clock.t_s, record.pv, misfit.input, numbers
+
+
+def refined(
+    misfit: "Misfit", start: FloatArray, limits: tuple[FloatArray, FloatArray, FloatArray], prior: "Prior | None",
+    evaluations: int, enough: float,
+) -> tuple[FloatArray, float, FloatArray]:  # fmt: skip
+    """The optimum p, the deviance there, and the pv that it explains. limits : lowest, highest and stride of p."""
+    p, explained = np.array(start, dtype=np.float64), np.empty(len(misfit.record.pv))
+    root, target = (NOTHING, NOTHING) if prior is None else (np.ascontiguousarray(prior.root), prior.target)
+    deviance = _engine.refine(*packed(misfit), p, *limits, root, target, explained, evaluations, enough)
+    return p, deviance, explained
+
+
+def costs(misfit: "Misfit", points: Sequence[FloatArray]) -> list[float]:
+    """The sum of squares at every point."""
+    out = np.empty(len(points))
+    _engine.costs(*packed(misfit), np.concatenate(points), out)
+    return out.tolist()
+
+
+def projected(misfit: "Misfit", p: FloatArray) -> tuple[FloatArray, ...]:
+    """q, r, c, moved, columns and triangle of a Projection."""
+    n = len(misfit.record.pv)
+    k = misfit.priors + misfit.loads + 2 * misfit.harmonics + 1
+    q, columns = np.empty((k, n + misfit.priors)), np.empty((k, n))
+    r, c, moved, triangle = np.empty(n + misfit.priors + 1), np.empty(k), np.empty(n), np.empty((k, k))
+    _engine.project(*packed(misfit), np.ascontiguousarray(p), q, r, c, moved, columns, triangle)
+    return q.T, r, c, moved, columns.T, triangle
+
+
+def jacobian(misfit: "Misfit", p: FloatArray) -> FloatArray:
+    """Derivative of the residuals by p, shape (len(residuals), len(p))."""
+    out = np.empty((misfit.size, len(misfit.record.pv) + misfit.priors + 1))
+    _engine.jacobian(*packed(misfit), np.ascontiguousarray(p), out)
+    return out.T
+
+
+def load_gains(misfit: "Misfit", p: FloatArray, instants: FloatArray) -> FloatArray:
+    """What one more load step at each instant would bring."""
+    out = np.empty(len(instants))
+    _engine.gains(*packed(misfit), np.ascontiguousarray(p), instants, out)
+    return out
+
+
+def colour(r: FloatArray, least_std: float, most_order: int) -> tuple[float, tuple[float, ...]]:
+    """Standard deviation and coefficients of a remainder's filter."""
+    return _engine.colour(np.ascontiguousarray(r), least_std, most_order)
+
+
+def searched(grid: Grid, sigma: float, most_loads: int) -> Iterator[Node]:
+    """Every node of the coarse search with 0, 1, ... load steps."""
+    lags, thetas = grid.lags_s, grid.thetas_s
+    shape = (len(lags) * len(thetas), most_loads + 1)
+    deviance, slope, chosen = np.empty(shape), np.empty(shape), np.empty((shape[0], most_loads))
+    span = float(grid.clock.t_s[-1] - grid.clock.t_s[0])
+    numbers = array("d", (grid.clock.dt_s or 0.0, span, sigma, 1, 0, 0, 0, 0, 0, 0, 0, 0))
+    _engine.search(
+        grid.clock.t_s, grid.pv, grid.co, numbers, lags, thetas, grid.at_s, most_loads, deviance, slope, chosen
+    )
+    at, rows = grid.at_s.tolist(), zip(deviance.tolist(), slope.tolist(), chosen.tolist(), strict=True)
+    pairs = product(lags.tolist(), thetas.tolist())
+    for (lag, theta), (left, gains, places) in zip(pairs, rows, strict=True):
+        for m in range(most_loads + 1):
+            if math.isfinite(left[m]):
+                yield Node(left[m], gains[m], lag, theta, sorted(at[int(j)] for j in places[:m]))

@@ -1,0 +1,72 @@
+"""Which engine computes the fits: the compiled one where it was built, else numpy. Chosen here and nowhere else.
+
+RETUNER_ENGINE says which: auto (the default), c, or numpy. Both do the same mathematics, equal to rounding; numpy is the
+reference, and all that a machine without a compiler needs. An engine that was built for another version of this package
+is not used.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+
+import numpy as np
+
+VARIABLE = "RETUNER_ENGINE"
+CHOICES = ("auto", "c", "numpy")
+COMPILED_VERSION = "1"
+"""Version of the compiled engine that belongs to this package."""
+
+_asked: ContextVar[str | None] = ContextVar("engine", default=None)
+
+
+def compiled() -> ModuleType | None:
+    """The compiled engine (compiled.py), or None where numpy is to compute.
+
+    Raises
+    ------
+    ValueError
+        RETUNER_ENGINE names no engine, or asks for the compiled one where there is none.
+    """
+    return _chosen(_asked.get() or os.environ.get(VARIABLE, "auto"))
+
+
+@contextmanager
+def using(name: str) -> Iterator[None]:
+    """Within the block, in this thread or task, fits are computed by the engine of this name."""
+    token = _asked.set(name)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+
+
+def engine_name() -> str:
+    """Name and version for the ledger: "c 1", or "numpy" with its version."""
+    return f"numpy {np.__version__}" if compiled() is None else f"c {COMPILED_VERSION}"
+
+
+@cache
+def _chosen(name: str) -> ModuleType | None:
+    if name not in CHOICES:
+        raise ValueError(f"{VARIABLE} = {name!r}: give one of {', '.join(CHOICES)}")
+    if name == "numpy":
+        return None
+    found, reason = _built()
+    if found is None and name == "c":
+        raise ValueError(f"{VARIABLE} = c: {reason}")
+    return found
+
+
+def _built() -> tuple[ModuleType | None, str]:
+    """The compiled engine, or why there is none."""
+    try:
+        extension = import_module("retuner.adaptive.identification._engine")
+    except ImportError as error:
+        return None, f"the compiled engine cannot be loaded ({error})"
+    if extension.version != COMPILED_VERSION:
+        return None, f"the compiled engine has version {extension.version}; version {COMPILED_VERSION} is needed"
+    return import_module("retuner.adaptive.identification.compiled"), ""
