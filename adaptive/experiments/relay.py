@@ -25,6 +25,7 @@ import numpy as np
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.trapezoid import trapezoid
 
 FEWEST_WAVES = 2
 """Full waves from which a result is given; the first after the start is not among them."""
@@ -275,7 +276,7 @@ def _fundamental(window: Window, waves: list[tuple[int, int]]) -> complex:
         turns = np.exp(-1j * w * edges)
         u1 = np.sum(window.co[a:b] * np.diff(turns)) / (-1j * w)
         pv = window.pv[a : b + 1] - float(np.mean(window.pv[a:b]))
-        y1 = np.trapezoid(pv * turns, edges)
+        y1 = trapezoid(pv * turns, edges)
         ratios.append(y1 / u1)
     return complex(np.mean(ratios))
 

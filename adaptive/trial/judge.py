@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.signals.trapezoid import trapezoid
 from retuner.adaptive.trial.expectation import Expected, Promise
 from retuner.adaptive.trial.posterior_check import Hindsight, against, in_favour
 from retuner.adaptive.trial.response_numbers import storable, swing, three
@@ -243,7 +244,7 @@ def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, least: floa
 
 def _area(values: FloatArray, t: FloatArray) -> float:
     """Integral by the trapezoidal rule."""
-    return float(np.trapezoid(values, t))
+    return float(trapezoid(values, t))
 
 
 def _told(numbers: dict[str, float]) -> str:

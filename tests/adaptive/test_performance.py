@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 from scipy.linalg import expm
 
 from retuner.adaptive.loop.performance import Performance, performance, weighted_cost
@@ -41,7 +42,7 @@ def test_the_lightly_damped_second_order_loop() -> None:
     found = performance(LinearProcess(1.0, (1 / (2 * zeta * w0),)), PidGains(0.0, w0 / (2 * zeta)))
     t = np.linspace(0, 150, 3_000_001)
     e = np.exp(-zeta * w0 * t) * (np.cos(wd * t) + zeta * w0 / wd * np.sin(wd * t))
-    assert found.iae_setpoint == pytest.approx(float(np.trapezoid(np.abs(e), t)), rel=1e-6)
+    assert found.iae_setpoint == pytest.approx(float(trapezoid(np.abs(e), t)), rel=1e-6)
 
 
 def test_proportional_control_of_an_integrator_with_dead_time() -> None:
