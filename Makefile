@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
 PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 
-.PHONY: demo test lint bench nightly clean
+.PHONY: demo test lint lowest bench nightly clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo
@@ -21,6 +21,9 @@ lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+lowest:  ## the demo and a fast part of the tests with the lowest versions that pyproject.toml allows
+	$(PYTHON) scripts/lowest_versions.py
 
 bench: $(DEV)  ## speed ratios, measured in one run
 	$(BIN)/python benchmarks/startup.py
@@ -45,4 +48,4 @@ $(DEV): $(STAMP)
 	@touch $(STAMP) $@
 
 clean:  ## take away everything that the commands above made
-	rm -rf $(VENV) .typing build dist runs *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage
+	rm -rf $(VENV) .venv-lowest .typing build dist runs *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage

@@ -23,7 +23,7 @@ from retuner.streams import open_streams
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h: a defect of ours, told apart from 1 and 2
-WRONG_USE: type[Any] = typer.BadParameter.__mro__[1]  # UsageError; typer has its own click from 0.20 on, so no import
+WRONG_USE: type[Any] = typer.BadParameter.__mro__[1]  # UsageError; newer typers have a click of their own, so no import
 ROOM_ERRORS = (("retuner.drivers.device", "DeviceError"), ("retuner.drivers.recorded.recording", "RecordingError"))
 """Errors of the rooms that a person can put right: module and name, looked up only if the module was ever imported."""
 

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -124,16 +125,16 @@ def test_check_of_a_broken_file(tmp_path: Path) -> None:
     [
         (["chek"], "No such command 'chek'"),
         (["check"], "Missing argument 'CONFIG'"),
-        (["check", "--jsn", "x"], "No such option: --jsn"),
+        (["check", "--jsn", "x"], "No such option:? '?--jsn"),  # click 8.5 quotes it, typer's own does not
         (["check", "a", "b"], "unexpected extra argument"),
         (["check", "nowhere.toml"], "nowhere.toml: no such file"),
-        (["check", "a\nb\x1b[31m"], "a\\nb\\x1b[31m: no such file"),
+        (["check", "a\nb\x1b[31m"], r"a\\nb\\x1b\[31m: no such file"),
     ],
 )
 def test_wrong_use_is_one_line_and_status_2(arguments: list[str], told: str) -> None:
     done = run(*arguments)
     assert (done.returncode, done.stdout) == (2, "")
-    assert told in done.stderr
+    assert re.search(told, done.stderr)
     assert done.stderr.count("\n") == 1
     assert done.stderr[:-1].isprintable()
 

@@ -56,15 +56,17 @@ class RunScreen:
         self._samples = 0
 
     def __enter__(self) -> "RunScreen":
-        self._progress.start()
+        if not self._progress.disable:
+            self._progress.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+        self.pause()
 
     def pause(self) -> None:
         """No more progress: a question is going to be asked."""
-        self._progress.stop()
+        if not self._progress.disable:  # to stop one that shows nothing is an empty line with rich before 15
+            self._progress.stop()
 
     def begin(self, text: str) -> None:
         """Start a bar."""

@@ -1,0 +1,82 @@
+"""Run the demo and a fast part of the tests with the lowest versions that pyproject.toml allows.
+
+    python scripts/lowest_versions.py       about a minute of CPU, after the environment is made
+
+The environment, .venv-lowest, is made anew where the versions have changed since. Every package that pyproject.toml
+names for users (extras among them) or for the tests has its lowest version; what those need in turn is the newest.
+"""
+
+import subprocess
+import sys
+import tomllib
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+ENVIRONMENT = ROOT / ".venv-lowest"
+PYTHON = ENVIRONMENT / "bin" / "python"
+STAMP = ENVIRONMENT / "versions.txt"
+TESTS = (
+    "tests/schedule",
+    "tests/adaptive/rules/test_published.py",
+    "tests/adaptive/trial/test_judge.py",
+    "tests/adaptive/test_experiments.py",
+    "tests/adaptive/test_tracker.py",
+    "tests/drivers/test_recording.py",
+    "tests/drivers/test_bus.py",
+    "tests/drivers/test_write_protocol.py",
+    "tests/app/test_lowest_versions.py",
+    "tests/app/test_cli.py",
+    "tests/app/test_config.py",
+    "tests/app/test_experiment.py",
+    "tests/app/test_pretune.py",
+    "tests/app/test_conversions.py",
+    "tests/app/test_ledger.py",
+)
+"""What touches numpy, scipy, filterpy, pydantic, typer, rich, python-can, cantools, pyarrow most; a minute of CPU."""
+
+
+def lowest() -> str:
+    """Constraints for pip: every named package at its lowest version, one a line."""
+    document = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    extras = document["project"]["optional-dependencies"]
+    named = [*document["project"]["dependencies"], *document["dependency-groups"]["test"]]
+    named += [package for name, packages in extras.items() if name != "all" for package in packages]
+    assert all(package.count(">=") == 1 for package in named), named
+    return "\n".join(package.replace(">=", "==") for package in named) + "\n"
+
+
+def run(*arguments: str | Path) -> None:
+    """Run one program of the environment; it ends this script where it fails."""
+    command = [str(argument) for argument in arguments]
+    print("==", *command, flush=True)
+    done = subprocess.run([str(PYTHON), *command], cwd=ROOT, check=False)
+    if done.returncode:
+        sys.exit(done.returncode)
+
+
+def environment() -> None:
+    """Make the environment, unless it is there with these versions."""
+    constraints = lowest()
+    if STAMP.exists() and STAMP.read_text("utf-8") == constraints:
+        return
+    venv.create(ENVIRONMENT, with_pip=True, clear=True)
+    chosen = ENVIRONMENT / "constraints.txt"
+    chosen.write_text(constraints, "utf-8")
+    pip = ("-m", "pip", "install", "-q", "--disable-pip-version-check")
+    run(*pip, "--upgrade", "pip>=25.1")
+    run(*pip, "-e", ".[all]", "--group", "test", "-c", chosen)
+    chosen.rename(STAMP)
+
+
+def main() -> None:
+    """Make the environment, show what is in it, run."""
+    environment()
+    run("-m", "pip", "list", "--disable-pip-version-check")
+    run("-m", "retuner", "run", "examples/oven.toml", "--no-compare", "--out", "runs/lowest")
+    # newer packages deprecate what the old ones beside them call: a warning is no error here
+    run("-P", "-m", "pytest", "-q", "-o", "filterwarnings=default", "-p", "no:cacheprovider", *TESTS)
+
+
+if __name__ == "__main__":
+    main()
