@@ -6,7 +6,7 @@ k is the steady-state gain; for integrating types it is the slope gain k' per se
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -70,6 +70,10 @@ class LinearProcess:
         if any(c1 < 0 or c2 < 0 for c1, c2 in self.quadratics):
             raise ValueError(f"quadratics = {self.quadratics}: a negative coefficient makes the process unstable")
 
+    def seen_by_controller(self, sample_time_s: float) -> "LinearProcess":
+        """As a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
+        return replace(self, theta_s=self.theta_s + sample_time_s / 2)
+
     def response(self, w: FloatArray) -> ComplexArray:
         """G(jw) at the frequencies w in rad/s, shape (n,)."""
         s = 1j * np.asarray(w, dtype=np.float64)
@@ -128,6 +132,10 @@ class ProcessModel:
     def slope(self) -> float:
         """Initial slope gain k' = k / tau1 per second (k itself for the other structures)."""
         return self.k / self.tau1_s if self.tau1_s > 0 else self.k
+
+    def seen_by_controller(self, sample_time_s: float) -> "ProcessModel":
+        """As a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
+        return replace(self, theta_s=self.theta_s + sample_time_s / 2)
 
     def linear(self) -> LinearProcess:
         """The same as a general linear process."""

@@ -11,7 +11,6 @@ import math
 
 from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Decision
@@ -99,11 +98,8 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
     belief = retuner.beliefs.get(region)
     if belief is None:
         return ""
-    process = predicted(belief, t_s, settings.tracker).model().linear()
-    sampled = LinearProcess(
-        process.k, process.lags_s, process.leads_s, process.theta_s + settings.sample_time_s / 2, process.integrators
-    )
-    unstable = math.isinf(sensitivity_peak(sampled, gains)) and math.isfinite(sensitivity_peak(sampled, in_force))
+    process = predicted(belief, t_s, settings.tracker).model().seen_by_controller(settings.sample_time_s).linear()
+    unstable = math.isinf(sensitivity_peak(process, gains)) and math.isfinite(sensitivity_peak(process, in_force))
     return "on the process as it is known now they would be unstable" if unstable else ""
 
 

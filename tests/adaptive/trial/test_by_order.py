@@ -5,11 +5,17 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig
 
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.structure import parameters_of
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.region_model.region_model import Belief, Known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
@@ -176,6 +182,22 @@ def test_a_way_back_that_would_be_unstable_now_is_refused() -> None:
     assert decision is not None
     assert decision.action is Action.NONE
     assert "would be unstable" in decision.reason
+
+
+@pytest.mark.parametrize(
+    ("wanted", "unstable"),
+    [(PidGains(0.1, 0.1), True), (PidGains(1.5, 0.02), False), (PidGains(0.2, 0.01), False)],
+)
+def test_the_way_back_is_judged_on_a_swinging_process_with_its_damping(wanted: PidGains, unstable: bool) -> None:
+    # without its poles it would be a gain with dead time: the first set is stable there, the second is not
+    swinging = ProcessModel(ProcessType.SOPDT, 1.0, 20.0, 20.0, 2.0, 0.4)
+    bench = Bench(PidGains(0.1, 0.005))
+    log = LogModel(parameters_of(swinging), np.eye(4) * 1e-4, 1, ProcessType.SOPDT)
+    bench.retuner.beliefs[0] = Belief((Known(log, 0.0),), 3, bench.t_s)
+    assert math.isinf(sensitivity_peak(replace(swinging, theta_s=2.5).linear(), wanted)) is unstable
+    decision = revert(bench.retuner, 0, wanted, bench.t_s)
+    assert decision is not None
+    assert decision.code == ("revert_refused" if unstable else "ordered_back")
 
 
 def test_a_lock_is_taken_off_and_a_change_that_waits_is_accepted() -> None:
