@@ -14,6 +14,7 @@ import math
 import random
 import statistics
 from collections import Counter
+from dataclasses import replace
 from itertools import count
 
 from online.judge import Judge
@@ -135,8 +136,7 @@ def left_alone(job: Job, device: VirtualDevice, sp: float) -> bool:
 
 
 def true_ultimate(process: LinearProcess, delay_s: float) -> tuple[float, float]:
-    late = LinearProcess(process.k, process.lags_s, process.leads_s, process.theta_s + delay_s, process.integrators)
-    ku, pu = ultimate(late)
+    ku, pu = ultimate(replace(process, theta_s=process.theta_s + delay_s))
     return abs(ku), pu
 
 

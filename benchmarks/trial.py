@@ -48,7 +48,7 @@ class Tried(FixedGains):
         self.desk = TrialDesk(TrialSettings(responses=10), loop.dt_s, {}.__setitem__)
         model = _off(half_rule(loop.process), rng, error)
         old = scaled(loop.best, 0.25, 1.0) if rng.random() < 0.5 else loop.best
-        promised = promise([Plausible(model, 0.0)], old, loop.best, loop.dt_s / 2)
+        promised = promise([Plausible(model, 0.0)], old, loop.best, loop.dt_s)
         self.desk.begin(0, old, loop.best, promised, 0.0)
         self.desk.written(0, loop.best, 0.0)
         self.findings: Counter[str] = Counter()

@@ -17,7 +17,7 @@ from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, gain_spread
 from retuner.adaptive.identification.identify import estimate_of
-from retuner.adaptive.identification.robust_simc import RobustTuning, later, robust_simc
+from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
@@ -53,11 +53,11 @@ def linear_verdict(
     if gains is None:
         reason = "the loop by itself explains the record; without the settings in force no more can be said"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
-    spread = gain_spread(estimate.plausible, window.sample_time_s / 2)
+    spread = gain_spread(estimate.plausible, window.sample_time_s)
     if not estimate.identifiable and spread > settings.spread_limit:
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate, fits=fits)
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
-    verdict = _weighed(estimate, gains, tuning, window.sample_time_s / 2, settings.cause)
+    verdict = _weighed(estimate, gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | evidence)
     doubt = _doubt(verdict, window, oscillates, settings) if verdict.cause in TUNING_CAUSES else None
     if doubt is not None:
@@ -122,13 +122,13 @@ NOISY = 0.5
 
 
 def _weighed(
-    estimate: ModelEstimate, gains: PidGains, tuning: RobustTuning, half_sample_s: float, settings: CauseSettings
+    estimate: ModelEstimate, gains: PidGains, tuning: RobustTuning, sample_time_s: float, settings: CauseSettings
 ) -> Diagnosis:
     """The verdict that most of the models share that the record allows; its weight is the confidence."""
     weights: dict[Cause, float] = defaultdict(float)
     firsts: dict[Cause, Diagnosis] = {}
     for p in estimate.plausible:
-        model = later(p.model, half_sample_s)
+        model = p.model.seen_by_controller(sample_time_s)
         verdict = tuning_cause(model, gains, tuning.tuning.gains, 0.1, settings)
         weights[verdict.cause] += math.exp(-p.excess / 2)
         firsts.setdefault(verdict.cause, verdict)

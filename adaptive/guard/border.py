@@ -18,7 +18,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from retuner.adaptive.guard.model_set import sampled
 from retuner.adaptive.guard.request import Beside, Border
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -99,7 +98,7 @@ def at_border(
     """
 
     def ms_of(pair: tuple[ProcessModel, ProcessModel], gains: PidGains, share: float) -> float:
-        process = sampled(_between(pair, border, share) or pair[0], sample_time_s)
+        process = (_between(pair, border, share) or pair[0]).seen_by_controller(sample_time_s).linear()
         return sensitivity_peak(process, _mixed(gains, border, share), filter_s)
 
     worst, proper = -math.inf, True

@@ -10,7 +10,6 @@ cut off where a parameter has changed by a factor of two: beyond that a Gaussian
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.identification.structure import model_at, parameters_of
-from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
 
 MOST_LOG_STEP = math.log(2.0)
@@ -70,8 +69,3 @@ def _corners(log: LogModel, out: float) -> list[ProcessModel]:
     axes = out * vectors * np.sqrt(np.maximum(values, 0.0))
     axes = axes * np.minimum(1.0, MOST_LOG_STEP / np.maximum(np.max(np.abs(axes), axis=0), MOST_LOG_STEP))
     return [model_at(log.type, log.x + s * axes[:, j], log.sign) for j in range(len(log.x)) for s in (1.0, -1.0)]
-
-
-def sampled(model: ProcessModel, sample_time_s: float) -> LinearProcess:
-    """The process as a sampled controller sees it: half an interval more dead time (Skogestad 2003, section 2)."""
-    return replace(model, theta_s=model.theta_s + sample_time_s / 2).linear()

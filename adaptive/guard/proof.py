@@ -27,7 +27,6 @@ from retuner.adaptive.guard.checks import (
     robustness_checks,
 )
 from retuner.adaptive.guard.limits import Goal, goals, nothing_left, without_short_derivative
-from retuner.adaptive.guard.model_set import sampled
 from retuner.adaptive.guard.request import Border, ChangeRequest, Support
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
 from retuner.adaptive.guard.settings import GuardSettings
@@ -115,7 +114,7 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
     if request.slower or wanted.rule != RULE or wanted.tau_c_s is None or not request.models:
         return request.slower
     best = request.models[0].model
-    model = replace(best, theta_s=best.theta_s + request.sample_time_s / 2)
+    model = best.seen_by_controller(request.sample_time_s)
     kind = ControllerKind.PID if wanted.gains.kd else ControllerKind.PI
     theta = model.theta_s if kind == ControllerKind.PID else without_second_lag(model).theta_s
     whole = theta * settings.tau_c_max_ratio / wanted.tau_c_s
@@ -168,7 +167,7 @@ class _Case:
 
 def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     """Decide what may be written; see the head of this file."""
-    processes = [sampled(p.model, request.sample_time_s) for p in request.models]
+    processes = [p.model.seen_by_controller(request.sample_time_s).linear() for p in request.models]
     case = _Case(request, settings, Loops(processes, request.filter_s))
     doubt = _door(case) or evidence_doubt(request, settings)
     if doubt is not None and not (doubt[0] in EVIDENCE and (case.over or request.urgent)):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -73,17 +73,17 @@ class LogModel:
                 slopes[name][j] = (up[name] - down[name]) / (2 * LOG_STEP)
         return {name: math.sqrt(float(g @ self.p @ g)) for name, g in slopes.items()}
 
-    def gain_uncertainty(self, least_theta_s: float = 0.0) -> float:
+    def gain_uncertainty(self, sample_time_s: float = 0.0) -> float:
         """Standard deviation of ln |C(jw)|: of the SIMC controller that follows, at w = 1/theta where its loop lives.
 
-        A lag-dominant process decides it by k' theta, a delay-dominant one by k. least_theta_s : dead time that the
-        loop has besides the process (half a sampling interval); without any, a dead time near zero is never known.
+        A lag-dominant process decides it by k' theta, a delay-dominant one by k.
+        sample_time_s : of the controller; without the dead time that it adds, one near zero is never known.
         """
-        at = without_second_lag(self.model()).theta_s + least_theta_s
+        at = without_second_lag(self.model()).seen_by_controller(sample_time_s).theta_s
         slope = np.zeros(len(self.x))
         for j in range(len(self.x)):
             moved = (model_at(self.type, self._moved(j, h), self.sign) for h in (LOG_STEP, -LOG_STEP))
-            up, down = (log_controller(model, least_theta_s, at) for model in moved)
+            up, down = (log_controller(model, sample_time_s, at) for model in moved)
             slope[j] = (up - down) / (2 * LOG_STEP)
         return math.sqrt(max(float(slope @ self.p @ slope), 0.0))
 
@@ -108,17 +108,16 @@ def _numbers(model: ProcessModel) -> dict[str, float]:
     return found
 
 
-def log_controller(model: ProcessModel, least_theta_s: float, at_s: float) -> float:
-    """ln |C(j / at)| of SIMC's PI controller for a model with so much more dead time."""
-    plain = without_second_lag(model)
-    gains = simc(replace(plain, theta_s=plain.theta_s + least_theta_s)).gains
+def log_controller(model: ProcessModel, sample_time_s: float, at_s: float) -> float:
+    """ln |C(j / at)| of SIMC's PI controller for a model as a sampled controller sees it."""
+    gains = simc(without_second_lag(model).seen_by_controller(sample_time_s)).gains
     return 0.5 * math.log(gains.kp**2 + (gains.ki * at_s) ** 2)
 
 
-def gain_spread(around: Sequence[Plausible], least_theta_s: float) -> float:
+def gain_spread(around: Sequence[Plausible], sample_time_s: float) -> float:
     """Spread of ln |C(jw)| over the models that a record allows, as a standard deviation: weights exp(-excess / 2)."""
-    at = without_second_lag(around[0].model).theta_s + least_theta_s
-    values = np.array([log_controller(a.model, least_theta_s, at) for a in around])
+    at = without_second_lag(around[0].model).seen_by_controller(sample_time_s).theta_s
+    values = np.array([log_controller(a.model, sample_time_s, at) for a in around])
     weights = np.exp(-np.array([a.excess for a in around]) / 2)
     mean = float(weights @ values / np.sum(weights))
     return math.sqrt(float(weights @ (values - mean) ** 2 / np.sum(weights)))

@@ -210,7 +210,7 @@ def _judge(
             f"the effective dead time comes out as {short:.3g} s, less than the sampling interval of "
             f"{record.sample_time_s:.3g} s: sample at least {WANTED_SAMPLES_IN_THETA} times in it"
         )
-    gain_std = max(log.gain_uncertainty(record.sample_time_s / 2), gain_spread(around, record.sample_time_s / 2))
+    gain_std = max(log.gain_uncertainty(record.sample_time_s), gain_spread(around, record.sample_time_s))
     if gain_std > settings.gain_std_limit:
         return False, (
             f"the controller gain that follows is known to a factor of {_factor(gain_std)}; "

@@ -60,10 +60,9 @@ def robust_simc_on(
     process: ProcessModel, allowed: Sequence[Plausible], sample_time_s: float, settings: RobustSettings
 ) -> RobustTuning:
     """PI settings for the most likely model and all that are still allowed."""
-    half = sample_time_s / 2
-    model = later(process, half)
+    model = process.seen_by_controller(sample_time_s)
     theta = without_second_lag(model).theta_s
-    others = [later(p.model, half) for p in believed(allowed, settings.believed)]
+    others = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, settings.believed)]
 
     third = third_lag(model, settings.hidden_share)
 
@@ -104,11 +103,6 @@ def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
         return None
     hidden = share * (model.tau2_s / (2 * model.zeta) if model.zeta < 1 else model.tau2_s)
     return replace(model, theta_s=hidden) if model.theta_s < hidden else None
-
-
-def later(model: ProcessModel, delay_s: float) -> ProcessModel:
-    """The model with so much more dead time."""
-    return replace(model, theta_s=model.theta_s + delay_s)
 
 
 def believed(around: Sequence[Plausible], excess: float) -> list[Plausible]:

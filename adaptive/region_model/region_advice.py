@@ -53,21 +53,21 @@ class Features:
     p: FloatArray
 
 
-def features(log: LogModel, half_sample_s: float) -> Features:
-    """The two numbers of an estimate. half_sample_s : half the controller's sampling interval, s."""
+def features(log: LogModel, sample_time_s: float) -> Features:
+    """The two numbers of an estimate. sample_time_s : the controller's sampling interval."""
     jacobian = np.zeros((SIZE, len(log.x)))
     for j in range(len(log.x)):
         step = np.zeros(len(log.x))
         step[j] = LOG_STEP
-        up, down = (_asked(log, log.x + way * step, half_sample_s) for way in (1.0, -1.0))
+        up, down = (_asked(log, log.x + way * step, sample_time_s) for way in (1.0, -1.0))
         jacobian[:, j] = (up - down) / (2 * LOG_STEP)
-    return Features(_asked(log, log.x, half_sample_s), proper_covariance(jacobian @ log.p @ jacobian.T))
+    return Features(_asked(log, log.x, sample_time_s), proper_covariance(jacobian @ log.p @ jacobian.T))
 
 
-def _asked(log: LogModel, x: FloatArray, half_sample_s: float) -> FloatArray:
+def _asked(log: LogModel, x: FloatArray, sample_time_s: float) -> FloatArray:
     """(ln |Kc|, ln tau_I) at a point; the gain is that of the ideal form, kp."""
     found = model_at(log.type, x, log.sign)
-    model = without_second_lag(replace(found, theta_s=found.theta_s + half_sample_s))
+    model = without_second_lag(found.seen_by_controller(sample_time_s))
     ideal = to_ideal(simc(model, model.theta_s).gains)
     assert ideal.tau_i_s is not None
     return np.array([math.log(abs(ideal.kc)), math.log(ideal.tau_i_s)])
@@ -174,9 +174,8 @@ def region_advice(
     ----------
     regions : as they are. beliefs : what is known, by region. sample_time_s : of the controller.
     """
-    half = sample_time_s / 2
-    splits = (_split(regions, i, beliefs[i].points, half, settings) for i in sorted(beliefs))
-    return (*(advice for advice in splits if advice is not None), *_merges(regions, beliefs, half, settings))
+    splits = (_split(regions, i, beliefs[i].points, sample_time_s, settings) for i in sorted(beliefs))
+    return (*(advice for advice in splits if advice is not None), *_merges(regions, beliefs, sample_time_s, settings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,9 +216,9 @@ class _Cut:
         return self.below.left + self.above.left
 
 
-def _weighted(points: Sequence[RecordPoint], half_sample_s: float, scatter: float) -> list[_Weighted]:
+def _weighted(points: Sequence[RecordPoint], sample_time_s: float, scatter: float) -> list[_Weighted]:
     """Each record's z, and the inverse of its covariance with the scatter."""
-    found = [features(point.log, half_sample_s) for point in points]
+    found = [features(point.log, sample_time_s) for point in points]
     return [(f.z, np.asarray(np.linalg.inv(f.p + scatter**2 * np.eye(SIZE)), dtype=np.float64)) for f in found]
 
 
@@ -236,13 +235,13 @@ def _best_cut(points: Sequence[_Weighted], places: Sequence[float], least: int) 
 
 
 def _split(
-    regions: Regions, region: int, points: Sequence[RecordPoint], half_sample_s: float, settings: AdviceSettings
+    regions: Regions, region: int, points: Sequence[RecordPoint], sample_time_s: float, settings: AdviceSettings
 ) -> RegionAdvice | None:
     """The proposal to split a region, if there is one."""
     placed = [p for p in points if math.isfinite(p.x) and math.isfinite(p.x2)]
     if len(placed) < 2 * settings.least_records:
         return None
-    weighted, least = _weighted(placed, half_sample_s, settings.scatter), settings.least_records
+    weighted, least = _weighted(placed, sample_time_s, settings.scatter), settings.least_records
     cuts = [_best_cut(weighted, [(p.x, p.x2)[k] for p in placed], least) for k in range(len(regions.axes))]
     tried = sum(cut.tried for cut in cuts if cut is not None)
     if not tried:
@@ -301,11 +300,11 @@ def _tail(value: float, freedom: int) -> float:
 
 
 def _merges(
-    regions: Regions, beliefs: Mapping[int, Belief], half_sample_s: float, settings: AdviceSettings
+    regions: Regions, beliefs: Mapping[int, Belief], sample_time_s: float, settings: AdviceSettings
 ) -> Iterator[RegionAdvice]:
     """The borders that part nothing."""
     asked = {
-        i: _side(_weighted(belief.points, half_sample_s, settings.scatter))
+        i: _side(_weighted(belief.points, sample_time_s, settings.scatter))
         for i, belief in beliefs.items()
         if len(belief.points) >= settings.least_records
     }

@@ -44,7 +44,7 @@ def promise_of(
     in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
     if verdict.allowed:
         promised = promise(
-            verdict.allowed, in_force, new, settings.sample_time_s / 2, settings.setpoint_weight, settings.filter_s
+            verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
         )
         return replace(promised, decay_seen=decay_seen(response))
     return promise_without_model(response, in_force, new) if response else None
@@ -74,9 +74,7 @@ def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: Retu
         return None
     old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
     allowed = believed(estimate.plausible, settings.guard.believed)
-    found = hindsight(
-        allowed, old, case.in_force, settings.sample_time_s / 2, settings.setpoint_weight, settings.filter_s
-    )
+    found = hindsight(allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
     return replace(found, settled=estimate.identifiable)
 
 

@@ -31,7 +31,6 @@ from retuner.adaptive.diagnosis.swing_checks import (
     touches_limits,
 )
 from retuner.adaptive.guard import Verdict, prove
-from retuner.adaptive.identification.robust_simc import later
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import ANEW, Learned, Surprise, learn, predicted
@@ -199,7 +198,7 @@ def _is_sure(
     calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
     if is_safer_and_known(verdict.ruling, agrees, known, calm, len(case.response.peaks)):
         return True
-    model = later(belief.log.model(), settings.sample_time_s / 2)
+    model = belief.log.model().seen_by_controller(settings.sample_time_s)
     return (
         verdict.ruling in TOWARDS_SAFETY
         and touches_limits(case.samples, case.response, settings.limit_swing)
@@ -216,7 +215,7 @@ def _not_seen(case: Case, outcome: Outcome, settings: RetunerSettings) -> Diagno
         return None
     reason = swings_anyway(case.response, swing) if found.cause == Cause.SLUGGISH else ""
     if found.cause in SWINGING:
-        model = later(allowed[0].model, settings.sample_time_s / 2)
+        model = allowed[0].model.seen_by_controller(settings.sample_time_s)
         reason = not_seen(case.response, model, case.in_force, settings.setpoint_weight, settings.filter_s, swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, found.evidence, reason) if reason else None
 

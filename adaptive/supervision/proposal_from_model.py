@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import believed, later, robust_simc_on
+from retuner.adaptive.identification.robust_simc import believed, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import Belief
@@ -47,7 +47,7 @@ def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: Retuner
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
     cause = settings.cause
     tuning = robust_simc_on(best, belief.plausible, dt_s, robust).tuning
-    asked = (later(best, dt_s / 2), in_force, tuning.gains, log.gain_uncertainty(dt_s / 2))
+    asked = (best.seen_by_controller(dt_s), in_force, tuning.gains, log.gain_uncertainty(dt_s))
     diagnosis = tuning_cause(*asked, cause)
     if diagnosis.cause == Cause.OK:
         closer = tuning_cause(*asked, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
@@ -88,5 +88,5 @@ def over_limit(
     allowed: Sequence[Plausible], in_force: PidGains, sample_time_s: float, excess: float, limit: float
 ) -> bool:
     """Whether the gains in force are over an Ms limit on every model that is believed to within an excess."""
-    models = [later(p.model, sample_time_s / 2) for p in believed(allowed, excess)]
+    models = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, excess)]
     return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)

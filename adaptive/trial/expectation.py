@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import later
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.trial.batch_responses import Loop, Upset
@@ -161,7 +160,7 @@ def promise(
     allowed: Iterable[Plausible],
     old: PidGains,
     new: PidGains,
-    half_sample_s: float = 0.0,
+    sample_time_s: float = 0.0,
     b: float = 1.0,
     tau_f_s: float = 0.0,
 ) -> Promise:
@@ -169,7 +168,7 @@ def promise(
 
     Parameters
     ----------
-    allowed : the models that the records allow, the best one first. half_sample_s : dead time that sampling adds, s.
+    allowed : the models that the records allow, the best one first. sample_time_s : of the controller.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
 
     Raises
@@ -180,7 +179,7 @@ def promise(
     models = sorted(allowed, key=lambda found: found.excess)[:MOST_MODELS]  # stable: the best one stays first
     if not models:
         raise ValueError("a promise needs at least one model")
-    sampled = [later(found.model, half_sample_s).linear() for found in models]
+    sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in models]
     loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
     found, n = shapes(loops, UPSETS), len(models)
     now, then = found[:n], found[n:]

@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.robust_simc import later
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.expectation import Promise
@@ -48,7 +47,7 @@ def hindsight(
     allowed: Sequence[Plausible],
     old: PidGains,
     tried: PidGains,
-    half_sample_s: float,
+    sample_time_s: float,
     b: float = 1.0,
     tau_f_s: float = 0.0,
 ) -> Hindsight:
@@ -56,10 +55,10 @@ def hindsight(
 
     Parameters
     ----------
-    allowed : at least one model. half_sample_s : dead time that sampling adds, s.
+    allowed : at least one model. sample_time_s : of the controller.
     b, tau_f_s : setpoint weight of the controller, and its derivative's filter time in seconds.
     """
-    sampled = [later(found.model, half_sample_s).linear() for found in allowed]
+    sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in allowed]
     ms_tried, ms_old = ([sensitivity_peak(process, gains, tau_f_s) for process in sampled] for gains in (tried, old))
     loops = [Loop(process, gains, b, tau_f_s) for gains in (tried, old) for process in sampled]
     iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(sampled)

@@ -85,7 +85,7 @@ class OnTrial(Watching):
     def inject(self, bad: PidGains, believed: Plausible, said: PidGains) -> None:
         """Put a set on trial with the promise that a model makes for the set that it is said to be."""
         old = self.retuner.table.gains_of(0)
-        promised = promise([believed], old, said, self.retuner.settings.sample_time_s / 2)
+        promised = promise([believed], old, said, self.retuner.settings.sample_time_s)
         self.retuner.desk.begin(0, old, bad, promised, self.t_s)
         self.due = bad
 

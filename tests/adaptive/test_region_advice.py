@@ -73,6 +73,14 @@ def test_two_processes_are_told_apart_and_the_border_lies_between_them() -> None
         assert found.against_time >= SETTINGS.against_time
 
 
+def test_the_advised_settings_are_those_of_a_sampled_controller() -> None:
+    """SIMC's Kc goes as 1/(k' (theta + half a sampling interval)): dead times of 1 and 4 s, samples of 2 s."""
+    xs = (20.0, 70.0, 30.0, 80.0, 25.0, 75.0, 35.0, 65.0)
+    records = [RecordPoint(1e3 * i, x, 0.0, log(theta=0.1 if x < 50 else 0.4), 1.0) for i, x in enumerate(xs)]
+    (found,) = region_advice(ROW, {0: belief(records)}, 2.0, SETTINGS)
+    assert found.kc_factor == pytest.approx((1.0 + 1.0) / (4.0 + 1.0))
+
+
 def test_one_process_is_hardly_ever_taken_for_two() -> None:
     """500 regions of one process with about the scatter that is allowed: at alpha = 0.001 three at the very most."""
     rng, wrong = random.Random(7), 0
@@ -187,7 +195,7 @@ def test_the_document_is_plain() -> None:
 
 def test_features_are_simcs_settings_with_their_spread() -> None:
     """Kc = 1/(k' 2 theta), tau_I = min(T, 8 theta) with half a sample more of delay; errors by hand."""
-    found = features(log(), 0.5)
+    found = features(log(), 1.0)
     assert np.exp(found.z) == pytest.approx([1 / (0.02 * 21.0), 60.0], rel=1e-9)
     delay = 10.0 / 10.5  # d ln(theta + 0.5) / d ln theta
     assert found.p[0, 0] == pytest.approx(STD**2 * (1 + delay**2), rel=1e-4)

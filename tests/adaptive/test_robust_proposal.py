@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.identification.robust_simc import later
 from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -34,7 +33,7 @@ def known(model: ProcessModel, std: float = 0.02, *, identifiable: bool = True) 
 
 
 def ms(model: ProcessModel, gains: PidGains) -> float:
-    return sensitivity_peak(later(model, S.sample_time_s / 2).linear(), gains)
+    return sensitivity_peak(model.seen_by_controller(S.sample_time_s).linear(), gains)
 
 
 def of(belief: Belief, gains: PidGains) -> tuple[PidGains, Cause, bool]:
@@ -53,7 +52,7 @@ def test_the_nominal_limit_is_kept_and_used(model: ProcessModel, most: float) ->
 
 @pytest.mark.parametrize(("factor", "cause"), [(1.08, Cause.OK), (1.2, Cause.AGGRESSIVE)])
 def test_a_gain_is_too_large_where_ms_leaves_the_proposals_own_limit(factor: float, cause: Cause) -> None:
-    best = simc(later(FIRST, S.sample_time_s / 2)).gains
+    best = simc(FIRST.seen_by_controller(S.sample_time_s)).gains
     gains = PidGains(factor * best.kp, factor * best.ki)
     assert 1.65 < ms(FIRST, gains) < S.cause.ms_high
     assert of(known(FIRST, 1e-3), gains)[1] == cause
@@ -63,7 +62,7 @@ def test_what_is_less_known_gets_a_slower_proposal() -> None:
     sure, _, _ = of(known(FIRST, 0.02), PidGains(0.1, 0.001))
     unsure, _, _ = of(known(FIRST, 0.25), PidGains(0.1, 0.001))
     assert unsure.kp < 0.95 * sure.kp
-    assert sure.kp == pytest.approx(simc(later(FIRST, S.sample_time_s / 2)).gains.kp, rel=0.02)
+    assert sure.kp == pytest.approx(simc(FIRST.seen_by_controller(S.sample_time_s)).gains.kp, rel=0.02)
 
 
 def test_too_little_known_gives_nothing_unless_the_loop_is_in_danger_on_every_allowed_model() -> None:

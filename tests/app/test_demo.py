@@ -27,7 +27,7 @@ def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None
     fixed = Run(config, nothing, mode=Mode.OFF).simulated()
     run, still = retuned.trend.columns(), fixed.trend.columns()
     table = config.gain_table()
-    scores = region_scores(table, retuned.table, retuned.commits, run, still, make_plant(config).linearise, 1.0)
+    scores = region_scores(table, retuned.table, retuned.commits, run, still, make_plant(config).linearise, 2.0)
     assert len(scores) == 3
     for score in scores:
         assert score.changes >= 1

@@ -22,7 +22,7 @@ def test_ms_counts_the_filter_of_the_derivative() -> None:
 
     def ms(tau_f_s: float) -> float | None:
         scores = region_scores(
-            table(gains), table(gains), [], columns, None, lambda _: LinearProcess(1.0, (50.0,), (), 1.0), 0.5, tau_f_s
+            table(gains), table(gains), [], columns, None, lambda _: LinearProcess(1.0, (50.0,), (), 1.0), 1.0, tau_f_s
         )
         return scores[0].ms_after
 

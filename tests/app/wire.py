@@ -38,7 +38,7 @@ PLANT = LinearProcess(1.0, (50.0,), (), 5.0)
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
 GOOD = simc(MODEL, 6.0).gains
 OTHER = PidGains(0.8 * GOOD.kp, 0.8 * GOOD.ki)
-PROMISE = promise([Plausible(MODEL, 0.0)], GOOD, GOOD, 0.5)
+PROMISE = promise([Plausible(MODEL, 0.0)], GOOD, GOOD, 1.0)
 FOREIGN = PidGains(0.5 * GOOD.kp, 0.3 * GOOD.ki)
 TELEMETRY = (0x12, 0x13)
 

@@ -80,7 +80,7 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
         columns,
         None,
         linearise,
-        config.loop.sample_time_s / 2,
+        config.loop.sample_time_s,
         config.loop.tau_f_s,
         loads_at(config.scenario, columns["t"]),
     )

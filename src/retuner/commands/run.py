@@ -258,7 +258,7 @@ def _leave(
         columns,
         fixed_columns,
         linearise,
-        config.loop.sample_time_s / 2,
+        config.loop.sample_time_s,
         config.loop.tau_f_s,
         loads_at(config.scenario, columns["t"]),
     )

@@ -165,7 +165,7 @@ class DecisionView:
         return self.after or gains_of(part(part(self.document, "proposal"), "parallel"))
 
     def _sampled(self, model: ProcessModel) -> LinearProcess:
-        return replace(model, theta_s=model.theta_s + self.sample_time_s / 2).linear()
+        return model.seen_by_controller(self.sample_time_s).linear()
 
 
 def samples_of(

@@ -8,7 +8,7 @@ interpolated table are no region's own.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def region_scores(
     run: Columns,
     fixed: Columns | None,
     linearise: Linearise | None,
-    half_sample_s: float,
+    sample_time_s: float,
     tau_f_s: float = 0.0,
     loads: FloatArray | None = None,
 ) -> list[RegionScore]:
@@ -84,7 +84,7 @@ def region_scores(
     """
     scores = []
     for i, name in enumerate(before.regions.names):
-        truths = _truths(linearise, run, i, half_sample_s, loads)
+        truths = _truths(linearise, run, i, sample_time_s, loads)
 
         def worst(table: GainTable, truths: list[Truth] = truths, region: int = i) -> float | None:
             return max((sensitivity_peak(t.process, t.gains(table, region), tau_f_s) for t in truths), default=None)
@@ -119,7 +119,7 @@ class Truth:
 
 
 def _truths(
-    linearise: Linearise | None, run: Columns, region: int, half_sample_s: float, loads: FloatArray | None
+    linearise: Linearise | None, run: Columns, region: int, sample_time_s: float, loads: FloatArray | None
 ) -> list[Truth]:
     """True processes over the setpoints visited in a region, under each load that was on it."""
     inside = np.flatnonzero(run["region"] == region)
@@ -134,7 +134,7 @@ def _truths(
             process = linearise(pv, load) if load else linearise(pv)
             row = int(rows[np.argmin(np.abs(visited - pv))])
             x, x2 = (float(run[name][row]) if name in run else 0.0 for name in ("x", "x2"))
-            found.append(Truth(replace(process, theta_s=process.theta_s + half_sample_s), x, x2))
+            found.append(Truth(process.seen_by_controller(sample_time_s), x, x2))
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from guard_cases import MODEL, SETTINGS
 
 from retuner.adaptive.guard import allowed
-from retuner.adaptive.guard.model_set import MOST_LOG_STEP, sampled
+from retuner.adaptive.guard.model_set import MOST_LOG_STEP
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.structure import parameters_of
@@ -77,7 +77,3 @@ def test_no_variance_that_is_none() -> None:
     for wrong in (-1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="extra_variance"):
             allowed(log(), (), wrong, SETTINGS)
-
-
-def test_a_sampled_controller_sees_half_an_interval_more_dead_time() -> None:
-    assert sampled(MODEL, 3.0).theta_s == 6.5

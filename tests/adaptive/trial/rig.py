@@ -66,7 +66,7 @@ class Rig:
 
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, float(THETA_SAMPLES))
 GOOD = simc(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, THETA_SAMPLES + 0.5), THETA_SAMPLES + 0.5).gains
-PROMISE = promise([Plausible(MODEL, 0.0)], GOOD, GOOD, 0.5)
+PROMISE = promise([Plausible(MODEL, 0.0)], GOOD, GOOD, 1.0)
 BAD = {
     "kc x4": PidGains(4 * GOOD.kp, 4 * GOOD.ki),
     "kc /4": PidGains(GOOD.kp / 4, GOOD.ki / 4),

@@ -26,7 +26,7 @@ from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
 
 S = TrialSettings()
-HALF_S = 0.5
+DT_S = 1.0
 TRUE = [
     Plausible(replace(MODEL, k=MODEL.k * k, theta_s=MODEL.theta_s * theta), 0.5)
     for k, theta in product((1.0, 0.9, 1.1), (1.0, 0.9, 1.1))
@@ -38,16 +38,16 @@ STRONG = PidGains(1.8 * GOOD.kp, 1.8 * GOOD.ki)
 
 def lie(tried: PidGains, k: float) -> Promise:
     """What a model with another gain promises of the tried set."""
-    return promise([Plausible(replace(MODEL, k=MODEL.k * k), 0.0)], GOOD, tried, HALF_S)
+    return promise([Plausible(replace(MODEL, k=MODEL.k * k), 0.0)], GOOD, tried, DT_S)
 
 
 def test_the_numbers_are_those_of_the_margins_and_of_the_integral_time() -> None:
-    found = hindsight(TRUE, GOOD, STRONG, HALF_S)
-    peaks = [sensitivity_peak(replace(p.model, theta_s=p.model.theta_s + HALF_S).linear(), STRONG) for p in TRUE]
+    found = hindsight(TRUE, GOOD, STRONG, DT_S)
+    peaks = [sensitivity_peak(replace(p.model, theta_s=p.model.theta_s + DT_S / 2).linear(), STRONG) for p in TRUE]
     assert found.ms_tried == pytest.approx(min(peaks))
     assert found.robuster
     assert 1.55 < found.ms_old < S.harmless_ms
-    slow = hindsight(TRUE[:1], GOOD, SLUGGISH, HALF_S)
+    slow = hindsight(TRUE[:1], GOOD, SLUGGISH, DT_S)
     assert slow.slower == pytest.approx(4.0, rel=0.1)  # both IAE go with 1/ki where nothing swings
 
 
@@ -55,7 +55,7 @@ def test_a_sluggish_set_that_a_wrong_model_calls_right_is_found_out() -> None:
     believed = lie(SLUGGISH, 4.0)
     seen = responses(Rig(SLUGGISH, noise=0.025), 2500, load=10.0)[0]
     assert judge(seen, believed, SLUGGISH, S).finding is not Finding.WORSE  # its IAE is 1/ki, as promised
-    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, SLUGGISH, HALF_S)), believed, SLUGGISH, S)
+    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, SLUGGISH, DT_S)), believed, SLUGGISH, S)
     assert found.finding is Finding.WORSE
     assert "times that with the gains before" in found.reason
     assert found.numbers["cost"] > found.numbers["cost_limit"]
@@ -65,7 +65,7 @@ def test_a_set_that_is_too_strong_is_found_out_after_a_load() -> None:
     believed = lie(STRONG, 1 / 1.8)
     seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
     assert judge(seen, believed, STRONG, S).finding is not Finding.WORSE
-    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, HALF_S)), believed, STRONG, S)
+    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, DT_S)), believed, STRONG, S)
     assert found.finding is Finding.WORSE
     assert "Ms is at least" in found.reason
     assert found.numbers["ms"] > found.numbers["ms_limit"]
@@ -74,7 +74,7 @@ def test_a_set_that_is_too_strong_is_found_out_after_a_load() -> None:
 def test_one_model_that_clears_the_tried_set_is_enough() -> None:
     for tried, k in ((SLUGGISH, 4.0), (STRONG, 1 / 1.8)):
         clears = Plausible(replace(MODEL, k=MODEL.k * k), 3.0)
-        assert not against(hindsight([*TRUE, clears], GOOD, tried, HALF_S), lie(tried, k), S, {})
+        assert not against(hindsight([*TRUE, clears], GOOD, tried, DT_S), lie(tried, k), S, {})
 
 
 def test_hindsight_decides_where_the_loop_was_not_at_rest() -> None:
@@ -83,13 +83,13 @@ def test_hindsight_decides_where_the_loop_was_not_at_rest() -> None:
     moving = next(seen for seen in responses(rig, 2500, rest=60, sp=5.0) if seen.response.sp_changed)
     found = judge(moving, lie(SLUGGISH, 4.0), SLUGGISH, S)
     assert (found.finding, "not at rest" in found.reason) == (Finding.INCONCLUSIVE, True)
-    known = replace(moving, hindsight=hindsight(TRUE, GOOD, SLUGGISH, HALF_S))
+    known = replace(moving, hindsight=hindsight(TRUE, GOOD, SLUGGISH, DT_S))
     assert judge(known, lie(SLUGGISH, 4.0), SLUGGISH, S).finding is Finding.WORSE
 
 
 def test_hindsight_is_silent_where_something_else_is_behind_the_response() -> None:
     seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
-    known = replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, HALF_S), outside="a valve that sticks")
+    known = replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, DT_S), outside="a valve that sticks")
     assert judge(known, lie(STRONG, 1 / 1.8), STRONG, S).finding is Finding.INCONCLUSIVE
 
 
@@ -118,7 +118,7 @@ def test_a_set_is_not_undone_for_one_that_is_no_more_robust() -> None:
 
 
 def test_a_promise_of_being_faster_is_not_held_against_a_set_that_is_not_slower() -> None:
-    fast = promise(TRUE[:1], SLUGGISH, GOOD, HALF_S)
+    fast = promise(TRUE[:1], SLUGGISH, GOOD, DT_S)
     numbers: dict[str, float] = {}
     assert not against(replace(SEEN, slower=1.4), fast, S, numbers)
     assert numbers["cost_promised"] < 0.5
@@ -126,7 +126,7 @@ def test_a_promise_of_being_faster_is_not_held_against_a_set_that_is_not_slower(
 
 
 def test_no_promise_makes_an_unstable_loop_pass() -> None:
-    believed = promise(TRUE, SLUGGISH, GOOD, HALF_S)
+    believed = promise(TRUE, SLUGGISH, GOOD, DT_S)
     assert believed.ms is not None
     unsafe = replace(believed, ms=Spread(2.0, 1.5, math.inf))
     runs_away = Hindsight(ms_tried=math.inf, ms_most=math.inf, ms_old=1.5, robuster=True, slower=0.0)
@@ -139,36 +139,36 @@ def test_no_promise_makes_an_unstable_loop_pass() -> None:
 
 def test_a_set_that_costs_as_much_as_promised_is_kept() -> None:
     half = PidGains(GOOD.kp / 2, GOOD.ki / 2)
-    assert against(hindsight(TRUE, GOOD, half, HALF_S), lie(half, 6.0), S, {})
-    assert not against(hindsight(TRUE, GOOD, half, HALF_S), promise(TRUE, GOOD, half, HALF_S), S, {})
+    assert against(hindsight(TRUE, GOOD, half, DT_S), lie(half, 6.0), S, {})
+    assert not against(hindsight(TRUE, GOOD, half, DT_S), promise(TRUE, GOOD, half, DT_S), S, {})
 
 
 def test_a_promised_ms_is_no_ground_to_undo() -> None:
     found = Hindsight(ms_tried=2.2, ms_most=2.3, ms_old=1.5, robuster=True, slower=0.7)
     assert against(found, lie(STRONG, 1 / 1.8), S, {})
-    promised = promise([Plausible(MODEL, 0.0)], GOOD, STRONG, HALF_S)
+    promised = promise([Plausible(MODEL, 0.0)], GOOD, STRONG, DT_S)
     assert promised.ms is not None
     assert promised.ms.high > found.ms_tried
     assert not against(found, promised, S, {})
 
 
 def test_without_integral_action_before_nothing_is_said_of_the_cost() -> None:
-    assert hindsight(TRUE[:1], PidGains(GOOD.kp, 0.0), SLUGGISH, HALF_S).slower == 0.0
+    assert hindsight(TRUE[:1], PidGains(GOOD.kp, 0.0), SLUGGISH, DT_S).slower == 0.0
 
 
 def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     rig = Rig(GOOD, noise=0.025)
     rig.load = 10.0
     moving = next(seen for seen in responses(rig, 2500, rest=30, sp=5.0) if seen.response.sp_changed)
-    believed = promise(TRUE, SLUGGISH, GOOD, HALF_S)
+    believed = promise(TRUE, SLUGGISH, GOOD, DT_S)
     assert judge(moving, believed, GOOD, S).finding is Finding.INCONCLUSIVE
-    said = hindsight(TRUE, SLUGGISH, GOOD, HALF_S)
+    said = hindsight(TRUE, SLUGGISH, GOOD, DT_S)
     known = replace(moving, hindsight=said)
     found = judge(known, believed, GOOD, S)
     assert found.finding is Finding.AS_PROMISED
     assert "robust: Ms is" in found.reason
     doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
-    unsure = replace(moving, hindsight=hindsight([*TRUE, doubtful], SLUGGISH, GOOD, HALF_S))
+    unsure = replace(moving, hindsight=hindsight([*TRUE, doubtful], SLUGGISH, GOOD, DT_S))
     assert judge(unsure, believed, GOOD, S).finding is Finding.INCONCLUSIVE
     unsettled = replace(known, hindsight=replace(said, settled=False))
     assert judge(unsettled, believed, GOOD, S).finding is Finding.INCONCLUSIVE

@@ -50,7 +50,7 @@ def test_a_loop_that_swings_is_worse_than_promised_in_its_peaks(upset: dict[str,
 
 def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
-    from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 0.5)
+    from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 1.0)
     seen = responses(Rig(ringing), 400, load=10.0)[0]
     assert judge(seen, from_unstable, ringing, S).finding is not Finding.WORSE
     assert judge(seen, PROMISE, ringing, S).finding is Finding.WORSE
@@ -195,7 +195,7 @@ def test_what_was_seen_of_the_old_gains_counts_more_than_what_a_model_says_of_th
     """A model with five times the gain calls the good gains unstable and promises much of sluggish ones."""
     wrong = Plausible(replace(MODEL, k=5 * MODEL.k), 0.0)
     sluggish = PidGains(GOOD.kp / 5, GOOD.ki / 5)
-    lie = promise([wrong], GOOD, sluggish, 0.5)
+    lie = promise([wrong], GOOD, sluggish, 1.0)
     seen = responses(Rig(sluggish), 2500, sp=5.0)[0]
     assert judge(seen, lie, sluggish, S).finding is Finding.WORSE
     assert judge(seen, replace(lie, decay_seen=0.05), sluggish, S).finding is Finding.WORSE

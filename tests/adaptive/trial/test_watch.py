@@ -116,7 +116,7 @@ def test_an_output_between_its_limits_is_stopped_and_one_that_stays_at_a_limit_t
 
 
 def test_a_loop_that_was_unstable_before_may_grow_as_it_did() -> None:
-    worse = promise([Plausible(MODEL, 0.0)], BAD["kc x4"], GOOD, 0.5)
+    worse = promise([Plausible(MODEL, 0.0)], BAD["kc x4"], GOOD, 1.0)
     assert law_of(worse, S, 60.0).grows > LAW.grows == S.grows
 
 
