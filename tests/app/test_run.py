@@ -138,6 +138,16 @@ def test_the_same_seed_gives_the_same_ledger_and_another_seed_another(quick: Pat
     assert heads[0] == heads[1] != heads[2]
 
 
+def test_a_run_that_ends_just_after_a_setpoint_step_has_its_report_and_summary(quick: Path) -> None:
+    ending = QUICK.replace("duration_s = 160.0", "duration_s = 140.5")
+    assert ending != QUICK
+    quick.write_text(ending)
+    assert main(["run", str(quick), "--no-compare"]) == 0
+    out = quick.parent / "out"
+    assert json.loads((out / "summary.json").read_text())["interrupted"] is False
+    assert main(["report", str(out)]) == 0
+
+
 def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

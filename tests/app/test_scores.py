@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.process.model import LinearProcess
-from retuner.report.scores import region_scores
+from retuner.report.scores import Twin, region_scores, twin_steps
 from retuner.schedule.forms import from_form
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -28,3 +28,11 @@ def test_ms_counts_the_filter_of_the_derivative() -> None:
 
     assert ms(0.0) == float("inf")
     assert ms(20.0) == pytest.approx(1.1, abs=0.3)
+
+
+@pytest.mark.parametrize("left", [1, 9, 10])
+def test_a_step_at_the_very_end_is_no_twin(left: int) -> None:
+    sp = np.array([20.0] * 50 + [30.0] * 50 + [20.0] * 50 + [30.0] * 50 + [20.0] * 50 + [30.0] * left)
+    columns = {"t": np.arange(len(sp), dtype=float), "sp": sp, "region": np.zeros(len(sp))}
+    last = (150, 200) if left < 10 else (250, 260)
+    assert twin_steps(columns, []) == [Twin(0, (50, 100), last, "setpoint 20 to 30")]

@@ -165,7 +165,7 @@ def twin_steps(columns: Columns, events_s: list[float]) -> list[Twin]:
     others = np.searchsorted(columns["t"], np.asarray(events_s, dtype=np.float64))
     cuts = np.unique(np.concatenate([moves, others, [len(sp)]]))
     seen: dict[tuple[int, float, float], list[tuple[int, int]]] = {}
-    for start in moves.tolist():
+    for start in moves[moves <= len(sp) - SETTLING].tolist():  # what comes later shows nothing of a response
         end = int(cuts[np.searchsorted(cuts, start + SETTLING, side="left")])
         if region[start - 1] == region[min(start + 1, len(sp) - 1)]:
             seen.setdefault((int(region[start]), float(sp[start - 1]), float(sp[start])), []).append((start, end))
