@@ -1,6 +1,6 @@
 """retuner: gain scheduling and on-line adaptive PID.
 
-    from retuner import Retuner, LoopSample, GainTable, PidGains, identify, tune
+    from retuner import Retuner, LoopSample, GainTable, PidGains, identify, diagnose, tune
 
 Names are loaded when they are first used, so that importing the package costs nothing.
 """
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from retuner.adaptive.supervision.decision import Decision as Decision
     from retuner.adaptive.supervision.retuner import Retuner as Retuner
     from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
+    from retuner.api import diagnose as diagnose
     from retuner.api import identify as identify
     from retuner.config import load_config as load_config
     from retuner.conversions import gains_of as gains_of
@@ -39,6 +40,7 @@ _HOMES = {
     "ProcessType": "adaptive.process.model",
     "Retuner": "adaptive.supervision.retuner",
     "RetunerSettings": "adaptive.supervision.settings",
+    "diagnose": "api",
     "gains_of": "conversions",
     "identify": "api",
     "load_config": "config",

@@ -1,4 +1,4 @@
-"""`retuner.identify`: the process behind a record of arrays, with frozen results that know their JSON."""
+"""`retuner.identify` and `retuner.diagnose`: process and cause behind a record of arrays, as frozen results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
