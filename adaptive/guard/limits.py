@@ -48,7 +48,7 @@ def goals(
 
     over_limit : the loop in force is over its Ms limit, so that the commissioned set does not hold it up from below.
     """
-    unlocked = _locked(wanted, request)
+    unlocked = request.locks.keep(wanted, request.in_force)
     if unlocked.kp == 0.0 or wanted.kp == 0.0:
         return [Goal(unlocked, unlocked, tau_c_s)]
     limits = _Limits(request, settings, over_limit)
@@ -135,19 +135,6 @@ class _Limits:
         if start and down and low.value < least:
             low = Bound(min(least, high.value), name, Ruling.OUTSIDE_TOTAL)
         return low, high
-
-
-def _locked(wanted: PidGains, request: ChangeRequest) -> PidGains:
-    """The wanted gains with locked parameters as they are in force."""
-    locks, old = request.locks, request.in_force
-    if not (locks.kc or locks.tau_i or locks.tau_d):
-        return wanted
-    if 0.0 in {old.kp, wanted.kp}:  # without a proportional gain there are no times to hold
-        return old if locks.kc or locks.tau_i else PidGains(wanted.kp, wanted.ki, old.kd)
-    kc = old.kp if locks.kc else wanted.kp
-    per_tau_i = old.ki / old.kp if locks.tau_i else wanted.ki / wanted.kp
-    tau_d = old.kd / old.kp if locks.tau_d else wanted.kd / wanted.kp
-    return PidGains(kc, kc * per_tau_i, kc * tau_d)
 
 
 def without_short_derivative(gains: PidGains, request: ChangeRequest, settings: GuardSettings) -> PidGains:

@@ -56,6 +56,21 @@ class Locks:
     tau_i: bool = False
     tau_d: bool = False
 
+    def keep(self, wanted: PidGains, in_force: PidGains) -> PidGains:
+        """The wanted gains with locked parameters of the ideal form (Kc, tau_I, tau_D) as they are in force.
+
+        Where one of the two sets has no proportional gain its times do not exist: a locked Kc or tau_I then keeps the
+        whole set, a locked tau_D only the derivative.
+        """
+        if not (self.kc or self.tau_i or self.tau_d):
+            return wanted
+        if not (wanted.kp and in_force.kp):
+            return in_force if self.kc or self.tau_i else PidGains(wanted.kp, wanted.ki, in_force.kd)
+        kc = in_force.kp if self.kc else wanted.kp
+        integral = in_force if self.tau_i else wanted
+        derivative = in_force if self.tau_d else wanted
+        return PidGains(kc, kc * (integral.ki / integral.kp), kc * (derivative.kd / derivative.kp))
+
 
 NO_LOCKS = Locks()
 NO_DERIVATIVE = Locks(tau_d=True)

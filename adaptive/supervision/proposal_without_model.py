@@ -76,22 +76,7 @@ def _locked(proposed: Proposed, in_force: PidGains, locks: Locks) -> Proposed:
     """The proposal within what is locked, and nothing where the locks leave nothing of it."""
     tuning = proposed.tuning
     assert tuning is not None
-    kept = keep_locked(tuning.gains, in_force, locks)
+    kept = locks.keep(tuning.gains, in_force)
     if kept == in_force:
         return replace(proposed, tuning=None, basis=None, sentence=f"{proposed.sentence}; but that is locked")
     return replace(proposed, tuning=replace(tuning, gains=kept))
-
-
-def keep_locked(wanted: PidGains, in_force: PidGains, locks: Locks) -> PidGains:
-    """The wanted gains with locked parameters of the ideal form (Kc, tau_I, tau_D) as they are in force.
-
-    Where one of the two sets has no proportional action its times do not exist: what is locked then stays whole.
-    """
-    if not (locks.kc or locks.tau_i or locks.tau_d):
-        return wanted
-    if not (wanted.kp and in_force.kp):
-        return in_force
-    kc = in_force.kp if locks.kc else wanted.kp
-    integral = in_force if locks.tau_i else wanted
-    derivative = in_force if locks.tau_d else wanted
-    return PidGains(kc, kc * (integral.ki / integral.kp), kc * (derivative.kd / derivative.kp))

@@ -15,7 +15,6 @@ from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.proposal_without_model import (
     Proposed,
     WithoutModelSettings,
-    keep_locked,
     without_model,
 )
 from retuner.schedule.gains import PidGains
@@ -88,7 +87,7 @@ GAINS = st.builds(PidGains, st.floats(0.01, 100), st.floats(0.001, 10), st.float
 def test_locked_parameters_are_those_in_force_and_the_others_as_wanted(
     wanted: PidGains, in_force: PidGains, kc: bool, tau_i: bool, tau_d: bool
 ) -> None:
-    kept = keep_locked(wanted, in_force, Locks(kc, tau_i, tau_d))
+    kept = Locks(kc, tau_i, tau_d).keep(wanted, in_force)
     for lock, value in (
         (kc, lambda g: g.kp),
         (tau_i, lambda g: g.kp / g.ki),
@@ -98,5 +97,10 @@ def test_locked_parameters_are_those_in_force_and_the_others_as_wanted(
 
 
 def test_a_locked_derivative_stays_away_where_there_is_none() -> None:
-    assert keep_locked(PidGains(2.0, 0.1, 5.0), PidGains(1.0, 0.1), NO_DERIVATIVE).kd == 0
-    assert keep_locked(PidGains(0.0, 0.1), PidGains(1.0, 0.1), KC_ONLY) == PidGains(1.0, 0.1)
+    assert NO_DERIVATIVE.keep(PidGains(2.0, 0.1, 5.0), PidGains(1.0, 0.1)).kd == 0
+    assert KC_ONLY.keep(PidGains(0.0, 0.1), PidGains(1.0, 0.1)) == PidGains(1.0, 0.1)
+
+
+def test_a_locked_derivative_holds_nothing_else_of_a_controller_without_proportional_gain() -> None:
+    assert NO_DERIVATIVE.keep(PidGains(0.0, 0.2), PidGains(0.0, 0.1)) == PidGains(0.0, 0.2)
+    assert NO_DERIVATIVE.keep(PidGains(2.0, 0.2, 5.0), PidGains(0.0, 0.1)) == PidGains(2.0, 0.2)
