@@ -16,8 +16,8 @@ In time means within wait_s; after the first crossing within `reach` times what 
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
 back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times).
 
-`step` is a pure function of plain scalars (it compiles under numba as it stands); `take` turns the ADAPT state into a
-Response. A loop at rest costs four comparisons a sample.
+`step` is a pure function of plain scalars; `take` turns the ADAPT state into a Response. A loop at rest costs four
+comparisons a sample.
 """
 
 import math
