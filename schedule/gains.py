@@ -35,6 +35,8 @@ class PidGains:
         for name, value in (("kp", self.kp), ("ki", self.ki), ("kd", self.kd)):
             if not math.isfinite(value):
                 raise ValueError(f"{name} = {value} is not a finite number; give a finite gain")
+            if type(value) is not float:  # of numpy, which JSON refuses in part
+                object.__setattr__(self, name, float(value))
         if not (self.kp or self.ki or self.kd):
             raise ValueError("kp, ki and kd are all zero: this controller would do nothing; give at least one gain")
         if min(self.kp, self.ki, self.kd) < 0 < max(self.kp, self.ki, self.kd):

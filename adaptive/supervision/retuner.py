@@ -17,7 +17,7 @@ from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import Phase
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.on_trial import held, promise_of, promised_wrongly, restoring, seen_of
@@ -103,6 +103,7 @@ class Retuner:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
+        sample = plain(sample)
         if self.desk.busy:
             return self._observe_trial(sample)
         seen = self._observe(sample)

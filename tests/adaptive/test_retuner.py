@@ -269,3 +269,21 @@ def test_a_response_longer_than_what_is_kept_is_cut_and_still_teaches() -> None:
     assert found[0].response is not None
     assert found[0].response.ending == Ending.TIMEOUT
     assert found[0].estimate is not None
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_samples_and_gains_in_numbers_of_numpy_decide_the_same_bytes(kind: type[np.floating]) -> None:
+    start = [kind(scaled(0.25, 0.25).kp), kind(scaled(0.25, 0.25).ki)]
+    bench = made(PidGains(*map(float, start)))
+    recorded = [*bench.samples(300, 0.0, 0.0, 10.0), *bench.samples(500, 1.0, 0.0, 10.0)]
+    arrays = [
+        LoopSample(*map(kind, (s.t_s, s.sp, s.pv, s.co)), np.int64(s.mode), np.int64(0), kind(s.x), np.int64(0))
+        for s in recorded
+    ]
+    plain = [LoopSample(*map(float, s[:4]), int(s.mode), 0, float(s.x), 0) for s in arrays]
+    found, expected = (
+        [d.canonical() for d in map(made(gains).retuner.observe, samples) if d]
+        for gains, samples in ((PidGains(*start), arrays), (PidGains(*map(float, start)), plain))
+    )
+    assert found == expected
+    assert len(found) == 1
