@@ -12,7 +12,7 @@ from retuner.adaptive.region_model.update import ANEW, Learned, Surprise
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.adaptive.supervision.pipeline_types import Case, Outcome
+from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import Seen
@@ -27,7 +27,7 @@ NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not 
 
 
 def promise_of(
-    outcome: Outcome,
+    outcome: StageResult,
     table: GainTable,
     region: int,
     at: tuple[float, float],
@@ -50,7 +50,7 @@ def promise_of(
     return promise_without_model(response, in_force, new) if response else None
 
 
-def seen_of(case: Case, outcome: Outcome, trial: Trial, settings: RetunerSettings) -> Seen:
+def seen_of(case: ResponseRecord, outcome: StageResult, trial: Trial, settings: RetunerSettings) -> Seen:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """
@@ -62,7 +62,9 @@ def seen_of(case: Case, outcome: Outcome, trial: Trial, settings: RetunerSetting
     return Seen(case.response, window, limited, outside, _hindsight(case, outcome.learned, trial, settings))
 
 
-def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: RetunerSettings) -> Hindsight | None:
+def _hindsight(
+    case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
+) -> Hindsight | None:
     """None where the record shows nothing of the process, or leaves more than noise unexplained."""
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
@@ -80,7 +82,7 @@ def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: Retu
     return replace(found, settled=estimate.identifiable)
 
 
-def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
+def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     """The outcome with the reason why nothing may be changed now, when something was accepted."""
     if outcome.verdict is None or not outcome.verdict.accepted:
         return outcome

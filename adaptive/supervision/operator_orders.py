@@ -17,7 +17,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.guard_request import change_request
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, Standing
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
@@ -39,9 +39,9 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
     verdict = _proof(retuner, region, proposal, t_s)
     short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
     if reason:
-        return retuner.ordered(region, Outcome("approval_refused", f"proposal {short} is not written: {reason}"))
+        return retuner.ordered(region, StageResult("approval_refused", f"proposal {short} is not written: {reason}"))
     promised = Promise.from_dict(proposal.promise) if proposal.promise else None
-    outcome = Outcome(
+    outcome = StageResult(
         "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by a person", verdict=verdict
     )
     return retuner.ordered(region, outcome, proposal.after, promised)
@@ -82,8 +82,8 @@ def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decisi
         return retuner.taken_back(region)
     reason = _no_way_back(retuner, region, gains, t_s)
     if reason:
-        return retuner.ordered(region, Outcome("revert_refused", f"the way back is not taken: {reason}"))
-    return retuner.ordered(region, Outcome("ordered_back", "a person ordered the way back to these gains"), gains)
+        return retuner.ordered(region, StageResult("revert_refused", f"the way back is not taken: {reason}"))
+    return retuner.ordered(region, StageResult("ordered_back", "a person ordered the way back to these gains"), gains)
 
 
 def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:

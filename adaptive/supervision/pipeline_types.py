@@ -18,7 +18,7 @@ from retuner.schedule.table import GainTable
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class ResponseRecord:
     """One response and what it is judged on.
 
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
@@ -45,7 +45,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class StageResult:
     """What the stages found; those that were not reached are None.
 
     code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
@@ -68,8 +68,8 @@ class Outcome:
 
 
 LEFT = {
-    False: Outcome("left_region", "the response left its region; it teaches nothing of either"),
-    True: Outcome(
+    False: StageResult("left_region", "the response left its region; it teaches nothing of either"),
+    True: StageResult(
         "variable_unknown",
         "the scheduling variable is not known any more: nobody can say to which region "
         "the response belongs; it teaches nothing",

@@ -22,7 +22,7 @@ from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.on_trial import held, promise_of, promised_wrongly, restoring, seen_of
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import LEFT, Case, Outcome
+from retuner.adaptive.supervision.pipeline_types import LEFT, ResponseRecord, StageResult
 from retuner.adaptive.supervision.response_finder import Completed, Left, Watcher, WatcherState
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
@@ -135,7 +135,7 @@ class Retuner:
         return self.desk.restored(self._now_s)
 
     def ordered(
-        self, region: int, outcome: Outcome, gains: PidGains | None = None, promised: Promise | None = None
+        self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
     ) -> Decision:
         """The decision on what a person ordered (see by_order.py): gains to be written, None when it is not done.
 
@@ -146,7 +146,7 @@ class Retuner:
             promised is None and phase == TrialPhase.LOCKED
         )
         if gains is not None and not free:
-            gains, outcome = None, Outcome(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
+            gains, outcome = None, StageResult(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
         if gains is None:
             return decision
@@ -186,7 +186,7 @@ class Retuner:
     def _give_up(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
         """The decision to restore. learned : what the response under way has taught."""
         region, also = next(iter(ended)), [self.table.regions.names[other] for other in list(ended)[1:]]
-        return self._restoring(region, learned or self._decision(region, Outcome("undo", "")), also)
+        return self._restoring(region, learned or self._decision(region, StageResult("undo", "")), also)
 
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
@@ -232,7 +232,7 @@ class Retuner:
         self.beliefs.pop(region, None)
         self.excitation.pop(region, None)
 
-    def _judge(self, case: Case, outcome: Outcome) -> Judgement | None:
+    def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
         trial = self.desk.trial(case.region)
         if trial.phase != TrialPhase.TRIAL:
@@ -244,10 +244,10 @@ class Retuner:
         ask = self.settings.mode_of(case.region) == Mode.TRIAL
         return self.desk.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
 
-    def _case(self, seen: Completed) -> Case:
+    def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
         w = self._watcher
-        return Case(
+        return ResponseRecord(
             seen.region,
             seen.response,
             w.window(seen.response),
@@ -261,7 +261,7 @@ class Retuner:
         )
 
     def _decision(
-        self, region: int, outcome: Outcome, response: Response | None = None, judgement: Judgement | None = None
+        self, region: int, outcome: StageResult, response: Response | None = None, judgement: Judgement | None = None
     ) -> Decision:
         """Put the record together."""
         phase_allows = self.desk.may_change(
@@ -277,7 +277,7 @@ class Retuner:
     def _recorded(
         self,
         region: int,
-        outcome: Outcome,
+        outcome: StageResult,
         response: Response | None,
         judgement: Judgement | None,
         promised: Promise | None,

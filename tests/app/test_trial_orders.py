@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire import GOOD, PROMISE, Wire
 
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
@@ -32,7 +32,7 @@ class Desk(NamedTuple):
         """A change is written and on trial; its decision."""
         session = self.wire.session
         gains = PidGains(factor * GOOD.kp, factor * GOOD.ki)
-        session._decided(session.retuner.ordered(0, Outcome("injected", "for a test"), gains, PROMISE))
+        session._decided(session.retuner.ordered(0, StageResult("injected", "for a test"), gains, PROMISE))
         self.wire.until(P.TRIAL)
         return next(d for d in reversed(session.decisions) if d.action is Action.COMMIT)
 

@@ -10,7 +10,7 @@ from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import Surprise
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -31,7 +31,7 @@ class Stand:
         self.retuner = Retuner(table, RetunerSettings(1.0, 100.0, mode, band=0.1))
         self.rig = Rig(GOOD, noise=0.02)
         assert list(self.run(60)) == []
-        made = self.retuner.ordered(0, Outcome("injected", "for a test"), new, PROMISE)
+        made = self.retuner.ordered(0, StageResult("injected", "for a test"), new, PROMISE)
         assert made.action is Action.COMMIT
         assert self.retuner.desk.phase(0) is P.WRITING
         self.retuner.committed(0, new)
@@ -124,7 +124,7 @@ def test_what_was_not_written_leaves_everything_as_it_was() -> None:
     stand.retuner.abort(E.STOPPED)
     stand.retuner.restored()
     stand.retuner.desk.event(0, E.COOLED, 0.0)
-    stand.retuner.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE)
+    stand.retuner.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE)
     revision = stand.retuner.table.revision
     stand.retuner.not_written(0)
     assert stand.retuner.desk.phase(0) is P.IDLE
@@ -133,7 +133,7 @@ def test_what_was_not_written_leaves_everything_as_it_was() -> None:
 
 def test_a_change_is_held_while_another_is_on_trial() -> None:
     stand = Stand()
-    made = stand.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
+    made = stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
     assert made.action is Action.NONE
     assert made.code == "held_trial"
 
