@@ -18,12 +18,19 @@ from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, pro
 from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.posterior_check import Hindsight, hindsight
+from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import GainTable
 
 OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
 """Causes behind a response for which the gains on trial are not to blame."""
 NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
+
+
+def may_follow(trial: Trial, settings: TrialSettings) -> bool:
+    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
+    last_one = trial.kept + 1 >= settings.responses
+    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
 def promise_of(
@@ -50,7 +57,7 @@ def promise_of(
     return promise_without_model(response, in_force, new) if response else None
 
 
-def seen_of(case: ResponseRecord, outcome: StageResult, trial: Trial, settings: RetunerSettings) -> Seen:
+def seen_of(case: ResponseRecord, outcome: StageResult) -> Seen:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """
@@ -59,10 +66,10 @@ def seen_of(case: ResponseRecord, outcome: StageResult, trial: Trial, settings: 
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return Seen(case.response, window, limited, outside, _hindsight(case, outcome.learned, trial, settings))
+    return Seen(case.response, window, limited, outside, outcome.posterior)
 
 
-def _hindsight(
+def posterior_of(
     case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
 ) -> Hindsight | None:
     """None where the record shows nothing of the process, or leaves more than noise unexplained."""

@@ -36,13 +36,15 @@ from retuner.adaptive.identification.robust_simc import later
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import ANEW, Learned, Surprise, learn, predicted
-from retuner.adaptive.supervision.admission import Admission, admit, inside_region
+from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
-from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
+from retuner.adaptive.supervision.on_trial import may_follow, posterior_of, promise_of
+from retuner.adaptive.supervision.pipeline_types import Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.proposal_without_model import without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.schedule.table import Lookup
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
@@ -53,7 +55,23 @@ NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
 
 
-def decide(case: ResponseRecord, settings: RetunerSettings) -> StageResult:
+def decide(question: Question) -> StageResult:
+    """The answer to a question: a pure function, so another process may work it out.
+
+    What is asked of it beyond the pipeline is what entering the answer needs and what costs time: the promise of gains
+    that may be written, and what the record says of both sets of a trial under which it was taken.
+    """
+    record, trial, settings = question.record, question.trial, question.settings
+    result = answer(record, settings)
+    promise, posterior = None, None
+    if result.verdict is not None and result.verdict.accepted and may_follow(trial, settings.trial):
+        promise = promise_of(result, record.table, record.region, record.at, record.response, settings)
+    if trial.phase is TrialPhase.TRIAL and result.code != Ground.SATURATED.name.lower():
+        posterior = posterior_of(record, result.learned, trial, settings)
+    return replace(result, promise=promise, posterior=posterior)
+
+
+def answer(case: ResponseRecord, settings: RetunerSettings) -> StageResult:
     """The pipeline."""
     if case.table.lookup == Lookup.INTERPOLATED:
         settings = replace(settings, swing=replace(settings.swing, same_gains=False))

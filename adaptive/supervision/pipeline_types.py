@@ -1,7 +1,8 @@
-"""One completed response with everything that it is judged on, and what the pipeline made of it."""
+"""One completed response with everything that it is judged on, the question that it raises, and the answer to it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import Standing
@@ -13,6 +14,10 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.posterior_check import Hindsight
+from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 
@@ -51,6 +56,8 @@ class StageResult:
     code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
     forget : what was known of the region is refuted. standing : an oscillation that is explained, to be remembered.
     excitation : what the belief rests on.
+    promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
+    says of both sets of a trial that it ran under.
     """
 
     code: str
@@ -65,6 +72,35 @@ class StageResult:
     excitation: Excitation | None = None
     numbers: dict[str, float] = field(default_factory=dict)
     forget: bool = False
+    promise: Promise | None = None
+    posterior: Hindsight | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a completed response asks; plain values, so that the answer may be worked out anywhere (`pipeline.decide`).
+
+    sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
+    """
+
+    record: ResponseRecord
+    settings: RetunerSettings
+    sample_number: int
+    trial: Trial
+
+    @property
+    def t_s(self) -> float:
+        """Time of the sample that raised it."""
+        return self.record.samples[-1].t_s
+
+
+class Overtaken(StrEnum):
+    """Why an answer that comes later than its question is not entered any more."""
+
+    TRIAL_ENDED = "the trial under which the response ran has ended since"
+    REGION_LEFT = "the loop has left the region since"
+    BROKEN_OFF = "the record was broken off since: samples are missing, in manual, or without a scheduling variable"
+    GAINS_CHANGED = "other gains have come into force since"
 
 
 LEFT = {
@@ -76,3 +112,8 @@ LEFT = {
     ),
 }
 """What follows from a response that was cut off, by whether a scheduling variable was unknown."""
+
+PASSED_OVER = StageResult(
+    "passed_over", "the response came while the one before it was still being decided; it teaches nothing"
+)
+"""What follows from a response that completes while a question is open."""
