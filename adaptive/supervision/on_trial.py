@@ -1,4 +1,4 @@
-"""Where the pipeline meets the trial desk: what a change promises, what the judge looks at, what is held back."""
+"""Where the pipeline meets the trials: what a change promises, what the judge looks at, what is held back."""
 
 from collections.abc import Sequence
 from dataclasses import replace

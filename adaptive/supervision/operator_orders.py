@@ -77,7 +77,7 @@ def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict
 
 def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decision | None:
     """A person wants gains back that were in force before: the decision to write them, or why not. t_s : now."""
-    phase = retuner.desk.phase(region)
+    phase = retuner.trials.phase(region)
     if phase in UNDECIDED or phase is TrialPhase.WAITING:
         return retuner.taken_back(region)
     reason = _no_way_back(retuner, region, gains, t_s)
@@ -109,9 +109,9 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
 
 def accept(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person approved what was tried and has passed; whether the region had been waiting for that."""
-    return retuner.desk.event(region, TrialEvent.APPROVED, t_s)
+    return retuner.trials.event(region, TrialEvent.APPROVED, t_s)
 
 
 def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person lets a locked-out region change again; whether it had been locked."""
-    return retuner.desk.event(region, TrialEvent.UNLOCKED, t_s)
+    return retuner.trials.event(region, TrialEvent.UNLOCKED, t_s)

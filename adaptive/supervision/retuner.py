@@ -1,7 +1,7 @@
 """The retuner: one sample in, now and then one decision out.
 
     sample -> watcher -> completed response -> pipeline -> decision
-           -> trial desk -> the verified set is restored
+           -> trial -> the verified set is restored
 
 The object is a thin shell round pure steps: no clock, no file, no bus. It never writes gains: it hands out a decision,
 and learns by `committed` what the controller then reported.
@@ -45,7 +45,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Finding, Judgement
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
-from retuner.adaptive.trial.supervisor import TrialDesk
+from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
@@ -99,7 +99,7 @@ class Retuner:
         self.excitation: dict[int, Excitation] = {}
         self._watcher = Watcher(table, settings)
         self._observe = self._watcher.take
-        self.desk = TrialDesk(settings.trial, settings.sample_time_s, self._put_back)
+        self.trials = TrialSupervisor(settings.trial, settings.sample_time_s, self._put_back)
         self._decisions = 0
         self._open: _Open | None = None
         self.sample_number = 0
@@ -159,7 +159,7 @@ class Retuner:
         A question stays open until its answer is entered. A decision that comes with a question restores the verified
         set, and does not wait for what the response under way may teach.
         """
-        if self.desk.busy:
+        if self.trials.busy:
             return self._step_on_trial(sample)
         seen = self._observe(sample)
         self.sample_number += 1
@@ -200,26 +200,26 @@ class Retuner:
 
         gains : as read back from the controller (after its rounding).
         """
-        if self.desk.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
+        if self.trials.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
             self._watcher.gains_changed(self.table.with_gains(region, gains))
-            self.desk.written(region, gains, self._now_s)
+            self.trials.written(region, gains, self._now_s)
         return self.table
 
     def not_written(self, region: int) -> None:
         """Take note that a change was not written, and that the controller runs what it ran."""
-        self.desk.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
+        self.trials.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
 
     def abort(self, cause: TrialEvent) -> Decision | None:
         """Something happened that ends every undecided trial; the decision to restore, None when there was none.
 
         The table has the verified sets when this returns; `restored` says that the controller runs them.
         """
-        ended = self.desk.abort(cause, self._now_s)
+        ended = self.trials.abort(cause, self._now_s)
         return self._give_up(dict.fromkeys(ended, cause)) if ended else None
 
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions that were to be restored."""
-        return self.desk.restored(self._now_s)
+        return self.trials.restored(self._now_s)
 
     def ordered(
         self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
@@ -228,8 +228,8 @@ class Retuner:
 
         promised : what the gains are held to on trial; without a promise they are written and not on trial.
         """
-        phase = self.desk.phase(region)
-        free = self.desk.may_change(region, self._now_s, urgent=promised is None) or (
+        phase = self.trials.phase(region)
+        free = self.trials.may_change(region, self._now_s, urgent=promised is None) or (
             promised is None and phase == TrialPhase.LOCKED
         )
         if gains is not None and not free:
@@ -238,13 +238,13 @@ class Retuner:
         if gains is None:
             return decision
         if promised is not None:
-            self.desk.begin(region, decision.gains_before, gains, promised, self._now_s)
-        phase = self.desk.phase(region)
+            self.trials.begin(region, decision.gains_before, gains, promised, self._now_s)
+        phase = self.trials.phase(region)
         return replace(decision, action=Action.COMMIT, gains_after=gains, promise=promised, trial=str(phase))
 
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
-        back = self.desk.event(region, TrialEvent.ORDERED_BACK, self._now_s)
+        back = self.trials.event(region, TrialEvent.ORDERED_BACK, self._now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 
     @property
@@ -264,7 +264,7 @@ class Retuner:
         self.sample_number += 1
         gap_s = self.settings.gap_samples * self.settings.sample_time_s
         blended = self.table.lookup == Lookup.INTERPOLATED
-        ended = self.desk.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
+        ended = self.trials.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
         if not ended:
             return NOTHING if seen is None else self._seen(seen)
         if seen is None and TrialEvent.RUNAWAY in ended.values():  # nothing teaches as much as this
@@ -284,14 +284,14 @@ class Retuner:
         learned = self._entered(opened.question, result)
         if same:
             return self._give_up(ended, learned)
-        if promised_wrongly(self.desk.trial(region), learned):
+        if promised_wrongly(self.trials.of(region), learned):
             self._forget(region)
         return learned
 
     def _overtaken(self, opened: _Open) -> Overtaken | None:
         """Why an answer is not entered any more, if so."""
         asked, region = opened.question, opened.question.record.region
-        if asked.trial.phase in UNDECIDED and self.desk.phase(region) not in UNDECIDED:
+        if asked.trial.phase in UNDECIDED and self.trials.phase(region) not in UNDECIDED:
             return Overtaken.TRIAL_ENDED
         if self.region != region:
             return Overtaken.REGION_LEFT
@@ -310,7 +310,7 @@ class Retuner:
 
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
-        trial = self.desk.trial(region)
+        trial = self.trials.of(region)
         if promised_wrongly(trial, decision):
             self._forget(region)
         return restoring(decision, self.table.regions.names[region], trial, also)
@@ -332,7 +332,7 @@ class Retuner:
 
     def _question(self, seen: Completed) -> Question:
         """What a completed response asks."""
-        return Question(self._case(seen), self.settings, self.sample_number, self.desk.trial(seen.region))
+        return Question(self._case(seen), self.settings, self.sample_number, self.trials.of(seen.region))
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
@@ -347,10 +347,10 @@ class Retuner:
             self._forget(region)
         judgement = self._judge(case, outcome)
         decision = self._decision(region, outcome, question, judgement)
-        if judgement is not None and self.desk.phase(region) == TrialPhase.RESTORING:
+        if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
             return self._restoring(region, decision)
         if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
-            self.desk.begin(
+            self.trials.begin(
                 region,
                 decision.gains_before,
                 decision.gains_after,
@@ -358,7 +358,7 @@ class Retuner:
                 self._now_s,
                 urgent=decision.verdict is not None and decision.verdict.urgent,
             )
-            decision = replace(decision, trial=str(self.desk.phase(region)))
+            decision = replace(decision, trial=str(self.trials.phase(region)))
         return decision
 
     def _forget(self, region: int) -> None:
@@ -368,15 +368,15 @@ class Retuner:
 
     def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
-        trial = self.desk.trial(case.region)
+        trial = self.trials.of(case.region)
         if trial.phase != TrialPhase.TRIAL:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
-            self.desk.event(case.region, TrialEvent.SATURATED, self._now_s)
+            self.trials.event(case.region, TrialEvent.SATURATED, self._now_s)
             return Judgement(Finding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
         looked_at = seen_of(case, outcome)
         ask = self.settings.mode_of(case.region) == Mode.TRIAL
-        return self.desk.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
+        return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
@@ -398,11 +398,11 @@ class Retuner:
         self, region: int, outcome: StageResult, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
         """Put the record together. question : that this answers, if any."""
-        phase_allows = self.desk.may_change(
+        phase_allows = self.trials.may_change(
             region, self._now_s, urgent=bool(outcome.verdict and outcome.verdict.urgent)
         )
         if not phase_allows:
-            outcome = held(outcome, self.desk.trial(region), self._now_s)
+            outcome = held(outcome, self.trials.of(region), self._now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
         response = question.record.response if question else None
         promised = outcome.promise
@@ -424,7 +424,7 @@ class Retuner:
         *,
         accepted: bool,
     ) -> Decision:
-        """The record; accepted : gains may be written, as far as proof and trial desk are concerned."""
+        """The record; accepted : gains may be written, as far as proof and trial are concerned."""
         verdict, learned = outcome.verdict, outcome.learned
         mode = self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
@@ -453,5 +453,5 @@ class Retuner:
             verdict=verdict,
             promise=promised,
             judgement=judgement,
-            trial=str(self.desk.phase(region)),
+            trial=str(self.trials.phase(region)),
         )

@@ -123,7 +123,7 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "samples": [_numbers_out(sample) for sample in watcher.samples],
         "decisions": state.decisions,
         "samples_observed": state.samples,
-        "trials": retuner.desk.to_dict(),
+        "trials": retuner.trials.to_dict(),
         "standing": {
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
@@ -162,7 +162,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
         )
-        retuner.desk.resume(memory["trials"])
+        retuner.trials.resume(memory["trials"])
         retuner.resume(RetunerState(watcher, int(memory["decisions"]), int(memory["samples_observed"])))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error

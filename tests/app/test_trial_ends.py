@@ -137,7 +137,7 @@ def test_what_is_decided_when_the_end_has_begun_is_taken_back_as_well(make_wire:
     wire.run(1)
     wire.ask(NEW)
     wire.run(5)
-    assert wire.desk.phase(0) is P.COOLING
+    assert wire.trials.phase(0) is P.COOLING
     assert wire.runs == to_wire(GOOD)
 
 
@@ -149,7 +149,7 @@ def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make
     assert wire.session.writer.open
     wire.session._decided(ours.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE))
     wire.run(20)
-    assert wire.desk.phase(0) is P.IDLE
+    assert wire.trials.phase(0) is P.IDLE
     assert dict(wire.rows)["dropped"]["reason"] == "another change is on its way"
     wire.end()
     assert wire.runs == to_wire(ordered)
@@ -195,7 +195,7 @@ def test_a_defect_of_ours_takes_the_change_back_before_it_is_told(make_wire: Cal
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError(where)
 
-    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.desk, "look")}
+    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.trials, "look")}
     setattr(*owners.get(where, (session.retuner, where)), broken)
     if where == "_seen":
         session.device.send_setpoint(55.0, wire.clock.now_s())

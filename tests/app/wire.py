@@ -78,8 +78,8 @@ class Wire:
         self.run(45)
 
     @property
-    def desk(self) -> Any:
-        return self.session.retuner.desk
+    def trials(self) -> Any:
+        return self.session.retuner.trials
 
     @property
     def runs(self) -> PidGains:
@@ -106,10 +106,10 @@ class Wire:
 
     def until(self, phase: TrialPhase, region: int = 0, most: int = 60) -> None:
         for _ in range(most):
-            if self.desk.phase(region) is phase:
+            if self.trials.phase(region) is phase:
                 return
             self.run(1)
-        raise AssertionError(f"{self.desk.phase(region)} after {most} samples, {phase} was to come")
+        raise AssertionError(f"{self.trials.phase(region)} after {most} samples, {phase} was to come")
 
     def ask(self, gains: PidGains, region: int = 0) -> None:
         """A change with a promise that it may not keep."""

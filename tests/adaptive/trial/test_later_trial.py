@@ -65,9 +65,9 @@ def test_a_trial_is_judged_when_the_answer_is_entered() -> None:
     assert question is not None
     for sample in stand.rig.run(9):
         assert stand.retuner.step(sample) == (None, None)
-    assert stand.retuner.desk.trial(0).kept == 0
+    assert stand.retuner.trials.of(0).kept == 0
     late = stand.retuner.enter(question, decide(question), stand.retuner.sample_number)
     assert whole.judgement is not None
     assert late.judgement == whole.judgement
-    assert stand.retuner.desk.trial(0).kept == at_once.retuner.desk.trial(0).kept == 1
-    assert stand.retuner.desk.phase(0) is at_once.retuner.desk.phase(0) is TrialPhase.IDLE
+    assert stand.retuner.trials.of(0).kept == at_once.retuner.trials.of(0).kept == 1
+    assert stand.retuner.trials.phase(0) is at_once.retuner.trials.phase(0) is TrialPhase.IDLE

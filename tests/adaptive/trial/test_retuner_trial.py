@@ -1,4 +1,4 @@
-"""The retuner with its trial desk: what samples tell ends a trial by itself, and the response under way teaches."""
+"""The retuner with its trials: what samples tell ends a trial by itself, and the response under way teaches."""
 
 import json
 from collections.abc import Iterator
@@ -33,10 +33,10 @@ class Stand:
         assert list(self.run(60)) == []
         made = self.retuner.ordered(0, StageResult("injected", "for a test"), new, PROMISE)
         assert made.action is Action.COMMIT
-        assert self.retuner.desk.phase(0) is P.WRITING
+        assert self.retuner.trials.phase(0) is P.WRITING
         self.retuner.committed(0, new)
         self.rig.change(new)
-        assert self.retuner.desk.phase(0) is P.TRIAL
+        assert self.retuner.trials.phase(0) is P.TRIAL
 
     def run(self, samples: int) -> Iterator[Decision]:
         for sample in self.rig.run(samples):
@@ -116,18 +116,18 @@ def test_what_happens_outside_ends_the_trial_once() -> None:
     stand.retuner.committed(0, NEW)  # the write that was given up comes through after all
     assert stand.retuner.table.gains == (GOOD,)
     assert stand.retuner.restored() == (0,)
-    assert stand.retuner.desk.phase(0) is P.COOLING
+    assert stand.retuner.trials.phase(0) is P.COOLING
 
 
 def test_what_was_not_written_leaves_everything_as_it_was() -> None:
     stand = Stand()
     stand.retuner.abort(E.STOPPED)
     stand.retuner.restored()
-    stand.retuner.desk.event(0, E.COOLED, 0.0)
+    stand.retuner.trials.event(0, E.COOLED, 0.0)
     stand.retuner.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE)
     revision = stand.retuner.table.revision
     stand.retuner.not_written(0)
-    assert stand.retuner.desk.phase(0) is P.IDLE
+    assert stand.retuner.trials.phase(0) is P.IDLE
     assert stand.retuner.table.revision == revision
 
 
@@ -145,5 +145,5 @@ def test_a_restart_of_the_host_in_mid_trial_loses_nothing() -> None:
         assert list(one.run(25)) == []
     memory = json.loads(json.dumps(remember(stand.retuner), allow_nan=False))
     stand.retuner = restore(memory, stand.retuner.settings)
-    assert stand.retuner.desk.to_dict() == twin.retuner.desk.to_dict()
+    assert stand.retuner.trials.to_dict() == twin.retuner.trials.to_dict()
     assert next(stand.run(100)).canonical() == next(twin.run(100)).canonical()
