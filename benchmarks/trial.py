@@ -32,7 +32,7 @@ from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.supervisor import TrialDesk
+from retuner.adaptive.trial.supervisor import TrialSupervisor
 
 UPSETS = ("setpoint", "load", "pulse", "ramp", "two loads", "lagged load", "from motion")
 NOISE = 0.01
@@ -45,23 +45,23 @@ class Tried(FixedGains):
 
     def __init__(self, loop: Loop, rng: np.random.Generator, error: float) -> None:
         self.watcher = Watcher(one_region(loop.best), RetunerSettings(loop.dt_s, 10.0))
-        self.desk = TrialDesk(TrialSettings(responses=10), loop.dt_s, {}.__setitem__)
+        self.trials = TrialSupervisor(TrialSettings(responses=10), loop.dt_s, {}.__setitem__)
         model = _off(half_rule(loop.process), rng, error)
         old = scaled(loop.best, 0.25, 1.0) if rng.random() < 0.5 else loop.best
         promised = promise([Plausible(model, 0.0)], old, loop.best, loop.dt_s)
-        self.desk.begin(0, old, loop.best, promised, 0.0)
-        self.desk.written(0, loop.best, 0.0)
+        self.trials.begin(0, old, loop.best, promised, 0.0)
+        self.trials.written(0, loop.best, 0.0)
         self.findings: Counter[str] = Counter()
 
     def observe(self, sample: LoopSample) -> None:
         """As the retuner does, without its pipeline."""
         seen = self.watcher.take(sample)
-        ended = self.desk.look(sample, self.watcher.region, self.watcher.band, 0.0, 1.0, blended=False)
+        ended = self.trials.look(sample, self.watcher.region, self.watcher.band, 0.0, 1.0, blended=False)
         if ended:
             self.findings[ended[0].name.lower()] += 1
-        elif isinstance(seen, Completed) and self.desk.phase(0) is TrialPhase.TRIAL:
+        elif isinstance(seen, Completed) and self.trials.phase(0) is TrialPhase.TRIAL:
             looked_at = Seen(seen.response, self.watcher.window(seen.response))
-            found = self.desk.judge(0, looked_at, self.watcher.table.gains_of(0), sample.t_s, ask=False)
+            found = self.trials.judge(0, looked_at, self.watcher.table.gains_of(0), sample.t_s, ask=False)
             if found is not None:
                 self.findings[found.finding.name.lower()] += 1
 

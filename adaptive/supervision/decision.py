@@ -7,6 +7,7 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
@@ -51,11 +52,19 @@ class Basis(StrEnum):
     PRETUNE = "pretune"
 
 
+class Delay(NamedTuple):
+    """Numbers of two samples: of the one that raised the question, and of the later one at which it was decided."""
+
+    asked: int
+    entered: int
+
+
 @dataclass(frozen=True, slots=True)
 class Decision:
     """One decision on one response.
 
-    number : counts up from 1 per loop. t_s : time of the sample that completed the response. region : name.
+    number : counts up from 1 per loop. t_s : time of the sample at which it was entered, which is the one that
+    completed the response unless `delay` names both. region : name.
     mode : of the region at the time. The stages that were not reached are None; `reason` is the sentence of the one
     that decided, `code` its name for machines, `numbers` what it weighed.
     gains_before : in force; gains_after : what shall be written (action COMMIT or RESTORE) or is advised.
@@ -88,9 +97,10 @@ class Decision:
     judgement: Judgement | None = None
     trial: str = "idle"
     known: LogModel | None = None
+    delay: Delay | None = None
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values: what the ledger keeps."""
+        """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later."""
         return {
             "number": self.number,
             "t_s": self.t_s,
@@ -115,6 +125,7 @@ class Decision:
             "promise": self.promise.to_dict() if self.promise else None,
             "judgement": self.judgement.to_dict() if self.judgement else None,
             "trial": self.trial,
+            **({"delay": self.delay._asdict()} if self.delay else {}),
         }
 
     def canonical(self) -> bytes:

@@ -1,4 +1,4 @@
-"""Where the pipeline meets the trial desk: what a change promises, what the judge looks at, what is held back."""
+"""Where the pipeline meets the trials: what a change promises, what the judge looks at, what is held back."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,12 +12,13 @@ from retuner.adaptive.region_model.update import ANEW, Learned, Surprise
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.adaptive.supervision.pipeline_types import Case, Outcome
+from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import Seen
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.posterior_check import Hindsight, hindsight
+from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import GainTable
 
@@ -26,8 +27,14 @@ OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
 NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
 
 
+def may_follow(trial: Trial, settings: TrialSettings) -> bool:
+    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
+    last_one = trial.kept + 1 >= settings.responses
+    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
+
+
 def promise_of(
-    outcome: Outcome,
+    outcome: StageResult,
     table: GainTable,
     region: int,
     at: tuple[float, float],
@@ -50,7 +57,7 @@ def promise_of(
     return promise_without_model(response, in_force, new) if response else None
 
 
-def seen_of(case: Case, outcome: Outcome, trial: Trial, settings: RetunerSettings) -> Seen:
+def seen_of(case: ResponseRecord, outcome: StageResult) -> Seen:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """
@@ -59,10 +66,12 @@ def seen_of(case: Case, outcome: Outcome, trial: Trial, settings: RetunerSetting
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return Seen(case.response, window, limited, outside, _hindsight(case, outcome.learned, trial, settings))
+    return Seen(case.response, window, limited, outside, outcome.posterior)
 
 
-def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: RetunerSettings) -> Hindsight | None:
+def posterior_of(
+    case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
+) -> Hindsight | None:
     """None where the record shows nothing of the process, or leaves more than noise unexplained."""
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
@@ -78,7 +87,7 @@ def _hindsight(case: Case, learned: Learned | None, trial: Trial, settings: Retu
     return replace(found, settled=estimate.identifiable)
 
 
-def held(outcome: Outcome, trial: Trial, now_s: float) -> Outcome:
+def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     """The outcome with the reason why nothing may be changed now, when something was accepted."""
     if outcome.verdict is None or not outcome.verdict.accepted:
         return outcome

@@ -16,7 +16,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.guard_request import change_request
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, Standing
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
@@ -38,9 +38,9 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
     verdict = _proof(retuner, region, proposal, t_s)
     short, reason = proposal.digest[:8], _refusal(retuner, region, proposal, verdict)
     if reason:
-        return retuner.ordered(region, Outcome("approval_refused", f"proposal {short} is not written: {reason}"))
+        return retuner.ordered(region, StageResult("approval_refused", f"proposal {short} is not written: {reason}"))
     promised = Promise.from_dict(proposal.promise) if proposal.promise else None
-    outcome = Outcome(
+    outcome = StageResult(
         "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by a person", verdict=verdict
     )
     return retuner.ordered(region, outcome, proposal.after, promised)
@@ -76,13 +76,13 @@ def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict
 
 def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decision | None:
     """A person wants gains back that were in force before: the decision to write them, or why not. t_s : now."""
-    phase = retuner.desk.phase(region)
+    phase = retuner.trials.phase(region)
     if phase in UNDECIDED or phase is TrialPhase.WAITING:
         return retuner.taken_back(region)
     reason = _no_way_back(retuner, region, gains, t_s)
     if reason:
-        return retuner.ordered(region, Outcome("revert_refused", f"the way back is not taken: {reason}"))
-    return retuner.ordered(region, Outcome("ordered_back", "a person ordered the way back to these gains"), gains)
+        return retuner.ordered(region, StageResult("revert_refused", f"the way back is not taken: {reason}"))
+    return retuner.ordered(region, StageResult("ordered_back", "a person ordered the way back to these gains"), gains)
 
 
 def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
@@ -105,9 +105,9 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
 
 def accept(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person approved what was tried and has passed; whether the region had been waiting for that."""
-    return retuner.desk.event(region, TrialEvent.APPROVED, t_s)
+    return retuner.trials.event(region, TrialEvent.APPROVED, t_s)
 
 
 def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person lets a locked-out region change again; whether it had been locked."""
-    return retuner.desk.event(region, TrialEvent.UNLOCKED, t_s)
+    return retuner.trials.event(region, TrialEvent.UNLOCKED, t_s)

@@ -19,7 +19,7 @@ from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.guard_request import change_request
 from retuner.adaptive.supervision.on_trial import promise_of
 from retuner.adaptive.supervision.pipeline import NOT_KNOWN
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.proposal_from_model import propose
 from retuner.adaptive.supervision.retuner import Retuner
 
@@ -50,7 +50,7 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
     return retuner.ordered(region, outcome, verdict.gains, promised)
 
 
-def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
+def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
     """What the record leads to; the model stays with the retuner."""
     settings, in_force = retuner.settings, retuner.table.gains_of(region)
     t_s = float(window.t_s[-1])
@@ -59,21 +59,21 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> Outcome:
             retuner.beliefs.get(region), window, in_force, settings.tracker, settings.fit, retuner.scheduled
         )
     except np.linalg.LinAlgError as error:  # as in the pipeline: one record must not break the supervision
-        return Outcome("fit_failed", f"{WORDS}: the fit failed: {error}")
+        return StageResult("fit_failed", f"{WORDS}: the fit failed: {error}")
     if learned.belief is None:
-        return Outcome(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
+        return StageResult(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.beliefs[region] = learned.belief
     retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
     wanted = propose(learned.belief, predicted(learned.belief, t_s, settings.tracker), in_force, settings)
     if not wanted.ready:
-        return Outcome(NOT_KNOWN, f"{WORDS}: {learned.belief.reason}", learned, diagnosis=wanted.diagnosis)
+        return StageResult(NOT_KNOWN, f"{WORDS}: {learned.belief.reason}", learned, diagnosis=wanted.diagnosis)
     if not wanted.diagnosis.retune:
         cause = wanted.diagnosis
-        return Outcome(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
+        return StageResult(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
     tables = (retuner.table, retuner.commissioned)
     request = change_request(wanted.tuning, region, tables, retuner.beliefs, learned, t_s, settings)
     verdict = prove(request, settings.guard)
-    return Outcome(
+    return StageResult(
         verdict.code,
         f"{WORDS}: {wanted.diagnosis.reason if verdict.accepted else verdict.sentence}",
         learned,

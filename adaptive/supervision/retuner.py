@@ -1,10 +1,20 @@
 """The retuner: one sample in, now and then one decision out.
 
     sample -> watcher -> completed response -> pipeline -> decision
-           -> trial desk -> the verified set is restored
+           -> trial -> the verified set is restored
 
 The object is a thin shell round pure steps: no clock, no file, no bus. It never writes gains: it hands out a decision,
 and learns by `committed` what the controller then reported.
+
+A decision may take longer than a sample. `observe` makes it on the spot; whoever cannot wait takes its three steps:
+
+    step(sample)                    a decision that needs no fit, or a Question, or nothing
+    decide(question)                the answer: a pure function of plain values, anywhere (pipeline.py)
+    enter(question, result, n)      the decision, entered at the n-th sample
+
+Between the first and the last the samples go on, and what ends a trial at once does so. One question is open at a
+time: a response that completes meanwhile is passed over. An answer that came too late is refused with its reason.
+At which sample it is entered is the caller's choice and stands in the decision: the same choice, the same decisions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,16 +29,23 @@ from retuner.adaptive.signals.recogniser import Phase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode
 from retuner.adaptive.supervision.on_trial import held, promise_of, promised_wrongly, restoring, seen_of
 from retuner.adaptive.supervision.pipeline import decide
-from retuner.adaptive.supervision.pipeline_types import LEFT, Case, Outcome
+from retuner.adaptive.supervision.pipeline_types import (
+    LEFT,
+    PASSED_OVER,
+    Overtaken,
+    Question,
+    ResponseRecord,
+    StageResult,
+)
 from retuner.adaptive.supervision.response_finder import Completed, Left, Watcher, WatcherState
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Finding, Judgement
-from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
-from retuner.adaptive.trial.supervisor import TrialDesk
+from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
@@ -38,6 +55,30 @@ class RetunerState(NamedTuple):
 
     watcher: WatcherState
     decisions: int
+    samples: int
+
+
+class Step(NamedTuple):
+    """What one sample led to: a decision that needs no fit, a question, both (a trial ended with it) or neither."""
+
+    decision: Decision | None = None
+    question: Question | None = None
+
+
+NOTHING = Step()
+Ended = Mapping[int, TrialEvent]
+"""Regions whose trial a sample ended, with the cause."""
+NOBODY: Ended = {}
+
+
+class _Open(NamedTuple):
+    """An open question: the table when it was raised, and what the same sample ended and made forgotten."""
+
+    question: Question
+    table: GainTable
+    ended: Ended
+    belief: Belief | None
+    excitation: Excitation | None
 
 
 class Retuner:
@@ -58,8 +99,11 @@ class Retuner:
         self.excitation: dict[int, Excitation] = {}
         self._watcher = Watcher(table, settings)
         self._observe = self._watcher.take
-        self.desk = TrialDesk(settings.trial, settings.sample_time_s, self._put_back)
+        self.trials = TrialSupervisor(settings.trial, settings.sample_time_s, self._put_back)
         self._decisions = 0
+        self._open: _Open | None = None
+        self.sample_number = 0
+        """Samples observed so far."""
 
     @property
     def table(self) -> GainTable:
@@ -88,12 +132,13 @@ class Retuner:
 
     def state(self) -> RetunerState:
         """Where it stands: see memory.py, which turns it into plain values."""
-        return RetunerState(self._watcher.state(), self._decisions)
+        return RetunerState(self._watcher.state(), self._decisions, self.sample_number)
 
     def resume(self, state: RetunerState) -> None:
-        """Go on from there."""
+        """Go on from there. A question that was open is not any more: nobody may enter its answer."""
         self._watcher.resume(state.watcher)
-        self._decisions = state.decisions
+        self._decisions, self.sample_number = state.decisions, state.samples
+        self._open = None
 
     def observe(self, sample: LoopSample) -> Decision | None:
         """Take one sample; a decision comes with the sample that completes a response.
@@ -103,62 +148,104 @@ class Retuner:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
+        step = self.step(sample)
+        if step.question is None:
+            return step.decision
+        return self.enter(step.question, decide(step.question), self.sample_number)
+
+    def step(self, sample: LoopSample) -> Step:
+        """Take one sample, and make what needs no fit of it; errors as `observe`.
+
+        A question stays open until its answer is entered. A decision that comes with a question restores the verified
+        set, and does not wait for what the response under way may teach.
+        """
         sample = plain(sample)
-        if self.desk.busy:
-            return self._observe_trial(sample)
+        if self.trials.busy:
+            return self._step_on_trial(sample)
         seen = self._observe(sample)
-        return None if seen is None else self._seen(seen)
+        self.sample_number += 1
+        return NOTHING if seen is None else self._seen(seen)
+
+    @property
+    def open_question(self) -> Question | None:
+        """The question whose answer has not been entered yet."""
+        return self._open.question if self._open else None
+
+    def enter(self, question: Question, result: StageResult, sample_number: int) -> Decision:
+        """Enter the answer to the open question, after the sample of that number.
+
+        An answer that was overtaken (see Overtaken) teaches and changes nothing. Where a trial ended with the sample
+        that raised the question, the answer entered at that same sample gives the decision to restore once more, with
+        what was learned: it takes the place of the first one.
+
+        Raises
+        ------
+        ValueError
+            This question is not open, or the newest sample has another number.
+        """
+        if self._open is None or self._open.question.sample_number != question.sample_number:
+            raise ValueError(f"the question of sample {question.sample_number} is not open")
+        if sample_number != self.sample_number:
+            raise ValueError(f"entered at sample {sample_number}, but the newest one is {self.sample_number}")
+        opened, self._open = self._open, None
+        overtaken = self._overtaken(opened)
+        if overtaken is not None:
+            refused = StageResult(f"overtaken_{overtaken.name.lower()}", f"the answer comes too late: {overtaken}")
+            return self._decision(opened.question.record.region, refused, opened.question)
+        if not opened.ended:
+            return self._entered(opened.question, result)
+        return self._learned_from_the_end(opened, result)
 
     def committed(self, region: int, gains: PidGains) -> GainTable:
         """Take note that the controller now runs these gains in a region; returns the new table revision.
 
         gains : as read back from the controller (after its rounding).
         """
-        if self.desk.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
+        if self.trials.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
             self._watcher.gains_changed(self.table.with_gains(region, gains))
-            self.desk.written(region, gains, self._now_s)
+            self.trials.written(region, gains, self._now_s)
         return self.table
 
     def not_written(self, region: int) -> None:
         """Take note that a change was not written, and that the controller runs what it ran."""
-        self.desk.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
+        self.trials.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
 
     def abort(self, cause: TrialEvent) -> Decision | None:
         """Something happened that ends every undecided trial; the decision to restore, None when there was none.
 
         The table has the verified sets when this returns; `restored` says that the controller runs them.
         """
-        ended = self.desk.abort(cause, self._now_s)
+        ended = self.trials.abort(cause, self._now_s)
         return self._give_up(dict.fromkeys(ended, cause)) if ended else None
 
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions that were to be restored."""
-        return self.desk.restored(self._now_s)
+        return self.trials.restored(self._now_s)
 
     def ordered(
-        self, region: int, outcome: Outcome, gains: PidGains | None = None, promised: Promise | None = None
+        self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
     ) -> Decision:
         """The decision on what a person ordered (see by_order.py): gains to be written, None when it is not done.
 
         promised : what the gains are held to on trial; without a promise they are written and not on trial.
         """
-        phase = self.desk.phase(region)
-        free = self.desk.may_change(region, self._now_s, urgent=promised is None) or (
+        phase = self.trials.phase(region)
+        free = self.trials.may_change(region, self._now_s, urgent=promised is None) or (
             promised is None and phase == TrialPhase.LOCKED
         )
         if gains is not None and not free:
-            gains, outcome = None, Outcome(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
+            gains, outcome = None, StageResult(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
         if gains is None:
             return decision
         if promised is not None:
-            self.desk.begin(region, decision.gains_before, gains, promised, self._now_s)
-        phase = self.desk.phase(region)
+            self.trials.begin(region, decision.gains_before, gains, promised, self._now_s)
+        phase = self.trials.phase(region)
         return replace(decision, action=Action.COMMIT, gains_after=gains, promise=promised, trial=str(phase))
 
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
-        back = self.desk.event(region, TrialEvent.ORDERED_BACK, self._now_s)
+        back = self.trials.event(region, TrialEvent.ORDERED_BACK, self._now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 
     @property
@@ -171,61 +258,108 @@ class Retuner:
         if self.table.gains_of(region) != gains:
             self._watcher.gains_changed(self.table.with_gains(region, gains))
 
-    def _observe_trial(self, sample: LoopSample) -> Decision | None:
+    def _step_on_trial(self, sample: LoopSample) -> Step:
         """A sample while a change is undecided, or being taken back."""
         w, last_s, following = self._watcher, self._now_s, self._watcher.recogniser
         seen = self._observe(sample)
+        self.sample_number += 1
         gap_s = self.settings.gap_samples * self.settings.sample_time_s
         blended = self.table.lookup == Lookup.INTERPOLATED
-        ended = self.desk.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
+        ended = self.trials.look(sample, w.region, w.band, sample.t_s - last_s, gap_s, blended=blended)
         if not ended:
-            return None if seen is None else self._seen(seen)
+            return NOTHING if seen is None else self._seen(seen)
         if seen is None and TrialEvent.RUNAWAY in ended.values():  # nothing teaches as much as this
             seen = w.cut_short(following)
-        return self._give_up(ended, self._seen(seen) if seen is not None else None)
+        step = self._seen(seen, ended) if seen is not None else NOTHING
+        return Step(self._give_up(ended, step.decision), step.question)
+
+    def _learned_from_the_end(self, opened: _Open, result: StageResult) -> Decision:
+        """The answer on a response with which a trial ended: what was forgotten comes back, and is judged with it."""
+        ended, same = opened.ended, opened.question.sample_number == self.sample_number
+        region = next(iter(ended))
+        if opened.belief is not None:
+            self.beliefs[region] = opened.belief
+        if opened.excitation is not None:
+            self.excitation[region] = opened.excitation
+        self._decisions -= same  # the decision to restore is made once more
+        learned = self._entered(opened.question, result)
+        if same:
+            return self._give_up(ended, learned)
+        if promised_wrongly(self.trials.of(region), learned):
+            self._forget(region)
+        return learned
+
+    def _overtaken(self, opened: _Open) -> Overtaken | None:
+        """Why an answer is not entered any more, if so."""
+        asked, region = opened.question, opened.question.record.region
+        if asked.trial.phase in UNDECIDED and self.trials.phase(region) not in UNDECIDED:
+            return Overtaken.TRIAL_ENDED
+        if self.region != region:
+            return Overtaken.REGION_LEFT
+        samples = self._watcher.samples
+        if samples[0].t_s > asked.t_s:
+            return Overtaken.BROKEN_OFF
+        moved = self.table.lookup is Lookup.HARD and samples[-1].revision != asked.record.samples[-1].revision
+        if self.table is not opened.table or (moved and not opened.ended):
+            return Overtaken.GAINS_CHANGED
+        return None
 
     def _give_up(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
         """The decision to restore. learned : what the response under way has taught."""
         region, also = next(iter(ended)), [self.table.regions.names[other] for other in list(ended)[1:]]
-        return self._restoring(region, learned or self._decision(region, Outcome("undo", "")), also)
+        return self._restoring(region, learned or self._decision(region, StageResult("undo", "")), also)
 
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
-        trial = self.desk.trial(region)
+        trial = self.trials.of(region)
         if promised_wrongly(trial, decision):
             self._forget(region)
         return restoring(decision, self.table.regions.names[region], trial, also)
 
-    def _seen(self, seen: Completed | Left) -> Decision | None:
-        """Something came to an end: decide on it."""
+    def _seen(self, seen: Completed | Left, ended: Ended = NOBODY) -> Step:
+        """Something came to an end: what it asks, or the decision on it where nothing is asked.
+
+        ended : trials that the same sample ended.
+        """
         if isinstance(seen, Left):
-            return self._decision(seen.region, LEFT[seen.unknown]) if seen.under_way else None
+            return Step(self._decision(seen.region, LEFT[seen.unknown])) if seen.under_way else NOTHING
         if self.settings.mode_of(seen.region) == Mode.OFF:
-            return None
-        case = self._case(seen)
-        outcome = decide(case, self.settings)
+            return NOTHING
+        if self._open is not None:
+            return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, self._question(seen)))
+        question, region = self._question(seen), next(iter(ended), seen.region)
+        self._open = _Open(question, self.table, ended, self.beliefs.get(region), self.excitation.get(region))
+        return Step(None, question)
+
+    def _question(self, seen: Completed) -> Question:
+        """What a completed response asks."""
+        return Question(self._case(seen), self.settings, self.sample_number, self.trials.of(seen.region))
+
+    def _entered(self, question: Question, outcome: StageResult) -> Decision:
+        """What the answer teaches is kept, a trial judged, and the decision made."""
+        case, region = question.record, question.record.region
         if outcome.belief is not None:
-            self.beliefs[seen.region] = outcome.belief
+            self.beliefs[region] = outcome.belief
         if outcome.standing is not None:
-            self.standing[seen.region] = outcome.standing
+            self.standing[region] = outcome.standing
         if outcome.excitation is not None:
-            self.excitation[seen.region] = outcome.excitation
+            self.excitation[region] = outcome.excitation
         if outcome.forget:
-            self._forget(seen.region)
+            self._forget(region)
         judgement = self._judge(case, outcome)
-        decision = self._decision(seen.region, outcome, seen.response, judgement)
-        if judgement is not None and self.desk.phase(seen.region) == TrialPhase.RESTORING:
-            return self._restoring(seen.region, decision)
+        decision = self._decision(region, outcome, question, judgement)
+        if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
+            return self._restoring(region, decision)
         if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
-            self.desk.begin(
-                seen.region,
+            self.trials.begin(
+                region,
                 decision.gains_before,
                 decision.gains_after,
                 decision.promise,
                 self._now_s,
                 urgent=decision.verdict is not None and decision.verdict.urgent,
             )
-            decision = replace(decision, trial=str(self.desk.phase(seen.region)))
+            decision = replace(decision, trial=str(self.trials.phase(region)))
         return decision
 
     def _forget(self, region: int) -> None:
@@ -233,59 +367,65 @@ class Retuner:
         self.beliefs.pop(region, None)
         self.excitation.pop(region, None)
 
-    def _judge(self, case: Case, outcome: Outcome) -> Judgement | None:
+    def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
-        trial = self.desk.trial(case.region)
+        trial = self.trials.of(case.region)
         if trial.phase != TrialPhase.TRIAL:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
-            self.desk.event(case.region, TrialEvent.SATURATED, self._now_s)
+            self.trials.event(case.region, TrialEvent.SATURATED, self._now_s)
             return Judgement(Finding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
-        looked_at = seen_of(case, outcome, trial, self.settings)
+        looked_at = seen_of(case, outcome)
         ask = self.settings.mode_of(case.region) == Mode.TRIAL
-        return self.desk.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
+        return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
 
-    def _case(self, seen: Completed) -> Case:
+    def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
         w = self._watcher
-        return Case(
+        return ResponseRecord(
             seen.region,
             seen.response,
             w.window(seen.response),
-            w.samples,
+            tuple(w.samples),
             w.table,
             self.commissioned,
-            self.beliefs,
+            dict(self.beliefs),
             self.standing.get(seen.region),
             self.excitation.get(seen.region, Excitation()),
             w.scheduled,
         )
 
     def _decision(
-        self, region: int, outcome: Outcome, response: Response | None = None, judgement: Judgement | None = None
+        self, region: int, outcome: StageResult, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
-        """Put the record together."""
-        phase_allows = self.desk.may_change(
+        """Put the record together. question : that this answers, if any."""
+        phase_allows = self.trials.may_change(
             region, self._now_s, urgent=bool(outcome.verdict and outcome.verdict.urgent)
         )
         if not phase_allows:
-            outcome = held(outcome, self.desk.trial(region), self._now_s)
+            outcome = held(outcome, self.trials.of(region), self._now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
-        at = self._watcher.scheduled
-        promised = promise_of(outcome, self.table, region, at, response, self.settings) if accepted else None
-        return self._recorded(region, outcome, response, judgement, promised, accepted=accepted)
+        response = question.record.response if question else None
+        promised = outcome.promise
+        if accepted and promised is None:
+            at = question.record.at if question else self._watcher.scheduled
+            promised = promise_of(outcome, self.table, region, at, response, self.settings)
+        made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
+        if question is None or question.sample_number == self.sample_number:
+            return made
+        return replace(made, delay=Delay(question.sample_number, self.sample_number))
 
     def _recorded(
         self,
         region: int,
-        outcome: Outcome,
+        outcome: StageResult,
         response: Response | None,
         judgement: Judgement | None,
         promised: Promise | None,
         *,
         accepted: bool,
     ) -> Decision:
-        """The record; accepted : gains may be written, as far as proof and trial desk are concerned."""
+        """The record; accepted : gains may be written, as far as proof and trial are concerned."""
         verdict, learned = outcome.verdict, outcome.learned
         mode = self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
@@ -314,5 +454,5 @@ class Retuner:
             verdict=verdict,
             promise=promised,
             judgement=judgement,
-            trial=str(self.desk.phase(region)),
+            trial=str(self.trials.phase(region)),
         )

@@ -104,7 +104,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, float(body.get("zeta", 1.0)))
 
 
-VERSION = 6
+VERSION = 7
 """Of this layout; newer ones are refused."""
 
 
@@ -122,7 +122,8 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "noise": _numbers_out(watcher.noise),
         "samples": [_numbers_out(sample) for sample in watcher.samples],
         "decisions": state.decisions,
-        "trials": retuner.desk.to_dict(),
+        "samples_observed": state.samples,
+        "trials": retuner.trials.to_dict(),
         "standing": {
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
@@ -161,8 +162,8 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
         )
-        retuner.desk.resume(memory["trials"])
-        retuner.resume(RetunerState(watcher, int(memory["decisions"])))
+        retuner.trials.resume(memory["trials"])
+        retuner.resume(RetunerState(watcher, int(memory["decisions"]), int(memory["samples_observed"])))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
     return retuner

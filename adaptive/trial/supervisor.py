@@ -1,4 +1,4 @@
-"""The trial desk of one loop: which region's change is being written, on trial, taken back, cooling down.
+"""The trials of one loop: which region's change is being written, on trial, taken back, cooling down.
 
 A thin shell round phase.py (what follows what), judge.py and watch.py (what a response and a sample say). It keeps one
 Trial a region and has one effect: ENTERING the restoring phase puts the verified set back into the table, at once and
@@ -33,7 +33,7 @@ KEPT = (E.GOOD, E.AS_PROMISED)
 WITH_GAINS = (E.PROPOSED, E.URGENT, E.WRITTEN)
 
 
-class TrialDesk:
+class TrialSupervisor:
     """See the head of this file.
 
     Parameters
@@ -53,13 +53,13 @@ class TrialDesk:
         self.busy = False
         """Whether a change is undecided or being taken back: only then is there anything to watch."""
 
-    def trial(self, region: int) -> Trial:
+    def of(self, region: int) -> Trial:
         """Where the region stands."""
         return self._trials.get(region, Trial())
 
     def phase(self, region: int) -> TrialPhase:
         """The region's phase."""
-        return self.trial(region).phase
+        return self.of(region).phase
 
     @property
     def undecided(self) -> tuple[int, ...]:
@@ -75,7 +75,7 @@ class TrialDesk:
         """Whether a change of the region's gains may be asked for now. urgent : in the safe direction, of a loop that
         swings: need not wait for the cool-down.
         """
-        trial = self.trial(region)
+        trial = self.of(region)
         if trial.phase == P.COOLING and t_s >= trial.until_s:
             self._move(region, E.COOLED, t_s)
         event = E.URGENT if urgent else E.PROPOSED
@@ -95,14 +95,14 @@ class TrialDesk:
         if not self.may_change(region, t_s, urgent=urgent):
             raise ValueError(f"region {region} may not be changed now: {self.phase(region)}")
         self._trials[region] = replace(
-            self.trial(region), old=old, new=new, promise=promised, since_s=t_s, kept=0, cause=None, seen=None
+            self.of(region), old=old, new=new, promise=promised, since_s=t_s, kept=0, cause=None, seen=None
         )
         self._move(region, E.URGENT if urgent else E.PROPOSED, t_s)
 
     def written(self, region: int, gains: PidGains, t_s: float) -> bool:
         """The controller runs the tried set, as read back; whether it is on trial now (not when it was given up)."""
         if self.phase(region) == P.WRITING:
-            self._trials[region] = replace(self.trial(region), new=gains)
+            self._trials[region] = replace(self.of(region), new=gains)
             self._move(region, E.WRITTEN, t_s)
             if self._at is not None and self._at != region:
                 self._move(region, E.LEFT, t_s)
@@ -152,7 +152,7 @@ class TrialDesk:
         ran : gains under which it ran (in an interpolated table, the mean that was in force).
         ask : a person has the next word when the trial passes.
         """
-        trial = self.trial(region)
+        trial = self.of(region)
         if trial.phase != P.TRIAL or trial.promise is None:
             return None
         found = judge(seen, trial.promise, ran, self.settings)
@@ -160,7 +160,7 @@ class TrialDesk:
         self._move(region, event, t_s)
         if event in KEPT:
             kept = trial.kept + 1
-            self._trials[region] = replace(self.trial(region), kept=kept)
+            self._trials[region] = replace(self.of(region), kept=kept)
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         return found
@@ -191,7 +191,7 @@ class TrialDesk:
         self, at: int, sample: LoopSample, region: int | None, band: float, *, blended: bool
     ) -> TrialEvent | None:
         """What ends one region's trial, if anything; comings and goings are taken note of."""
-        trial = self.trial(at)
+        trial = self.of(at)
         if sample.t_s - trial.since_s > self.settings.timeout_s:
             return E.TIMED_OUT
         if region != at:
@@ -204,7 +204,7 @@ class TrialDesk:
 
     def _watch(self, at: int, sample: LoopSample, band: float) -> TrialEvent | None:
         """The sample under the tried set."""
-        trial = self.trial(at)
+        trial = self.of(at)
         if trial.phase != P.TRIAL or trial.promise is None:
             return None
         law = law_of(trial.promise, self.settings, self._shortest_s)
@@ -215,7 +215,7 @@ class TrialDesk:
 
     def _move(self, region: int, event: TrialEvent, t_s: float) -> bool:
         """The one way from phase to phase, with what belongs to entering each."""
-        trial = self.trial(region)
+        trial = self.of(region)
         now = after(trial.phase, event)
         if now == trial.phase:
             return False

@@ -86,7 +86,7 @@ class OnTrial(Watching):
         """Put a set on trial with the promise that a model makes for the set that it is said to be."""
         old = self.retuner.table.gains_of(0)
         promised = promise([believed], old, said, self.retuner.settings.sample_time_s)
-        self.retuner.desk.begin(0, old, bad, promised, self.t_s)
+        self.retuner.trials.begin(0, old, bad, promised, self.t_s)
         self.due = bad
 
     def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
@@ -96,9 +96,9 @@ class OnTrial(Watching):
             due, self.due = self.due, None
             self.retuner.observe(sample)
             return 0, due
-        before = self.retuner.desk.phase(0)
+        before = self.retuner.trials.phase(0)
         wish = super().observe(sample)
-        after = self.retuner.desk.phase(0)
+        after = self.retuner.trials.phase(0)
         self.passed |= before is TrialPhase.TRIAL and after in {TrialPhase.IDLE, TrialPhase.WRITING}
         if self.decided:
             return None
@@ -111,9 +111,9 @@ class OnTrial(Watching):
 
     def written(self, region: int, gains: PidGains) -> None:
         """As read back."""
-        restoring = self.retuner.desk.phase(0) is TrialPhase.RESTORING
+        restoring = self.retuner.trials.phase(0) is TrialPhase.RESTORING
         if restoring:
-            self.cause, self.restored_s = str(self.retuner.desk.trial(0).cause), self.t_s
+            self.cause, self.restored_s = str(self.retuner.trials.of(0).cause), self.t_s
             self.retuner.restored()
         else:
             self.retuner.committed(region, gains)
@@ -151,7 +151,7 @@ def run(task: Task) -> Row:
         "j": verdict.j,
         "rolled_back": back,
         "passed": trial.passed and not back,
-        "phase": str(trial.retuner.desk.phase(0)),
+        "phase": str(trial.retuner.trials.phase(0)),
         "cause": trial.cause,
         "lost": tried[-1] >= LOST,
         "theta": took_s / loop.theta_s,

@@ -10,7 +10,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.region_model.update import Surprise
 from retuner.adaptive.supervision import pipeline
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 
 SETTINGS = RetunerSettings(1.0, 100.0)
@@ -21,10 +21,10 @@ NEW: Any = SimpleNamespace(log=None, reason="")
 
 def weighed(
     monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False, ready: bool = True
-) -> Outcome:
+) -> StageResult:
     """The pipeline's last stages on one response, with what comes before them given."""
     verdict: Any = SimpleNamespace(accepted=True, ruling=None, allowed=())
-    found = Outcome("accepted", "", diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""), verdict=verdict)
+    found = StageResult("accepted", "", diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""), verdict=verdict)
     given: dict[str, Any] = {
         "is_clear": lambda *_: clear,
         "predicted": lambda *_: None,
@@ -33,7 +33,7 @@ def weighed(
         "_not_seen": lambda *_: None,
         "_is_sure": lambda *_: False,
         "_was_known": lambda *_: None,
-        "_without_model": lambda *_: Outcome("not_identifiable", ""),
+        "_without_model": lambda *_: StageResult("not_identifiable", ""),
         "unconfirmed": lambda _s, _r, _g, e, *_: (Diagnosis(doubt, 0.9, {}, "") if doubt else None, e),
     }
     for name, value in given.items():

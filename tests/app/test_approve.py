@@ -119,12 +119,12 @@ def test_the_way_back_is_taken_and_replayed(with_person: Any, capsys: pytest.Cap
 
 
 def on_trial(session: Session, sample: LoopSample) -> bool:
-    return written(session, sample) and session.retuner.desk.phase(0) == TrialPhase.TRIAL
+    return written(session, sample) and session.retuner.trials.phase(0) == TrialPhase.TRIAL
 
 
 def in_manual(session: Session, sample: LoopSample) -> bool:
     del sample
-    return session.retuner.desk.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
+    return session.retuner.trials.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
 
 
 def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(

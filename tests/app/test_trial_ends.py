@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire import GOOD, OTHER, PROMISE, Wire, is_telemetry
 
 from retuner.adaptive.supervision.operator_orders import revert
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.drivers.protocol.frames import Ack, Kind, Reason
@@ -137,7 +137,7 @@ def test_what_is_decided_when_the_end_has_begun_is_taken_back_as_well(make_wire:
     wire.run(1)
     wire.ask(NEW)
     wire.run(5)
-    assert wire.desk.phase(0) is P.COOLING
+    assert wire.trials.phase(0) is P.COOLING
     assert wire.runs == to_wire(GOOD)
 
 
@@ -147,9 +147,9 @@ def test_a_change_decided_while_an_order_is_written_does_not_take_its_place(make
     wire.asked.append(revert(ours, 0, ordered, wire.clock.now_s()))
     wire.run(1)
     assert wire.session.writer.open
-    wire.session._decided(ours.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE))
+    wire.session._decided(ours.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE))
     wire.run(20)
-    assert wire.desk.phase(0) is P.IDLE
+    assert wire.trials.phase(0) is P.IDLE
     assert dict(wire.rows)["dropped"]["reason"] == "another change is on its way"
     wire.end()
     assert wire.runs == to_wire(ordered)
@@ -195,7 +195,7 @@ def test_a_defect_of_ours_takes_the_change_back_before_it_is_told(make_wire: Cal
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError(where)
 
-    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.desk, "look")}
+    owners = {"progress": (session, "_on_sample"), "judge": (session.retuner.trials, "look")}
     setattr(*owners.get(where, (session.retuner, where)), broken)
     if where == "_seen":
         session.device.send_setpoint(55.0, wire.clock.now_s())

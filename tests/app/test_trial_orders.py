@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire import GOOD, PROMISE, Wire
 
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
@@ -32,12 +32,12 @@ class Desk(NamedTuple):
         """A change is written and on trial; its decision."""
         session = self.wire.session
         gains = PidGains(factor * GOOD.kp, factor * GOOD.ki)
-        session._decided(session.retuner.ordered(0, Outcome("injected", "for a test"), gains, PROMISE))
+        session._decided(session.retuner.ordered(0, StageResult("injected", "for a test"), gains, PROMISE))
         self.wire.until(P.TRIAL)
         return next(d for d in reversed(session.decisions) if d.action is Action.COMMIT)
 
     def happens(self, event: TrialEvent) -> None:
-        self.wire.desk.event(0, event, self.wire.clock.now_s())
+        self.wire.trials.event(0, event, self.wire.clock.now_s())
 
     def order(self, kind: OrderKind, digest: str = "", decision: int = 0) -> dict[str, object]:
         """Give an order, and let it be taken; its last row."""
@@ -66,9 +66,9 @@ def test_an_approval_of_another_change_does_not_release_the_one_that_waits(desk:
     told = desk.order(OrderKind.APPROVE, undone.digest())
     assert not told["accepted"]
     assert told["reason"] == "low waits for a word on another change than this one"
-    assert desk.wire.desk.phase(0) is P.WAITING
+    assert desk.wire.trials.phase(0) is P.WAITING
     assert desk.order(OrderKind.APPROVE, waits.digest())["accepted"]
-    assert desk.wire.desk.phase(0) is P.IDLE
+    assert desk.wire.trials.phase(0) is P.IDLE
 
 
 @pytest.mark.parametrize("phase", [P.TRIAL, P.AWAY, P.WAITING])
@@ -92,14 +92,14 @@ def test_an_approval_in_a_locked_region_changes_nothing(desk: Desk) -> None:
     tried = desk.tried(4.0)
     for _ in range(3):
         desk.happens(TrialEvent.WORSE)
-        desk.wire.until(P.COOLING if desk.wire.desk.trial(0).undos < 3 else P.LOCKED)
-        if desk.wire.desk.phase(0) is P.LOCKED:
+        desk.wire.until(P.COOLING if desk.wire.trials.of(0).undos < 3 else P.LOCKED)
+        if desk.wire.trials.phase(0) is P.LOCKED:
             break
         desk.wire.run(10)
         tried = desk.tried(4.0)
     assert not desk.order(OrderKind.APPROVE, tried.digest())["accepted"]
-    assert desk.wire.desk.phase(0) is P.LOCKED
-    assert not desk.wire.desk.may_change(0, 1e9, urgent=True)
+    assert desk.wire.trials.phase(0) is P.LOCKED
+    assert not desk.wire.trials.may_change(0, 1e9, urgent=True)
     assert desk.order(OrderKind.UNLOCK)["accepted"]
-    assert desk.wire.desk.phase(0) is P.IDLE
+    assert desk.wire.trials.phase(0) is P.IDLE
     assert desk.wire.runs == to_wire(GOOD)

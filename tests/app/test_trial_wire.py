@@ -56,11 +56,11 @@ def into(wire: Wire, phase: TrialPhase) -> None:
         wire.session.device.send_setpoint(70.0, wire.clock.now_s())
         wire.until(P.AWAY)
     elif phase is P.WAITING:
-        wire.desk.event(0, TrialEvent.PASSED_FOR_APPROVAL, wire.clock.now_s())
+        wire.trials.event(0, TrialEvent.PASSED_FOR_APPROVAL, wire.clock.now_s())
     elif phase in {P.RESTORING, P.COOLING, P.LOCKED}:
-        wire.desk.event(0, TrialEvent.WORSE, wire.clock.now_s())
+        wire.trials.event(0, TrialEvent.WORSE, wire.clock.now_s())
         wire.until(phase)
-    assert wire.desk.phase(0) is phase
+    assert wire.trials.phase(0) is phase
 
 
 def deaf(wire: Wire, samples: int, hears: Callable[[object], bool]) -> None:
@@ -127,7 +127,7 @@ def test_every_phase_under_every_abort_cause_ends_with_the_verified_set_running(
     retuner = wire.session.retuner
     verified = NEW if phase is P.WAITING and cause != "ordered back" else GOOD
     assert to_wire(retuner.table.gains_of(0)) == to_wire(verified)
-    assert not wire.desk.busy
+    assert not wire.trials.busy
     assert "unrestored" not in wire.kinds
     assert retuner.region is not None
     if wire.session.frozen and phase is P.AWAY:
@@ -189,17 +189,17 @@ def test_a_deliberately_bad_change_is_rolled_back(make_wire: Callable[..., Wire]
     assert wire.runs == to_wire(GOOD)
     decision = next(d for d in wire.session.decisions if d.action is Action.RESTORE)
     assert decision.code in {"undo_runaway", "undo_worse"}
-    assert wire.desk.trial(0).undos == 1
+    assert wire.trials.of(0).undos == 1
 
 
 def test_a_third_undo_locks_the_region_and_says_so(make_wire: Callable[..., Wire]) -> None:
     wire = make_wire(cool_down_s=0.0)
     for _ in range(3):
         into(wire, P.TRIAL)
-        wire.desk.event(0, TrialEvent.WORSE, wire.clock.now_s())
-        wire.until(P.COOLING if wire.desk.trial(0).undos < 3 else P.LOCKED)
+        wire.trials.event(0, TrialEvent.WORSE, wire.clock.now_s())
+        wire.until(P.COOLING if wire.trials.of(0).undos < 3 else P.LOCKED)
     assert wire.kinds[-1] == "lockout"
-    assert wire.session.retuner.desk.may_change(0, 1e12) is False
+    assert wire.session.retuner.trials.may_change(0, 1e12) is False
 
 
 def test_a_controller_that_gives_an_unconfirmed_set_up_ends_the_trial(make_wire: Callable[..., Wire]) -> None:
@@ -266,7 +266,7 @@ def test_the_verified_set_is_written_again_and_again_until_it_runs(make_wire: Ca
     wire = make_wire()
     into(wire, P.TRIAL)
     box, wire.device.pages._box = wire.device.pages._box, type(wire.device.pages._box)(ratio_max=1.001)
-    wire.desk.event(0, TrialEvent.WORSE, wire.clock.now_s())
+    wire.trials.event(0, TrialEvent.WORSE, wire.clock.now_s())
     wire.run(60)
     assert wire.runs == to_wire(NEW)
     refused = [body for kind, body in wire.rows if kind == "refused"]
@@ -289,20 +289,20 @@ def test_any_story_ends_on_the_verified_old_or_the_confirmed_new_set(story: list
     verified, number = {to_wire(GOOD)}, 0
     try:
         for event, samples in story:
-            if event == "ask" and wire.desk.may_change(0, wire.clock.now_s()) and not wire.asked:
+            if event == "ask" and wire.trials.may_change(0, wire.clock.now_s()) and not wire.asked:
                 number += 1
                 wire.ask(PidGains((2 + number) * GOOD.kp, (2 + number) * GOOD.ki))
-            elif event == "pass" and wire.desk.event(0, TrialEvent.PASSED, wire.clock.now_s()):
+            elif event == "pass" and wire.trials.event(0, TrialEvent.PASSED, wire.clock.now_s()):
                 verified = {wire.runs}
             elif event == "cool":
-                wire.desk.event(0, TrialEvent.COOLED, wire.clock.now_s())
+                wire.trials.event(0, TrialEvent.COOLED, wire.clock.now_s())
             elif event in CAUSES:
                 CAUSES[event](wire)
             wire.run(samples)
         wire.run(20)
         wire.end()
         assert to_wire(wire.session.retuner.table.gains_of(0)) in verified
-        assert not wire.desk.busy
+        assert not wire.trials.busy
         edited = {to_wire(FOREIGN)}  # by an operator, when the session had ended, or was ending without a trial
         assert wire.runs in verified | edited
         if not wire.session.frozen and ("the session ends" not in dict(story) or wire.runs not in edited):

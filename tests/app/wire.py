@@ -10,7 +10,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.decision import Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import promise
@@ -78,8 +78,8 @@ class Wire:
         self.run(45)
 
     @property
-    def desk(self) -> Any:
-        return self.session.retuner.desk
+    def trials(self) -> Any:
+        return self.session.retuner.trials
 
     @property
     def runs(self) -> PidGains:
@@ -106,14 +106,14 @@ class Wire:
 
     def until(self, phase: TrialPhase, region: int = 0, most: int = 60) -> None:
         for _ in range(most):
-            if self.desk.phase(region) is phase:
+            if self.trials.phase(region) is phase:
                 return
             self.run(1)
-        raise AssertionError(f"{self.desk.phase(region)} after {most} samples, {phase} was to come")
+        raise AssertionError(f"{self.trials.phase(region)} after {most} samples, {phase} was to come")
 
     def ask(self, gains: PidGains, region: int = 0) -> None:
         """A change with a promise that it may not keep."""
-        made = self.session.retuner.ordered(region, Outcome("injected", "for a test"), gains, PROMISE)
+        made = self.session.retuner.ordered(region, StageResult("injected", "for a test"), gains, PROMISE)
         assert made.gains_after is not None, made.reason
         self.asked.append(made)
 

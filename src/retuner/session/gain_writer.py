@@ -93,7 +93,7 @@ class GainWriter:
     @property
     def restoring(self) -> bool:
         """Whether a verified set is not known to run again."""
-        return bool(self.retuner.desk.restoring)
+        return bool(self.retuner.trials.restoring)
 
     def ask(self, decision: Decision) -> None:
         """A decision wants its gains written; it waits for the wire, unless another one is ahead of it.
@@ -151,7 +151,7 @@ class GainWriter:
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
             return
         self.commits.append((self.t_s, write.region))
-        trial = self.retuner.desk.trial(write.region)
+        trial = self.retuner.trials.of(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
             row = {
                 "region": self._name(write.region),
@@ -218,8 +218,8 @@ class GainWriter:
 
     def _restored(self, running: RunningSet) -> None:
         """What the controller reports is the verified set: recorded, and told."""
-        desk = self.retuner.desk
-        regions = desk.restoring
+        trials = self.retuner.trials
+        regions = trials.restoring
         body = {
             "regions": [self._name(region) for region in regions],
             "gains": gains_dict(running.gains),
@@ -231,8 +231,8 @@ class GainWriter:
         self._restore_at_s = float("-inf")
         self.retuner.restored()
         for region in regions:
-            if desk.phase(region) == TrialPhase.LOCKED:
-                self._record("lockout", self.t_s, {"region": self._name(region), "undos": desk.trial(region).undos})
+            if trials.phase(region) == TrialPhase.LOCKED:
+                self._record("lockout", self.t_s, {"region": self._name(region), "undos": trials.of(region).undos})
 
     def _wanted(self, running: PidGains) -> Wanted | None:
         """What should be written now, if anything: a decision for the region in force first, then the schedule."""
@@ -257,7 +257,7 @@ class GainWriter:
     def _given_up(self, pending: Wanted) -> bool:
         """Whether a change that was to be on trial no longer is: nothing is written that nobody would watch."""
         promised = pending.decision is not None and pending.decision.promise is not None
-        return promised and self.retuner.desk.phase(pending.region) != TrialPhase.WRITING
+        return promised and self.retuner.trials.phase(pending.region) != TrialPhase.WRITING
 
     def _here(self, wanted: Wanted) -> Wanted:
         """What a decision means here and now: in an interpolated table the region's new set is a part of a mean."""

@@ -297,7 +297,7 @@ class OrderDesk:
 
     def _not_at(self, region: str, phase: TrialPhase) -> str:
         """Why an order finds nothing to do, empty when the region is in the phase that it is for."""
-        now = self._retuner.desk.phase(self._retuner.table.index(region))
+        now = self._retuner.trials.phase(self._retuner.table.index(region))
         return "" if now == phase else f"{region} is not {phase}, it is {now}"
 
     def _closed(self, region: str) -> str:

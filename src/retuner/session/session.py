@@ -200,7 +200,7 @@ class Session:
 
     def _abort(self, cause: TrialEvent | None) -> None:
         """End every undecided trial, if there is a cause and a trial: recorded, then the verified sets come back."""
-        if cause is None or not self.retuner.desk.undecided:
+        if cause is None or not self.retuner.trials.undecided:
             return
         self._record("abort", self.writer.t_s, {"cause": cause.name.lower(), "reason": str(cause)})
         decision = self.retuner.abort(cause)
@@ -221,13 +221,13 @@ class Session:
 
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
-        desk = self.retuner.desk
-        if not self.left_open and (self.writer.open or desk.busy):
+        trials = self.retuner.trials
+        if not self.left_open and (self.writer.open or trials.busy):
             self.left_open = "the controller has not reported that it runs the verified gains"
             running = self.device.running
             names = self.table.regions.names
             body = {
-                "regions": [names[region] for region in (*desk.undecided, *desk.restoring)],
+                "regions": [names[region] for region in (*trials.undecided, *trials.restoring)],
                 "write_open": self.writer.open,
                 "running": gains_dict(running.gains) if running else None,
                 "reason": self.left_open,

@@ -19,7 +19,7 @@ from retuner.adaptive.region_model.region_model import Belief, Known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
@@ -67,10 +67,10 @@ def test_an_approved_proposal_is_written_as_it_was_and_on_trial() -> None:
     assert decision.gains_after == offered.after
     assert decision.verdict is not None
     assert decision.verdict.accepted
-    assert bench.retuner.desk.phase(0) is P.WRITING
+    assert bench.retuner.trials.phase(0) is P.WRITING
     bench.retuner.committed(0, offered.after)
-    assert bench.retuner.desk.phase(0) is P.TRIAL
-    assert bench.retuner.desk.trial(0).old == SLOW
+    assert bench.retuner.trials.phase(0) is P.TRIAL
+    assert bench.retuner.trials.of(0).old == SLOW
     assert approve(bench.retuner, again, bench.t_s).code == "approval_refused"
 
 
@@ -89,7 +89,7 @@ def test_what_is_known_now_decides_and_not_what_was_known() -> None:
     assert refused.action is Action.NONE
     assert refused.gains_after is None
     assert refused.code == "approval_refused"
-    assert bench.retuner.desk.phase(0) is P.IDLE
+    assert bench.retuner.trials.phase(0) is P.IDLE
 
 
 def test_other_gains_or_no_promise_end_a_proposal() -> None:
@@ -143,20 +143,20 @@ def test_the_way_back_is_whole_and_not_on_trial() -> None:
     assert (decision.action, decision.code) == (Action.COMMIT, "ordered_back")
     assert decision.gains_after == BAD["kc /4"]
     bench.retuner.committed(0, BAD["kc /4"])
-    assert bench.retuner.desk.phase(0) is P.IDLE
+    assert bench.retuner.trials.phase(0) is P.IDLE
     assert bench.retuner.table.gains == (BAD["kc /4"],)
 
 
 def test_the_way_back_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
     bench = Bench(GOOD)
-    bench.retuner.ordered(0, Outcome("injected", "for a test"), BAD["kc x4"], PROMISE)
+    bench.retuner.ordered(0, StageResult("injected", "for a test"), BAD["kc x4"], PROMISE)
     bench.retuner.committed(0, BAD["kc x4"])
     decision = revert(bench.retuner, 0, GOOD, 60.0)
     assert decision is not None
     assert (decision.action, decision.code) == (Action.RESTORE, "undo_ordered_back")
     assert decision.gains_after == GOOD
     assert bench.retuner.table.gains == (GOOD,)
-    assert bench.retuner.desk.phase(0) is P.RESTORING
+    assert bench.retuner.trials.phase(0) is P.RESTORING
 
 
 @pytest.mark.parametrize(
@@ -204,21 +204,21 @@ def test_a_lock_is_taken_off_and_a_change_that_waits_is_accepted() -> None:
     bench = Bench(GOOD)
     assert not unlock(bench.retuner, 0, 60.0)
     assert not accept(bench.retuner, 0, 60.0)
-    bench.retuner.ordered(0, Outcome("injected", "for a test"), BETTER, PROMISE)
+    bench.retuner.ordered(0, StageResult("injected", "for a test"), BETTER, PROMISE)
     bench.retuner.committed(0, BETTER)
-    bench.retuner.desk.event(0, E.PASSED_FOR_APPROVAL, 60.0)
-    assert bench.retuner.desk.phase(0) is P.WAITING
+    bench.retuner.trials.event(0, E.PASSED_FOR_APPROVAL, 60.0)
+    assert bench.retuner.trials.phase(0) is P.WAITING
     assert accept(bench.retuner, 0, 61.0)
-    assert bench.retuner.desk.phase(0) is P.IDLE
-    bench.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
+    assert bench.retuner.trials.phase(0) is P.IDLE
+    bench.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
     bench.retuner.committed(0, GOOD)
     bench.retuner.abort(E.WORSE)
     bench.retuner.restored()
-    bench.retuner.desk.event(0, E.TOO_MANY_UNDOS, 62.0)
-    assert bench.retuner.desk.phase(0) is P.LOCKED
+    bench.retuner.trials.event(0, E.TOO_MANY_UNDOS, 62.0)
+    assert bench.retuner.trials.phase(0) is P.LOCKED
     held = revert(bench.retuner, 0, SLOW, 63.0)
     assert held is not None
     assert held.action is Action.COMMIT  # a lock holds the retuner's changes, not the way back
     assert approve(bench.retuner, replace(OFFERED, before=BETTER, after=GOOD), 63.0).code == "held_locked"
     assert unlock(bench.retuner, 0, 64.0)
-    assert bench.retuner.desk.phase(0) is P.IDLE
+    assert bench.retuner.trials.phase(0) is P.IDLE

@@ -14,7 +14,7 @@ from retuner.adaptive.region_model.update import Surprise
 from retuner.adaptive.supervision import retuner as retuner_module
 from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.on_trial import seen_of
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, Spread, promise
@@ -187,7 +187,7 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
     table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (GOOD,))
     retuner, rig = Retuner(table, RetunerSettings(1.0, 100.0, Mode.AUTO, band=0.1)), Rig(GOOD, noise=0.02)
     _ = [retuner.observe(sample) for sample in rig.run(60)]
-    retuner.ordered(0, Outcome("injected", "for a test"), SLUGGISH, lie(SLUGGISH, 4.0))
+    retuner.ordered(0, StageResult("injected", "for a test"), SLUGGISH, lie(SLUGGISH, 4.0))
     retuner.committed(0, SLUGGISH)
     rig.change(SLUGGISH)
     _ = [retuner.observe(sample) for sample in rig.run(40)]

@@ -1,4 +1,4 @@
-"""The retuner with its trial desk: what samples tell ends a trial by itself, and the response under way teaches."""
+"""The retuner with its trials: what samples tell ends a trial by itself, and the response under way teaches."""
 
 import json
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import Surprise
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pipeline_types import Outcome
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -31,12 +31,12 @@ class Stand:
         self.retuner = Retuner(table, RetunerSettings(1.0, 100.0, mode, band=0.1))
         self.rig = Rig(GOOD, noise=0.02)
         assert list(self.run(60)) == []
-        made = self.retuner.ordered(0, Outcome("injected", "for a test"), new, PROMISE)
+        made = self.retuner.ordered(0, StageResult("injected", "for a test"), new, PROMISE)
         assert made.action is Action.COMMIT
-        assert self.retuner.desk.phase(0) is P.WRITING
+        assert self.retuner.trials.phase(0) is P.WRITING
         self.retuner.committed(0, new)
         self.rig.change(new)
-        assert self.retuner.desk.phase(0) is P.TRIAL
+        assert self.retuner.trials.phase(0) is P.TRIAL
 
     def run(self, samples: int) -> Iterator[Decision]:
         for sample in self.rig.run(samples):
@@ -116,24 +116,24 @@ def test_what_happens_outside_ends_the_trial_once() -> None:
     stand.retuner.committed(0, NEW)  # the write that was given up comes through after all
     assert stand.retuner.table.gains == (GOOD,)
     assert stand.retuner.restored() == (0,)
-    assert stand.retuner.desk.phase(0) is P.COOLING
+    assert stand.retuner.trials.phase(0) is P.COOLING
 
 
 def test_what_was_not_written_leaves_everything_as_it_was() -> None:
     stand = Stand()
     stand.retuner.abort(E.STOPPED)
     stand.retuner.restored()
-    stand.retuner.desk.event(0, E.COOLED, 0.0)
-    stand.retuner.ordered(0, Outcome("injected", "for a test"), NEW, PROMISE)
+    stand.retuner.trials.event(0, E.COOLED, 0.0)
+    stand.retuner.ordered(0, StageResult("injected", "for a test"), NEW, PROMISE)
     revision = stand.retuner.table.revision
     stand.retuner.not_written(0)
-    assert stand.retuner.desk.phase(0) is P.IDLE
+    assert stand.retuner.trials.phase(0) is P.IDLE
     assert stand.retuner.table.revision == revision
 
 
 def test_a_change_is_held_while_another_is_on_trial() -> None:
     stand = Stand()
-    made = stand.retuner.ordered(0, Outcome("injected", "for a test"), GOOD, PROMISE)
+    made = stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
     assert made.action is Action.NONE
     assert made.code == "held_trial"
 
@@ -145,5 +145,5 @@ def test_a_restart_of_the_host_in_mid_trial_loses_nothing() -> None:
         assert list(one.run(25)) == []
     memory = json.loads(json.dumps(remember(stand.retuner), allow_nan=False))
     stand.retuner = restore(memory, stand.retuner.settings)
-    assert stand.retuner.desk.to_dict() == twin.retuner.desk.to_dict()
+    assert stand.retuner.trials.to_dict() == twin.retuner.trials.to_dict()
     assert next(stand.run(100)).canonical() == next(twin.run(100)).canonical()

@@ -1,4 +1,4 @@
-"""The trial desk: entering the restoring phase puts the verified set back, whatever led there."""
+"""The trials of a loop: entering the restoring phase puts the verified set back, whatever led there."""
 
 import json
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.judge import Finding
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.supervisor import WITH_GAINS, TrialDesk
+from retuner.adaptive.trial.supervisor import WITH_GAINS, TrialSupervisor
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -22,40 +22,40 @@ TAU_I_S = 10.0
 
 @dataclass
 class Bench:
-    """A desk, the table that it puts sets back into, and the way into every phase."""
+    """The trials, the table that it puts sets back into, and the way into every phase."""
 
-    desk_settings: TrialSettings = field(default_factory=TrialSettings)
+    trial_settings: TrialSettings = field(default_factory=TrialSettings)
     table: dict[int, PidGains] = field(default_factory=lambda: {0: OLD, 1: OLD})
     t_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self.desk = TrialDesk(self.desk_settings, 1.0, self.table.__setitem__)
+        self.trials = TrialSupervisor(self.trial_settings, 1.0, self.table.__setitem__)
 
     def write(self, region: int = 0, new: PidGains = NEW) -> None:
-        self.desk.begin(region, self.table[region], new, PROMISE, self.t_s)
-        if self.desk.written(region, new, self.t_s):
+        self.trials.begin(region, self.table[region], new, PROMISE, self.t_s)
+        if self.trials.written(region, new, self.t_s):
             self.table[region] = new
 
     def undo(self, cause: TrialEvent = E.WORSE) -> None:
         self.write()
-        self.desk.event(0, cause, self.t_s)
-        self.desk.restored(self.t_s)
+        self.trials.event(0, cause, self.t_s)
+        self.trials.restored(self.t_s)
 
     def into(self, phase: TrialPhase) -> None:
         if phase is P.WRITING:
-            self.desk.begin(0, OLD, NEW, PROMISE, self.t_s)
+            self.trials.begin(0, OLD, NEW, PROMISE, self.t_s)
         elif phase in {P.TRIAL, P.AWAY, P.WAITING, P.RESTORING}:
             self.write()
             step = {P.AWAY: E.LEFT, P.WAITING: E.PASSED_FOR_APPROVAL, P.RESTORING: E.WORSE}
             if phase in step:
-                self.desk.event(0, step[phase], self.t_s)
+                self.trials.event(0, step[phase], self.t_s)
         elif phase is P.COOLING:
             self.undo()
         elif phase is P.LOCKED:
-            while self.desk.phase(0) is not P.LOCKED:
+            while self.trials.phase(0) is not P.LOCKED:
                 self.undo()
                 self.t_s += 1e6
-        assert self.desk.phase(0) is phase
+        assert self.trials.phase(0) is phase
 
 
 @pytest.mark.parametrize("phase", TrialPhase, ids=lambda p: p.name)
@@ -64,15 +64,15 @@ def test_every_phase_under_every_abort_cause_ends_on_a_verified_set(phase: Trial
     bench = Bench()
     bench.into(phase)
     passed = bench.table[0] if phase is P.WAITING else OLD
-    bench.desk.event(0, cause, bench.t_s)
+    bench.trials.event(0, cause, bench.t_s)
     verified = OLD if phase is not P.WAITING or cause is E.ORDERED_BACK else passed
     assert bench.table[0] == verified
-    assert bench.desk.phase(0) not in UNDECIDED
-    assert (bench.desk.phase(0) is P.RESTORING) == (
+    assert bench.trials.phase(0) not in UNDECIDED
+    assert (bench.trials.phase(0) is P.RESTORING) == (
         phase in {*UNDECIDED, P.RESTORING} or (phase is P.WAITING and cause is E.ORDERED_BACK)
     )
-    bench.desk.restored(bench.t_s)
-    assert not bench.desk.restoring
+    bench.trials.restored(bench.t_s)
+    assert not bench.trials.restoring
     assert bench.table[0] == verified
 
 
@@ -80,9 +80,9 @@ def test_every_phase_under_every_abort_cause_ends_on_a_verified_set(phase: Trial
 def test_a_write_that_comes_through_after_all_is_not_taken_for_a_trial(cause: TrialEvent) -> None:
     bench = Bench()
     bench.into(P.WRITING)
-    assert bench.desk.abort(cause, 1.0) == (0,)
-    assert not bench.desk.written(0, NEW, 2.0)
-    assert bench.desk.phase(0) is P.RESTORING
+    assert bench.trials.abort(cause, 1.0) == (0,)
+    assert not bench.trials.written(0, NEW, 2.0)
+    assert bench.trials.phase(0) is P.RESTORING
     assert bench.table[0] == OLD
 
 
@@ -90,17 +90,17 @@ def test_the_cool_down_doubles_with_each_undo_and_a_region_is_locked_after_too_m
     bench, base = Bench(), TrialSettings().cool_down_tau_i * TAU_I_S
     for doubled in (1.0, 2.0):
         bench.undo()
-        assert not bench.desk.may_change(0, bench.t_s + doubled * base - 1.0)
+        assert not bench.trials.may_change(0, bench.t_s + doubled * base - 1.0)
         bench.t_s += doubled * base
-        assert bench.desk.may_change(0, bench.t_s)
+        assert bench.trials.may_change(0, bench.t_s)
     bench.undo()
-    assert bench.desk.phase(0) is P.LOCKED
-    assert not bench.desk.may_change(0, 1e12)
-    assert not bench.desk.may_change(0, 1e12, urgent=True)
-    assert bench.desk.may_change(1, bench.t_s)
-    bench.desk.event(0, E.UNLOCKED, bench.t_s)
-    assert bench.desk.may_change(0, bench.t_s)
-    assert bench.desk.trial(0).undos == 0
+    assert bench.trials.phase(0) is P.LOCKED
+    assert not bench.trials.may_change(0, 1e12)
+    assert not bench.trials.may_change(0, 1e12, urgent=True)
+    assert bench.trials.may_change(1, bench.t_s)
+    bench.trials.event(0, E.UNLOCKED, bench.t_s)
+    assert bench.trials.may_change(0, bench.t_s)
+    assert bench.trials.of(0).undos == 0
 
 
 @pytest.mark.parametrize("cause", [c for c in ABORTS if c not in UNDOS], ids=lambda c: c.name)
@@ -108,19 +108,19 @@ def test_what_does_not_speak_against_the_set_neither_doubles_nor_locks(cause: Tr
     bench = Bench()
     for _ in range(10):
         bench.undo(cause)
-        bench.t_s = bench.desk.trial(0).until_s
-        assert bench.desk.may_change(0, bench.t_s)
-    assert bench.desk.trial(0).undos == 0
+        bench.t_s = bench.trials.of(0).until_s
+        assert bench.trials.may_change(0, bench.t_s)
+    assert bench.trials.of(0).undos == 0
 
 
 def test_an_urgent_change_need_not_wait_for_the_cool_down() -> None:
     bench = Bench()
     bench.undo()
-    assert not bench.desk.may_change(0, bench.t_s)
-    assert bench.desk.may_change(0, bench.t_s, urgent=True)
-    bench.desk.begin(0, OLD, NEW, PROMISE, bench.t_s, urgent=True)
-    assert bench.desk.phase(0) is P.WRITING
-    assert bench.desk.trial(0).undos == 1
+    assert not bench.trials.may_change(0, bench.t_s)
+    assert bench.trials.may_change(0, bench.t_s, urgent=True)
+    bench.trials.begin(0, OLD, NEW, PROMISE, bench.t_s, urgent=True)
+    assert bench.trials.phase(0) is P.WRITING
+    assert bench.trials.of(0).undos == 1
 
 
 def test_passing_resets_the_count_and_a_person_has_the_next_word_where_asked() -> None:
@@ -129,16 +129,16 @@ def test_passing_resets_the_count_and_a_person_has_the_next_word_where_asked() -
     bench.undo()
     bench.t_s = 1e5
     bench.write(new=GOOD)
-    assert bench.desk.judge(0, seen, GOOD, bench.t_s, ask=True).finding is not Finding.WORSE
-    assert bench.desk.phase(0) is P.WAITING
+    assert bench.trials.judge(0, seen, GOOD, bench.t_s, ask=True).finding is not Finding.WORSE
+    assert bench.trials.phase(0) is P.WAITING
     assert bench.table[0] == GOOD
-    assert bench.desk.trial(0).undos == 0
-    assert not bench.desk.may_change(0, 1e9)
-    bench.desk.event(0, E.APPROVED, bench.t_s)
+    assert bench.trials.of(0).undos == 0
+    assert not bench.trials.may_change(0, 1e9)
+    bench.trials.event(0, E.APPROVED, bench.t_s)
     bench.write(new=GOOD)
-    bench.desk.judge(0, seen, GOOD, bench.t_s, ask=False)
-    assert bench.desk.phase(0) is P.IDLE
-    assert bench.desk.judge(0, seen, GOOD, bench.t_s, ask=False) is None
+    bench.trials.judge(0, seen, GOOD, bench.t_s, ask=False)
+    assert bench.trials.phase(0) is P.IDLE
+    assert bench.trials.judge(0, seen, GOOD, bench.t_s, ask=False) is None
 
 
 def test_several_responses_may_have_to_keep_the_promise() -> None:
@@ -146,8 +146,8 @@ def test_several_responses_may_have_to_keep_the_promise() -> None:
     bench = Bench(TrialSettings(responses=3))
     bench.write(new=GOOD)
     for phase in (P.TRIAL, P.TRIAL, P.IDLE):
-        bench.desk.judge(0, seen, GOOD, 1.0, ask=False)
-        assert bench.desk.phase(0) is phase
+        bench.trials.judge(0, seen, GOOD, 1.0, ask=False)
+        assert bench.trials.phase(0) is phase
 
 
 def test_a_response_that_is_worse_takes_the_set_back() -> None:
@@ -155,10 +155,10 @@ def test_a_response_that_is_worse_takes_the_set_back() -> None:
     seen = responses(Rig(bad), 1500, load=10.0)[0]
     bench = Bench(table={0: GOOD})
     bench.write(new=bad)
-    found = bench.desk.judge(0, seen, bad, 1.0, ask=False)
+    found = bench.trials.judge(0, seen, bad, 1.0, ask=False)
     assert found is not None
     assert found.finding is Finding.WORSE
-    assert bench.desk.restoring == (0,)
+    assert bench.trials.restoring == (0,)
     assert bench.table[0] == GOOD
 
 
@@ -167,7 +167,7 @@ def sample(t_s: float, **values: float) -> LoopSample:
 
 
 def look(bench: Bench, s: LoopSample, region: int = 0, elapsed_s: float = 1.0, *, blended: bool = False) -> object:
-    return bench.desk.look(s, region, 0.1, elapsed_s, 5.0, blended=blended)
+    return bench.trials.look(s, region, 0.1, elapsed_s, 5.0, blended=blended)
 
 
 @pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
@@ -187,29 +187,29 @@ def test_a_trial_waits_while_the_loop_is_elsewhere_unless_the_table_interpolates
     bench = Bench()
     bench.write()
     assert look(bench, sample(1.0), region=1) == {}
-    assert bench.desk.phase(0) is P.AWAY
-    assert bench.desk.may_change(1, 1.0)
+    assert bench.trials.phase(0) is P.AWAY
+    assert bench.trials.may_change(1, 1.0)
     assert look(bench, sample(2.0), region=0) == {}
-    assert bench.desk.phase(0) is P.TRIAL
+    assert bench.trials.phase(0) is P.TRIAL
     assert look(bench, sample(3.0), region=1, blended=True) == {0: E.LEFT_INTERPOLATED}
     assert bench.table[0] == OLD
 
 
 def test_a_write_that_is_done_when_the_loop_has_left_waits_for_its_return() -> None:
     bench = Bench()
-    bench.desk.begin(0, OLD, NEW, PROMISE, 0.0)
+    bench.trials.begin(0, OLD, NEW, PROMISE, 0.0)
     look(bench, sample(1.0), region=1)
-    assert bench.desk.written(0, NEW, 1.0)
-    assert bench.desk.phase(0) is P.AWAY
+    assert bench.trials.written(0, NEW, 1.0)
+    assert bench.trials.phase(0) is P.AWAY
 
 
 def test_one_write_at_a_time() -> None:
     for phase in (P.WRITING, P.RESTORING):
         bench = Bench()
         bench.into(phase)
-        assert not bench.desk.may_change(1, 0.0)
+        assert not bench.trials.may_change(1, 0.0)
         with pytest.raises(ValueError, match="may not be changed now"):
-            bench.desk.begin(1, OLD, NEW, PROMISE, 0.0)
+            bench.trials.begin(1, OLD, NEW, PROMISE, 0.0)
 
 
 @pytest.mark.parametrize("phase", TrialPhase, ids=lambda p: p.name)
@@ -217,10 +217,10 @@ def test_a_restart_of_the_host_goes_on_where_it_stood(phase: TrialPhase) -> None
     bench, other = Bench(), Bench()
     bench.into(phase)
     look(bench, sample(bench.t_s + 1.0, pv=3.0))
-    other.desk.resume(json.loads(json.dumps(bench.desk.to_dict(), allow_nan=False)))
-    assert other.desk.to_dict() == bench.desk.to_dict()
-    assert other.desk.trial(0) == bench.desk.trial(0)
-    assert other.desk.busy == bench.desk.busy
+    other.trials.resume(json.loads(json.dumps(bench.trials.to_dict(), allow_nan=False)))
+    assert other.trials.to_dict() == bench.trials.to_dict()
+    assert other.trials.of(0) == bench.trials.of(0)
+    assert other.trials.busy == bench.trials.busy
 
 
 FREE = [event for event in TrialEvent if event not in WITH_GAINS]
@@ -244,26 +244,26 @@ class Story(Bench):
 
     def ask(self, region: int, *, urgent: bool) -> None:
         self.number += 1
-        if self.desk.may_change(region, self.t_s, urgent=urgent):
+        if self.trials.may_change(region, self.t_s, urgent=urgent):
             self.tried[region] = PidGains(1.0 + self.number, 0.1)
-            self.desk.begin(region, self.table[region], self.tried[region], PROMISE, self.t_s, urgent=urgent)
+            self.trials.begin(region, self.table[region], self.tried[region], PROMISE, self.t_s, urgent=urgent)
 
     def happen(self, event: str, region: int) -> None:
         if event in {"begin", "urgent"}:
             self.ask(region, urgent=event == "urgent")
         elif event == "written":
-            if self.desk.written(region, self.tried[region], self.t_s):
+            if self.trials.written(region, self.tried[region], self.t_s):
                 self.table[region] = self.tried[region]
         elif event == "restored":
-            self.desk.restored(self.t_s)
+            self.trials.restored(self.t_s)
         elif event in {"leave", "return"}:
             look(self, sample(self.t_s), region=1 - region if event == "leave" else region)
         else:
             self.tell(TrialEvent(event), region)
 
     def tell(self, event: TrialEvent, region: int) -> None:
-        before = self.desk.trial(region)
-        self.desk.event(region, event, self.t_s)
+        before = self.trials.of(region)
+        self.trials.event(region, event, self.t_s)
         if before.phase is P.TRIAL and event in {E.PASSED, E.PASSED_FOR_APPROVAL}:
             self.verified[region] = self.table[region]
         if before.phase is P.WAITING and event is E.ORDERED_BACK:
@@ -281,16 +281,16 @@ def test_never_two_sets_and_always_an_end_on_verified_old_or_confirmed_new(
         story.t_s += later_s
         story.happen(event, region)
         for at in (0, 1):
-            on_trial = story.desk.phase(at) in {P.TRIAL, P.AWAY}
+            on_trial = story.trials.phase(at) in {P.TRIAL, P.AWAY}
             assert story.table[at] == (story.tried if on_trial else story.verified)[at], event
-        assert sum(story.desk.phase(at) is P.WRITING for at in (0, 1)) <= 1
-    story.desk.abort(E.STOPPED, story.t_s)
-    story.desk.restored(story.t_s)
+        assert sum(story.trials.phase(at) is P.WRITING for at in (0, 1)) <= 1
+    story.trials.abort(E.STOPPED, story.t_s)
+    story.trials.restored(story.t_s)
     assert story.table == story.verified
-    assert not story.desk.busy
+    assert not story.trials.busy
 
 
 @pytest.mark.parametrize("event", WITH_GAINS)
 def test_what_comes_with_gains_has_a_door_of_its_own(event: TrialEvent) -> None:
     with pytest.raises(ValueError, match="comes with gains"):
-        Bench().desk.event(0, event, 0.0)
+        Bench().trials.event(0, event, 0.0)

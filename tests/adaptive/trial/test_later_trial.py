@@ -1,0 +1,73 @@
+"""What ends a trial acts at once, whatever question is open; what the record teaches comes later."""
+
+import pytest
+from rig import GOOD
+from test_retuner_trial import NEW, Stand, learned_by_a_runaway
+
+from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.supervision.decision import Action
+from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.retuner import Step
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+
+
+def step_until(stand: Stand, *, decision: bool = False, question: bool = False) -> Step:
+    """The first step with a decision, or with a question."""
+    for sample in stand.rig.run(2000):
+        step = stand.retuner.step(sample)
+        if (decision and step.decision) or (question and step.question):
+            return step
+    raise AssertionError("nothing came")
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_runaway_is_taken_back_before_anything_is_fitted(*, known: bool) -> None:
+    """The answer teaches afterwards as it does with `observe`: a model that promised wrongly stays forgotten."""
+    at_once, stand = Stand(), Stand()
+    for one in (at_once, stand):
+        one.retuner.beliefs = {0: learned_by_a_runaway()} if known else {}
+        assert list(one.run(40)) == []
+        one.rig.sp = 5.0
+    whole = next(at_once.run(100))
+    step = step_until(stand, decision=True)
+    assert step.decision is not None
+    assert step.question is not None
+    assert (step.decision.code, step.decision.action, step.decision.number) == ("undo_runaway", Action.RESTORE, 2)
+    assert (step.decision.gains_before, step.decision.gains_after) == (NEW, GOOD)
+    assert (stand.retuner.table.gains, stand.retuner.beliefs) == ((GOOD,), {})
+    for sample in stand.rig.run(5):
+        assert stand.retuner.step(sample) == (None, None)
+    assert stand.retuner.restored() == (0,)
+    late = stand.retuner.enter(step.question, decide(step.question), stand.retuner.sample_number)
+    assert (late.number, late.action) == (3, Action.NONE)
+    assert late.to_dict()["estimate"] == whole.to_dict()["estimate"]
+    assert late.surprise is whole.surprise is (Surprise.AGREES if known else Surprise.FIRST)
+    assert stand.retuner.beliefs.keys() == at_once.retuner.beliefs.keys() == (set() if known else {0})
+    assert stand.retuner.excitation == at_once.retuner.excitation
+
+
+def test_a_trial_that_ends_meanwhile_overtakes_the_answer() -> None:
+    stand = Stand(GOOD)
+    stand.rig.sp = 5.0
+    question = step_until(stand, question=True).question
+    assert question is not None
+    assert stand.retuner.abort(TrialEvent.LINK_LOST) is not None
+    late = stand.retuner.enter(question, decide(question), stand.retuner.sample_number)
+    assert (late.code, late.judgement) == ("overtaken_trial_ended", None)
+
+
+def test_a_trial_is_judged_when_the_answer_is_entered() -> None:
+    at_once, stand = Stand(GOOD), Stand(GOOD)
+    for one in (at_once, stand):
+        one.rig.sp = 5.0
+    whole = next(at_once.run(2000))
+    question = step_until(stand, question=True).question
+    assert question is not None
+    for sample in stand.rig.run(9):
+        assert stand.retuner.step(sample) == (None, None)
+    assert stand.retuner.trials.of(0).kept == 0
+    late = stand.retuner.enter(question, decide(question), stand.retuner.sample_number)
+    assert whole.judgement is not None
+    assert late.judgement == whole.judgement
+    assert stand.retuner.trials.of(0).kept == at_once.retuner.trials.of(0).kept == 1
+    assert stand.retuner.trials.phase(0) is at_once.retuner.trials.phase(0) is TrialPhase.IDLE
