@@ -273,7 +273,7 @@ def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
     assert process.stdout is not None
     assert any(b"write Kc" in line for line in process.stdout)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 130, errors
     assert (quick.parent / "out" / "report.html").stat().st_size > 10_000
     with LedgerReader(quick.parent / "out" / "ledger.sqlite") as reader:
