@@ -17,7 +17,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.markexpr = EFFORT.marks
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     """The same order again: the seed is not shown in the header of a quiet run, and a failure needs it."""
     seed = config.getoption("randomly_seed", None)
     terminalreporter.write_line(f"{VARIABLE}={EFFORT.name}; the same order again: --randomly-seed={seed}")
