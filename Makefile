@@ -14,7 +14,7 @@ demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN,
 
 test: $(DEV)  ## set up and pass the tests, on all cores; PYTEST='-k pid' and the like are handed on
 	$(BIN)/python scripts/link_typing.py
-	$(BIN)/python -P -m pytest -q -n auto --dist worksteal $(PYTEST)
+	$(BIN)/python -P -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(PYTEST)
 
 lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/python scripts/link_typing.py

@@ -12,7 +12,7 @@ load_profile()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    whole_suite = config.args_source is not pytest.Config.ArgsSource.ARGS and not hasattr(config, "workerinput")
+    whole_suite = config.args_source is not pytest.Config.ArgsSource.ARGS
     if whole_suite and not config.option.markexpr:
         config.option.markexpr = EFFORT.marks
 

@@ -15,6 +15,7 @@ import can
 import cantools
 import numpy as np
 import pytest
+from once import once
 
 from retuner import drivers
 from retuner.cli import main
@@ -94,11 +95,15 @@ def head_of(out: Path) -> str:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    folder, shown = tmp_path_factory.mktemp("finished"), io.StringIO()
-    (folder / "quick.toml").write_text(QUICK, encoding="utf-8")
-    with contextlib.redirect_stdout(shown):
-        assert main(["run", str(folder / "quick.toml"), "--out", str(folder / "out")]) == 0
-    return Finished(folder / "out", shown.getvalue())
+    def run(folder: Path) -> None:
+        shown = io.StringIO()
+        (folder / "quick.toml").write_text(QUICK, encoding="utf-8")
+        with contextlib.redirect_stdout(shown):
+            assert main(["run", str(folder / "quick.toml"), "--out", str(folder / "out")]) == 0
+        (folder / "shown").write_text(shown.getvalue(), encoding="utf-8")
+
+    folder = once(tmp_path_factory, "quick-run", run)
+    return Finished(folder / "out", (folder / "shown").read_text(encoding="utf-8"))
 
 
 def test_a_sluggish_loop_is_cured_over_can_and_everything_is_left_behind(finished: Finished) -> None:
