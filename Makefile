@@ -12,9 +12,9 @@ PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo
 
-test: $(DEV)  ## set up and pass the tests; PYTEST='-k pid' and the like are handed on
+test: $(DEV)  ## set up and pass the tests, on all cores; PYTEST='-k pid' and the like are handed on
 	$(BIN)/python scripts/link_typing.py
-	$(BIN)/python -P -m pytest -q $(PYTEST)
+	$(BIN)/python -P -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(PYTEST)
 
 lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/python scripts/link_typing.py

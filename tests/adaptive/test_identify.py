@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -60,17 +61,17 @@ def test_time_and_unit_scaling(loop: Callable) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(other.p)), np.sqrt(np.diag(plain.p)), rtol=0.02)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("upset", ["setpoint", "load"])
 def test_standard_deviations_are_calibrated(loop: Callable, upset: str) -> None:
-    """Truth within two sigma in about 95 % of 40 records: binomial 99.9 % range is 32 to 40 of 40."""
+    """Truth within two sigma in about 95 % of the records: the binomial 99.9 % range is 32 to 40 of 40."""
     shape = {"sp": 1.0, "noise": 0.02} if upset == "setpoint" else {"load": 3.0, "noise": 0.02}
     truth = np.log([1 / 50.0, 5.0, 50.0])
     inside = np.zeros(3)
-    for seed in range(40):
+    count, least = sized((10, 7), (40, 32), (200, 179))
+    for seed in range(count):
         log = identify_window(loop(**shape).run(seed), 1).of(FIRST).log
         inside += np.abs(log.x - truth) < 2 * np.sqrt(np.diag(log.p))
-    assert np.all(inside >= 32), inside
+    assert np.all(inside >= least), inside
 
 
 def test_a_quiet_record_is_not_identifiable(loop: Callable) -> None:
@@ -103,7 +104,7 @@ def test_the_real_heater() -> None:
     assert 0 < std["theta"] < 2
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_any_finite_record_gives_a_finite_answer(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -5,6 +5,7 @@ import math
 import control
 import numpy as np
 import pytest
+from effort import sized
 
 from retuner.adaptive.loop.crossovers import gain_crossovers, grid
 from retuner.adaptive.loop.margins import Margins, margins, sensitivity_peak
@@ -13,7 +14,8 @@ from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
 SEED = 20240607
-RATIONAL, DELAYED = 850, 170
+RATIONAL, DELAYED = sized((170, 34), (850, 170))
+STABLE = 500 / 1020  # of the loops, at least, or too little is compared
 
 
 def random_loop(rng: np.random.Generator, *, delayed: bool) -> tuple[LinearProcess, PidGains, float]:
@@ -57,7 +59,7 @@ def compare(found: Margins, loop: OpenLoop, theirs: tuple, rel: float) -> None:
 
 
 def test_margins_agree_with_python_control() -> None:
-    """At least 500 stable random loops, without dead time (polynomials) and with it (exact frequency response)."""
+    """Stable random loops (500 in CI), without dead time (polynomials) and with it (exact frequency response)."""
     rng, compared = np.random.default_rng(SEED), 0
     for i in range(RATIONAL + DELAYED):
         process, gains, tau_f = random_loop(rng, delayed=i >= RATIONAL)
@@ -73,7 +75,7 @@ def test_margins_agree_with_python_control() -> None:
             rel = 1e-4
         compare(found, loop, theirs, rel)
         compared += 1
-    assert compared >= 500
+    assert compared >= int(STABLE * (RATIONAL + DELAYED))
 
 
 def test_stability_agrees_with_the_roots_of_the_closed_loop() -> None:

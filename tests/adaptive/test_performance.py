@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
@@ -105,7 +106,7 @@ def test_the_simulation_comes_to_our_number_as_its_step_shrinks() -> None:
     assert 2 * fine - coarse == pytest.approx(found, rel=2e-4)  # the held controller errs by dt/2: extrapolated
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(a=st.floats(1e-3, 1e3), g=st.floats(1e-2, 1e2), sign=st.sampled_from([1, -1]))
 def test_units_and_direction(a: float, g: float, sign: int) -> None:
     base = performance(LinearProcess(1.0, (5.0, 1.0), (-0.3,), 1.0), PidGains(1.5, 0.3, 0.8), 0.2)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -67,7 +68,7 @@ def deviations(found: SettingsInForce, gains: PidGains) -> list[float]:
     scale=st.sampled_from([0.01, 1.0, 60.0]),
     seed=st.integers(0, 9),
 )
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_pi_settings_of_the_law_s_own_records_are_exact(kp, tau_i, b, sign, scale, seed):
     gains = PidGains(sign * kp, sign * kp / tau_i / scale)
     window = record(gains, b=b, dt=scale, lag=20 * scale, k=sign * 1.0, seed=seed)
@@ -90,7 +91,7 @@ def test_pi_settings_of_the_law_s_own_records_are_exact(kp, tau_i, b, sign, scal
     filtering=st.floats(0.2, 1.0),
     seed=st.integers(0, 9),
 )
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 def test_derivative_and_its_filter_are_found(kp, tau_i, tau_d, filtering, seed):
     gains = PidGains(kp, kp / tau_i, kp * tau_d)
     found = settings_in_force(record(gains, tau_f_s=filtering * tau_d, seed=seed), 0, 100)

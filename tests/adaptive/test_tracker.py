@@ -1,5 +1,6 @@
 """The Kalman filter over responses: its posterior is the fit's own, evidence accumulates, odd records do no harm."""
 
+import functools
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,10 +31,20 @@ def records(loop: Callable, count: int, k: float = 1.0, first: int = 0) -> list:
     return [loop(k=k, noise=0.02, **shapes[i % 2]).run(seed=i, t0=i * 400.0) for i in range(first, first + count)]
 
 
+@functools.cache
+def learned_from(loop: Callable, count: int, settings: TrackerSettings, gains: PidGains = UP) -> tuple[Belief, ...]:
+    """The beliefs after each of the first records; made once, as many tests begin with them."""
+    beliefs: list[Belief] = []
+    for window in records(loop, count):
+        belief = learn(beliefs[-1] if beliefs else None, window, gains, settings, FIT).belief
+        assert belief is not None
+        beliefs.append(belief)
+    return tuple(beliefs)
+
+
 def test_the_filters_posterior_is_the_fits_own(loop: Callable) -> None:
-    first, second = records(loop, 2)
-    belief = learn(None, first, UP, STILL, FIT).belief
-    assert belief is not None
+    _, second = records(loop, 2)
+    belief = learned_from(loop, 5, STILL)[0]
     estimate = identify_window(second, 1, belief.logs(), FIT)
     own = estimate.log
     assert own.type == ProcessType.FOPDT
@@ -44,13 +55,8 @@ def test_the_filters_posterior_is_the_fits_own(loop: Callable) -> None:
 
 
 def test_evidence_accumulates(loop: Callable) -> None:
-    belief, sigma = None, []
-    for window in records(loop, 5):
-        learned = learn(belief, window, UP, STILL, FIT)
-        belief = learned.belief
-        assert belief is not None
-        sigma.append(belief.log.gain_uncertainty())
-    assert belief is not None
+    beliefs = learned_from(loop, 5, STILL)
+    belief, sigma = beliefs[-1], [belief.log.gain_uncertainty() for belief in beliefs]
     assert belief.records == 5
     assert sigma == sorted(sigma, reverse=True)
     assert sigma[-1] < 0.7 * sigma[0]
@@ -59,10 +65,7 @@ def test_evidence_accumulates(loop: Callable) -> None:
 
 
 def test_one_odd_record_is_not_believed_and_a_second_one_is(loop: Callable) -> None:
-    belief = None
-    for window in records(loop, 3):
-        belief = learn(belief, window, UP, STILL, FIT).belief
-    assert belief is not None
+    belief = learned_from(loop, 5, STILL)[2]
     odd, confirming = records(loop, 2, k=2.0, first=3)
     doubted = learn(belief, odd, UP, STILL, FIT)
     assert doubted.surprise == Surprise.ODD
@@ -76,11 +79,10 @@ def test_one_odd_record_is_not_believed_and_a_second_one_is(loop: Callable) -> N
     assert changed.belief.log.model().k == pytest.approx(2.0, rel=0.1)
 
 
+@functools.cache
 def with_rival(loop: Callable, theta_s: float) -> Belief:
     """Three records of a dead time of 5 s, then a setpoint step that shows another one."""
-    belief = None
-    for window in records(loop, 3):
-        belief = learn(belief, window, UP, SCATTERED, FIT).belief
+    belief = learned_from(loop, 3, SCATTERED)[-1]
     odd = learn(belief, loop(theta=theta_s, noise=0.02, sp=1.0).run(seed=9, t0=1200.0), UP, SCATTERED, FIT)
     assert odd.surprise == Surprise.ODD
     assert odd.belief is not None
@@ -119,8 +121,7 @@ def test_a_record_that_speaks_clearly_against_the_rival_forgets_it(loop: Callabl
 
 
 def test_time_opens_the_uncertainty(loop: Callable) -> None:
-    belief = learn(None, records(loop, 1)[0], UP, STILL, FIT).belief
-    assert belief is not None
+    belief = learned_from(loop, 5, STILL)[0]
     walk = TrackerSettings(walk_per_day=0.1, walk_per_record=0.0, scatter=0.05)
     later = predicted(belief, belief.t_s + 4 * 86400, walk)
     np.testing.assert_allclose(later.p, belief.log.p + (0.04 + 0.0025) * np.eye(len(belief.log.x)), rtol=1e-9)
@@ -135,8 +136,7 @@ def test_a_first_record_that_says_nothing_leaves_nothing_known(loop: Callable) -
 
 def test_a_belief_of_the_other_sign_is_dropped(loop: Callable) -> None:
     window = records(loop, 1)[0]
-    belief = learn(None, window, UP, STILL, FIT).belief
-    assert belief is not None
+    belief = learned_from(loop, 5, STILL)[0]
     mirrored = type(window)(window.t_s, window.sp, window.pv, -window.co)
     learned = learn(Belief(belief.known, 3, 0.0), mirrored, DOWN, STILL, FIT)
     assert learned.surprise == Surprise.FIRST
@@ -144,10 +144,7 @@ def test_a_belief_of_the_other_sign_is_dropped(loop: Callable) -> None:
 
 def test_the_posterior_is_the_joint_fit_of_all_records(loop: Callable) -> None:
     windows = records(loop, 3)
-    belief = None
-    for window in windows:
-        belief = learn(belief, window, UP, STILL, FIT).belief
-    assert belief is not None
+    belief = learned_from(loop, 5, STILL)[2]
 
     def misfit_of(window: Window) -> Misfit:
         found = min(
@@ -188,9 +185,7 @@ def test_records_that_do_not_settle_the_process_alone_settle_it_together(loop: C
 
 def test_an_odd_record_that_means_danger_is_believed_at_once_and_taken_back(loop: Callable) -> None:
     tight = PidGains(5.0, 0.125)
-    belief = None
-    for window in records(loop, 3):
-        belief = learn(belief, window, tight, STILL, FIT).belief
+    belief = learned_from(loop, 3, STILL, tight)[-1]
     odd, same = records(loop, 1, k=2.0, first=4)[0], records(loop, 1, first=6)[0]
     opened = learn(belief, odd, tight, STILL, FIT)
     assert opened.surprise == Surprise.OPENED

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import sized
 
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import load_config
@@ -18,7 +19,7 @@ OVEN = Path(__file__).parents[2] / "examples" / "oven.toml"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [101])
+@pytest.mark.parametrize("seed", sized([101], [101], list(range(101, 107))))
 def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None:
     config = load_config(OVEN)
     assert config.device is not None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_time import SharedTime
 
 from retuner.adaptive.experiments.phases import Phase
 from retuner.adaptive.experiments.plan import Kind
@@ -329,16 +330,20 @@ def test_a_configuration_without_a_device_is_refused(loop: Path, capsys: pytest.
 # live: a device in its own thread on a bus in real time, faster
 
 
-def test_a_live_bus_is_experimented_with_and_restored(loop: Path) -> None:
+def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = load_config(loop)
     config = config.model_copy(update={"bus": config.bus.model_copy(update={"channel": "experiment-live"})})
-    speed, stop = 20.0, threading.Event()
+    speed, stop, shared = 20.0, threading.Event(), SharedTime(2)
+    shared.govern(monkeypatch)
     machine = VirtualDevice(virtual_device_settings(config), make_plant(config))
 
     def be_device() -> None:
         clock = MonotonicClock(speed)
-        with CanLink(link_settings(config, speed), clock) as link:
-            run_device(DeviceOnBus(machine, link), clock, stop=stop.is_set)
+        try:
+            with CanLink(link_settings(config, speed), clock) as link:
+                run_device(DeviceOnBus(machine, link), clock, stop=stop.is_set)
+        finally:
+            shared.leave()
 
     thread = threading.Thread(target=be_device)
     thread.start()
@@ -350,6 +355,7 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path) -> None:
                 conductor.poll(bench.turn())
     finally:
         stop.set()
+        shared.leave()
         thread.join()
     assert conductor.phase is Phase.RESTORED
     assert conductor.cause is None

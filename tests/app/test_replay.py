@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import pytest
+from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -233,7 +234,7 @@ def test_rows_that_no_session_writes_are_one_line(
 
 
 @given(st.binary(min_size=1, max_size=64), st.integers(0, 1 << 20))
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(15), suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 def test_a_log_with_other_bytes_in_it_never_passes_for_the_session(session: Path, raw: bytes, at: int) -> None:
     whole = (session / "bus.blf").read_bytes()
     at %= len(whole)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -282,7 +283,7 @@ STORY = st.lists(
 )
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=examples(12), deadline=None)
 @given(STORY)
 def test_any_story_ends_on_the_verified_old_or_the_confirmed_new_set(story: list[tuple[str, int]]) -> None:
     wire = Wire(lock_out_after=20, cool_down_s=0.0, timeout_s=200.0)

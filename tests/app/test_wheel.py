@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from once import once
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = {"schedule": ROOT / "schedule", "adaptive": ROOT / "adaptive", "drivers": ROOT / "drivers"}
@@ -60,24 +61,28 @@ def checked(*command: str | Path) -> None:
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    folder = once(tmp_path_factory, "wheel", install)
+    wheel, sdist = next((folder / "dist").glob("*.whl")), next((folder / "dist").glob("*.tar.gz"))
+    binaries = folder / "venv" / "bin"
+    return Installed(wheel, sdist, binaries / "python", binaries / "retuner", folder / "empty")
+
+
+def install(folder: Path) -> None:
     """Build sdist and wheel from a copy of the sources and install the wheel into a new environment.
 
     The dependencies are seen through a .pth line, which shows a folder's packages but runs no .pth of that folder, so
     the editable install beside them stays unseen.
     """
-    folder = tmp_path_factory.mktemp("wheel")
     shutil.copytree(ROOT, folder / "source", ignore=NOT_SOURCE)
     checked(sys.executable, "-P", "-m", "build", "--no-isolation", "--outdir", folder / "dist", folder / "source")
     checked(sys.executable, "-P", "-m", "venv", folder / "venv")
     python = folder / "venv" / "bin" / "python"
     site = Path(sysconfig.get_path("purelib", vars={"base": str(folder / "venv")}))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    wheel, sdist = next((folder / "dist").glob("*.whl")), next((folder / "dist").glob("*.tar.gz"))
     pip = (python, "-P", "-m", "pip", "install", "-q", "--disable-pip-version-check")
     checked(*pip, *NEIGHBOURS)
-    checked(*pip, "--no-deps", "--ignore-installed", wheel)
+    checked(*pip, "--no-deps", "--ignore-installed", next((folder / "dist").glob("*.whl")))
     (folder / "empty").mkdir()
-    return Installed(wheel, sdist, python, folder / "venv" / "bin" / "retuner", folder / "empty")
 
 
 def test_the_wheel_owns_nothing_but_retuner(installed: Installed) -> None:

@@ -79,6 +79,7 @@ def test_doubling_the_gain_takes_simc_out_of_spec_and_the_new_simc_is_in_it():
     assert after.best.kp == pytest.approx(before.best.kp / 2)
 
 
+@pytest.mark.slow
 def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
     row = changes.run(changes.Task("gain", 3, 0))
     assert len(row["spec"]) == changes.AFTER

@@ -7,6 +7,7 @@ from dataclasses import fields
 import can
 import cantools.database
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -109,7 +110,7 @@ CHECKED = [
 
 
 @given(st.sampled_from(CHECKED), st.integers(0, 63))
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_any_single_flipped_bit_fails_the_checksum(frame: frames.Frame, bit: int) -> None:
     message = CODEC.encode(frame)
     message.data[bit // 8 % len(message.data)] ^= 1 << bit % 8
@@ -118,13 +119,13 @@ def test_any_single_flipped_bit_fails_the_checksum(frame: frames.Frame, bit: int
 
 
 @given(id_=st.integers(0, 2047), data=st.binary(max_size=8), extended=st.booleans())
-@settings(max_examples=2000)
+@settings(max_examples=examples(2000))
 def test_any_bytes_are_a_frame_or_a_refusal(id_: int, data: bytes, extended: bool) -> None:
     _is_frame_or_refusal(can.Message(arbitration_id=id_, is_extended_id=extended, data=data))
 
 
 @given(command=st.sampled_from(sorted(_plans())), data=st.binary(min_size=8, max_size=8), fix=st.booleans())
-@settings(max_examples=3000)
+@settings(max_examples=examples(3000))
 def test_any_bytes_under_a_right_id_are_a_frame_or_a_refusal(command: int, data: bytes, fix: bool) -> None:
     plan = _plans()[command]
     payload = bytearray(data[: plan.layout.length])

@@ -1,11 +1,13 @@
 """What device.Device promises, over every bus that this machine has: python-can's virtual bus and udp_multicast."""
 
 import itertools
-import os
+import socket
 import subprocess
 import sys
 import textwrap
+import time
 
+import can
 import pytest
 
 from retuner.drivers.bus.bus import CanLink, LinkSettings
@@ -16,10 +18,14 @@ from retuner.drivers.host.connection import CanDevice
 from retuner.schedule.gains import PidGains
 
 GROUP = "239.74.163.2"
-PORT = 20_000 + os.getpid() % 20_000  # of this test run alone
+PATIENCE_S = 30.0  # for what a busy machine delivers or starts late
 
 
-def udp_settings(port: int) -> LinkSettings:
+def udp_settings() -> LinkSettings:
+    """On a port that nobody uses: neither another worker of this test run, nor another run."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
     settings = LinkSettings(interface="udp_multicast", channel=GROUP, options={"port": port})
     try:
         CanLink(settings, SimulatedClock()).close()
@@ -28,10 +34,25 @@ def udp_settings(port: int) -> LinkSettings:
     return settings
 
 
+def await_all(link: CanLink, other: CanLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time is simulated, the kernel's datagrams are not: what the other has sent is waited for."""
+    receive_now = link.receive_all
+
+    def receive_all(limit: int = 10_000) -> list[can.Message]:
+        messages, until_s = receive_now(limit), time.monotonic() + PATIENCE_S
+        while link.counters.received < other.counters.sent and time.monotonic() < until_s:
+            messages += receive_now(limit)
+        return messages
+
+    monkeypatch.setattr(link, "receive_all", receive_all)
+
+
 @pytest.fixture(params=["virtual", "udp_multicast"])
-def pair(request: pytest.FixtureRequest, make_bench):
-    link = udp_settings(PORT) if request.param == "udp_multicast" else None
+def pair(request: pytest.FixtureRequest, make_bench, monkeypatch: pytest.MonkeyPatch):
+    link = udp_settings() if request.param == "udp_multicast" else None
     made = make_bench(link=link)
+    await_all(made.near, made.far, monkeypatch)
+    await_all(made.far, made.near, monkeypatch)
     made.run(8)
     assert made.host.connected
     return made
@@ -101,14 +122,17 @@ DEVICE_PROCESS = """
 
 
 def test_two_processes_in_real_time_at_bench_speed() -> None:
-    port = PORT + 1
-    settings = udp_settings(port)
-    command = [sys.executable, "-P", "-c", textwrap.dedent(DEVICE_PROCESS), GROUP, str(port)]
+    settings = udp_settings()
+    command = [sys.executable, "-P", "-c", textwrap.dedent(DEVICE_PROCESS), GROUP, str(settings.options["port"])]
     clock = MonotonicClock(speed=50.0)
-    patience = CanDeviceSettings(connect_floor_s=50.0 * 30, silent_samples=50, reply_samples=5)
+    long = 50.0 * PATIENCE_S
+    patience = CanDeviceSettings(connect_floor_s=long, silent_samples=long, reply_floor_s=long, lease_floor_s=long)
     outcomes, samples = [], 0
     with subprocess.Popen(command) as process, CanLink(settings, clock) as link:
         try:
+            while not link.receive_all():  # a question to nobody would be waited for as long as one to a slow device
+                assert clock.now_s() < long
+                link.wait_until(clock.now_s() + 1.0)
             host = CanDevice(link, patience)
             while not outcomes:
                 events = host.poll(clock.now_s())

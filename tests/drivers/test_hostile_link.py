@@ -11,6 +11,7 @@ import struct
 
 import can
 import pytest
+from effort import sized
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import LinkSettings
@@ -160,7 +161,7 @@ class World:
         assert len(self.ended) == self.asked
 
 
-@pytest.mark.parametrize("first_seed", range(0, 120, 30))
+@pytest.mark.parametrize("first_seed", range(0, sized(60, 120, 1200), 30))
 def test_the_running_set_is_always_a_committed_one_and_the_host_knows_which(first_seed: int) -> None:
     done = failed = 0
     for seed in range(first_seed, first_seed + 30):

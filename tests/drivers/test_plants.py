@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import scipy.signal
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -169,7 +170,7 @@ BAD = st.sampled_from([math.nan, math.inf, -math.inf])
 
 
 @given(bad=BAD, where=st.integers(0, 2))
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 def test_non_finite_arguments_are_refused_and_nothing_moves(bad: float, where: int) -> None:
     arguments = [50.0, 0.0, 1.0]
     arguments[where] = bad

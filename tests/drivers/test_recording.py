@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -167,7 +168,7 @@ NUMBERS = st.lists(st.floats(-1e6, 1e6).map(repr), min_size=12, max_size=12)
 
 
 @given(data=st.data(), values=NUMBERS)
-@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(400), suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 def test_any_mutation_is_a_record_or_one_line(tmp_path: Path, data: st.DataObject, values: list[str]) -> None:
     text = "t,pv,co\n" + "".join(f"{i},{values[2 * i]},{values[2 * i + 1]}\n" for i in range(6))
     raw = bytearray(text.encode())

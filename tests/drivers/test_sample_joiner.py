@@ -4,6 +4,7 @@ import random
 from dataclasses import replace
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -39,7 +40,7 @@ def test_counter_wraps() -> None:
 
 
 @given(seed=st.integers(0, 10**6), loss=st.floats(0.0, 0.6))
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 def test_whatever_arrives_the_samples_are_true_and_the_loss_is_counted(seed: int, loss: float) -> None:
     rng = random.Random(seed)
     joiner = SampleJoiner(1.0)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import can
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -127,7 +128,7 @@ def test_a_multiplexed_signal_counts_when_it_is_there(dbc: str) -> None:
     assert x2_at(tap, 1.0) == 9.0
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(st.binary(max_size=8), st.integers(0, 0x7FF) | st.just(1000))
 def test_any_frame_gives_a_finite_value_or_none(data: bytes, id_: int) -> None:
     tap = SignalTap((find_signal("", "PLANT", "aux", 5.0), None))

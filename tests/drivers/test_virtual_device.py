@@ -5,6 +5,7 @@ import struct
 
 import can
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from speaking import CODEC, FIRST, OWNER, SECOND, THIRD, acks, commit, device, say, stage, step, take_lease
@@ -179,7 +180,7 @@ def test_a_device_without_a_store_starts_on_its_first_set() -> None:
 
 
 @given(ids=st.lists(st.tuples(st.integers(32, 63), st.binary(max_size=8)), max_size=30))
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_any_frames_whatsoever_leave_the_loop_controlled_by_the_same_gains(ids: list[tuple[int, bytes]]) -> None:
     dev, calm = device(), device()
     for id_, data in ids:

@@ -1,6 +1,7 @@
 """The write's state machine by itself: its table is complete, and every way through it ends in a read-back."""
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -91,7 +92,7 @@ INPUTS = st.one_of(
 
 
 @given(st.lists(INPUTS, max_size=40))
-@settings(max_examples=500)
+@settings(max_examples=examples(500))
 def test_no_order_of_events_sends_a_second_commit_or_ends_without_a_read_back(events: list) -> None:
     protocol, t, commits = started(), 0.0, 0
     for event in events:

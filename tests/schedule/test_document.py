@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -212,7 +213,7 @@ def assert_table_or_one_line(text):
     assert len(message) < 500
 
 
-@settings(deadline=None, max_examples=500)
+@settings(deadline=None, max_examples=examples(500))
 @given(st.data())
 def test_any_mutation_is_a_table_or_a_value_error_of_one_line(data):
     """Cut, doubled, replaced: characters of the document itself, which get further than noise does."""

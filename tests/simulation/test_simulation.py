@@ -11,6 +11,7 @@ from bus_simulation.naive import NaiveWorld
 from bus_simulation.truth import Order, Ran, Truth, ViolationError
 from bus_simulation.weather import late
 from bus_simulation.world import BOX, FIRST, World
+from effort import sized
 
 from retuner.drivers.controller.gain_memory import GainPages, GainSet
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
@@ -22,7 +23,7 @@ STEPS = 700
 OTHER = PidGains(2.0, 0.125, 0.5)
 
 
-@pytest.mark.parametrize("first", range(0, 40, 10))
+@pytest.mark.parametrize("first", range(0, sized(20, 40), 10))
 def test_no_promise_is_broken(first: int) -> None:
     outcomes = [run_seed((seed, STEPS)) for seed in range(first, first + 10)]
 

@@ -5,6 +5,7 @@ import contextlib
 from bus_simulation import truth as t
 from bus_simulation.device_end import LagPlant
 from bus_simulation.truth import Order, Ran, Truth
+from effort import examples
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -219,4 +220,4 @@ class ClientMachine(RuleBasedStateMachine):
 
 
 TestClient = ClientMachine.TestCase
-TestClient.settings = settings(max_examples=100, stateful_step_count=40)
+TestClient.settings = settings(max_examples=examples(100), stateful_step_count=40)

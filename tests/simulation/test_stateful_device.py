@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from bus_simulation.device_end import LagPlant
+from effort import examples
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -229,4 +230,4 @@ class DeviceMachine(RuleBasedStateMachine):
 
 
 TestDevice = DeviceMachine.TestCase
-TestDevice.settings = settings(max_examples=150, stateful_step_count=40)
+TestDevice.settings = settings(max_examples=examples(150), stateful_step_count=40)

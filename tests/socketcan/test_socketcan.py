@@ -16,6 +16,7 @@ from pathlib import Path
 import can
 import cantools
 import pytest
+from once import once
 
 from retuner.config import load_config
 from retuner.ledger import LedgerReader
@@ -47,11 +48,13 @@ def run_inside(*command: str | Path, timeout_s: float = 240) -> subprocess.Compl
 @pytest.fixture(scope="module")
 def retuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that one retuning run over vcan0 left."""
-    out = tmp_path_factory.mktemp("retuned")
-    done = run_inside(sys.executable, "-P", HERE / "retune_job.py", HERE / "tank.toml", out, SPEED)
-    assert done.returncode == 0, done.stdout + done.stderr
-    print(done.stderr, end="")
-    return out
+
+    def retune(out: Path) -> None:
+        done = run_inside(sys.executable, "-P", HERE / "retune_job.py", HERE / "tank.toml", out, SPEED)
+        assert done.returncode == 0, done.stdout + done.stderr
+        print(done.stderr, end="")
+
+    return once(tmp_path_factory, "socketcan-retuned", retune)
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from effort import examples
 from guard_cases import GAINS, SETTINGS, known, request, times
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -111,7 +112,7 @@ def limits_of(draw: st.DrawFn) -> GuardSettings:
     )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     sets=st.tuples(KC, KC, KC),
     limits=limits_of(),

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from effort import examples
 from guard_cases import GAINS, MODEL, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -97,7 +98,7 @@ def test_nothing_stable_becomes_unstable() -> None:
 FACTOR = st.floats(0.05, 20)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(a=st.tuples(FACTOR, FACTOR), b=st.tuples(FACTOR, FACTOR), k=st.floats(0.3, 3), theta=st.floats(0.3, 3))
 def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float], k: float, theta: float) -> None:
     models = [PLAIN, replace(MODEL, k=2.0 * k, theta_s=5.0 * theta).linear()]
@@ -113,7 +114,7 @@ def test_safer_means_what_it_says(a: tuple[float, float], b: tuple[float, float]
     assert not loops.safer(new, old, GAINS) or any(map(math.isinf, after))
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=examples(80))
 @given(factor=st.floats(1.5, 15), share=st.floats(0.05, 1))
 def test_every_step_from_a_hot_loop_towards_its_settings_is_safer(factor: float, share: float) -> None:
     old = times(factor, factor)

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from effort import examples
 from guard_cases import BEST, GAINS, MODEL, SAMPLED, SETTINGS, known, request, times
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -277,7 +278,7 @@ def test_a_swinging_integrating_loop_gets_more_gain_as_the_safe_direction() -> N
 GAIN = st.floats(0.02, 50)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 @given(
     kp=GAIN,
     ki=GAIN,
@@ -329,7 +330,7 @@ def assert_on_the_way(old: PidGains, new: PidGains, verdict: Verdict) -> None:
     assert new.kp / new.ki >= SETTINGS.tau_i_samples * 1.0 * (1 - 1e-9) or new.kp / new.ki >= old.kp / old.ki
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(kp=st.floats(1.0, 30), ki=st.floats(1.0, 30), std=st.floats(0.001, 0.3))
 def test_a_loop_that_is_too_hot_is_never_refused(kp: float, ki: float, std: float) -> None:
     verdict = prove(request(times(kp, ki), models=known(std)), SETTINGS)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -43,7 +44,7 @@ def test_limits_are_recognised_but_not_where_co_only_stands_still(wave):
 
 
 @given(st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.integers(0, 5), st.sampled_from(["double", "single", "2 digits"]))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_the_step_of_a_converter_is_found(wave, step, level, seed, written):
     rng = np.random.default_rng(seed)
     exact = np.round(20 * wave("sine") + rng.normal(size=1000)) * step + level * step
@@ -147,7 +148,7 @@ def test_every_number_has_its_words_and_no_word_is_idle(rng, wave):
     st.integers(0, 5),
     st.floats(1e-12, 1e12),
 )
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 def test_any_record_gives_finite_numbers(wave, kinds, n, seed, scale):
     rng = np.random.default_rng(seed)
     shapes = {

@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -58,7 +59,7 @@ def assert_equal(found: PidGains, expected: PidGains, rel: float) -> None:
 
 
 @pytest.mark.parametrize(("rule", "kind"), FROM_MODEL, ids=ids(FROM_MODEL))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(data=st.data(), a=st.floats(1e-3, 1e3), g=st.floats(1e-3, 1e3))
 def test_time_and_gain_scale_as_dimensions_demand(
     rule: Rule, kind: ControllerKind, data: st.DataObject, a: float, g: float
@@ -87,7 +88,7 @@ def test_readings_scale_too(rule: Rule, kind: ControllerKind, ku: float, pu: flo
 
 
 @pytest.mark.parametrize(("rule", "kind"), FROM_MODEL, ids=ids(FROM_MODEL))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(data=st.data())
 def test_reverse_action_mirrors(rule: Rule, kind: ControllerKind, data: st.DataObject) -> None:
     model = data.draw(models(rule.types))
@@ -107,7 +108,7 @@ def test_optimal_scales_and_mirrors(kind: str) -> None:
 
 @pytest.mark.parametrize(("rule", "kind"), FROM_MODEL, ids=ids(FROM_MODEL))
 @given(data=st.data())
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 def test_forms_round_trip(rule: Rule, kind: ControllerKind, data: st.DataObject) -> None:
     model = data.draw(models(rule.types))
     gains = answer(rule, kind, model)

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,7 +30,7 @@ def native(result: TuneResult) -> dict:
     return gains
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(tau1=st.floats(0.5, 8.0), gm=st.floats(1.7, 8.0))
 def test_gain_margin_and_tau_c_say_the_same_for_a_first_order_process(tau1: float, gm: float) -> None:
     # Grimholt & Skogestad 2012, equation 7: GM = (pi/2)(tau_c/theta + 1) while tau_I = tau1

@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -81,7 +82,7 @@ def test_more_models_than_needed_are_cut_to_the_likeliest() -> None:
         promise([], gains, gains)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(st.floats(0.01, 100), st.floats(0.02, 5), st.floats(0.2, 5))
 def test_a_promise_scales_with_time_and_gain(scale_s: float, theta: float, k: float) -> None:
     def at(s: float, gain: float) -> Promise:

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass, field
 
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig, responses
@@ -271,7 +272,7 @@ class Story(Bench):
             self.verified[region] = before.old
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(EVENTS)
 def test_never_two_sets_and_always_an_end_on_verified_old_or_confirmed_new(
     events: list[tuple[str, int, float]],

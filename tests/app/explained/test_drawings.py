@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from decision_documents import COMMIT, MODEL, REFUSED, RESPONSE, RESTORED, changed, samples, view
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -65,7 +66,7 @@ def test_equal_decisions_give_equal_drawings_and_others_other_ids() -> None:
     assert not ids[0] & ids[1]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=examples(12), deadline=None)
 @given(
     st.sampled_from(["fopdt", "integrating", "integrating-lag", "sopdt"]),
     st.floats(-6, 6),
