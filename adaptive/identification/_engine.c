@@ -36,7 +36,7 @@ static const int SIZE[] = {3, 4, 2, 3}, LAG[] = {2, 2, -1, -1}, SECOND[] = {-1, 
 enum { SLOPE, THETA };
 
 static const double LEAST_DISCRIMINANT = 1e-8, LEAST_SLOPE_DISCRIMINANT = 1e-5, LEAST_APART = 1e-5, STILL = 1e-200;
-static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0, USEFUL = 1e-10;
+static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0, USEFUL = 1e-10, NOTHING_NEW = 1e-12;
 static const double DAMPING = 1e-2, LESS = 0.2, MORE = 5.0, MOST_DAMPING = 1e8, LEAST_DAMPING = 1e-9;
 static const double SMALLEST_STEP = 1e-9;
 
@@ -1056,19 +1056,19 @@ static void put_explained(Work *w, double *out) {
         add(out, w->c[k], w->column + k * p->n, p->n);
 }
 
-/* Undo the rotation. */
-static void rotate_back(const Work *w, double *y) {
-    for (int j = w->p.columns - 1; j >= 0; j--)
-        if (w->beta[j] != 0)
-            reflect(w->rotated, w->p.rows, j, w->beta[j], y);
+/* Undo a rotation. */
+static void rotate_back(const double *a, Py_ssize_t rows, int columns, const double *beta, double *y) {
+    for (int j = columns - 1; j >= 0; j--)
+        if (beta[j] != 0)
+            reflect(a, rows, j, beta[j], y);
 }
 
-static void put_basis_vectors(const Work *w, double *q) {
-    Py_ssize_t rows = w->p.rows;
-    memset(q, 0, (size_t)(w->p.columns * rows) * sizeof *q);
-    for (int k = 0; k < w->p.columns; k++) {
+/* The orthonormal basis that a decomposition stands for, shape (columns, rows). */
+static void put_basis_vectors(const double *a, Py_ssize_t rows, int columns, const double *beta, double *q) {
+    memset(q, 0, (size_t)(columns * rows) * sizeof *q);
+    for (int k = 0; k < columns; k++) {
         q[k * rows + k] = 1;
-        rotate_back(w, q + k * rows);
+        rotate_back(a, rows, columns, beta, q + k * rows);
     }
 }
 
@@ -1077,7 +1077,7 @@ static void put_residuals(Work *w, double *r) {
     Py_ssize_t rows = w->p.rows;
     memcpy(r, w->target, (size_t)rows * sizeof *r);
     memset(r, 0, (size_t)w->p.columns * sizeof *r);
-    rotate_back(w, r);
+    rotate_back(w->rotated, rows, w->p.columns, w->beta, r);
     for (Py_ssize_t i = 0; i < rows; i++)
         r[i] /= w->p.sigma;
     r[rows] = w->swing;
@@ -1091,7 +1091,7 @@ static void put_jacobian(Work *w, const double *p, double *out) {
         double *row = out + j * (rows + 1);
         memcpy(row, w->change + j * rows, (size_t)rows * sizeof *row);
         memset(row, 0, (size_t)w->p.columns * sizeof *row);
-        rotate_back(w, row);
+        rotate_back(w->rotated, rows, w->p.columns, w->beta, row);
         for (Py_ssize_t i = 0; i < rows; i++)
             row[i] /= -w->p.sigma;
         row[rows] = wall(w, j);
@@ -1378,12 +1378,13 @@ static void scan_node(const Scan *s, Py_ssize_t lag, const Reading *r, const dou
         Py_ssize_t at = r->at[i] < 0 ? 0 : r->at[i];
         column[i] = r->e[i] * x[at] + r->v[i] * u[at];
     }
+    double whole = dot(column, column, s->rows);
     for (int k = 0; k < 3; k++) {
         const double *q = s->q + (lag * 3 + k) * s->rows;
         add(column, -dot(q, column, s->rows), q, s->rows);
     }
     double size = dot(column, column, s->rows);
-    *gain = size > 0 ? dot(y, column, s->rows) / size : 0;
+    *gain = size > NOTHING_NEW * whole ? dot(y, column, s->rows) / size : 0;
     *left = dot(y, y, s->rows) - *gain * *gain * size;
 }
 
@@ -1424,20 +1425,42 @@ static int scan(Work *w, const Scan *s) {
     return 0;
 }
 
+/* What the first `count` vectors of a basis leave of y. */
+static void leave(const double *q, int count, double *y, Py_ssize_t n) {
+    for (int k = 0; k < count; k++)
+        add(y, -dot(q + k * n, y, n), q + k * n, n);
+}
+
+/* The columns at p as an orthonormal basis in w->rotated, (count, n), without those that say nothing; the count. */
+static int plain_basis(Work *w, const double *p) {
+    const Problem *q = &w->p;
+    size_t bytes = (size_t)q->n * sizeof(double);
+    double most = 0, *a = w->rotated;
+    int kept = 0;
+    run_lanes(w, p, LEAST_DISCRIMINANT, 0);
+    put_columns(w);
+    memcpy(a, w->column, (size_t)q->columns * bytes);
+    decompose(a, q->n, q->columns, w->beta);
+    for (int k = 0; k < q->columns; k++)
+        most = fmax(most, fabs(a[k * q->n + k]));
+    for (int k = 0; k < q->columns; k++)
+        if (fabs(a[k * q->n + k]) > USEFUL * most)
+            memmove(w->column + kept++ * q->n, w->column + k * q->n, bytes);
+    decompose(w->column, q->n, kept, w->beta);
+    put_basis_vectors(w->column, q->n, kept, w->beta, a);
+    return kept;
+}
+
 /* Misfit with each valve where lags and dead time are held, the gain free; neither whitened nor with priors. */
 static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize_t many, const double *co, double *input,
                         double *out) {
     Problem *q = &w->p;
     Py_ssize_t n = q->n;
-    double lane[2];
-    run_lanes(w, p, LEAST_DISCRIMINANT, 0);
-    put_columns(w);
-    decompose(w->column, n, q->columns, w->beta);
-    memcpy(w->target, q->pv, (size_t)n * sizeof *w->target);
-    rotate(w->column, n, q->columns, w->beta, w->target);
-    const double *y = w->target + q->columns;
-    Py_ssize_t rest = n - q->columns;
-    double all = dot(y, y, rest);
+    int kept = plain_basis(w, p);
+    double lane[2], *y = w->target;
+    memcpy(y, q->pv, (size_t)n * sizeof *y);
+    leave(w->rotated, kept, y, n);
+    double all = dot(y, y, n);
     q->u = input;
     on_lanes(&w->modes, w->modes.w, lane);
     for (Py_ssize_t j = 0; j < many; j++) {
@@ -1445,10 +1468,10 @@ static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize
         run_late(w, 0);
         for (Py_ssize_t i = 0; i < n; i++)
             w->moved[i] = w->gain * (lane[0] * w->a[i] + lane[1] * w->b[i]);
-        rotate(w->column, n, q->columns, w->beta, w->moved);
-        double size = dot(w->moved + q->columns, w->moved + q->columns, rest);
-        double along = dot(w->moved + q->columns, y, rest);
-        out[j] = size > 0 ? all - along * along / size : all;
+        double whole = dot(w->moved, w->moved, n);
+        leave(w->rotated, kept, w->moved, n);
+        double size = dot(w->moved, w->moved, n), along = dot(w->moved, y, n);
+        out[j] = size > NOTHING_NEW * whole ? all - along * along / size : all;
     }
 }
 
@@ -1681,7 +1704,7 @@ static PyObject *py_project(PyObject *self, PyObject *args) {
             return ended(call, NULL);
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
-    put_basis_vectors(w, v[5].x);
+    put_basis_vectors(w->rotated, rows, (int)k, w->beta, v[5].x);
     put_residuals(w, v[6].x);
     back(w->rotated, rows, (int)k, w->inside, v[7].x);
     memcpy(v[8].x, w->moved, (size_t)n * sizeof(double));
@@ -1731,7 +1754,7 @@ static PyObject *py_gains(PyObject *self, PyObject *args) {
         return PyErr_NoMemory(), ended(call, NULL);
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
-    put_basis_vectors(w, memory);
+    put_basis_vectors(w->rotated, rows, w->p.columns, w->beta, memory);
     put_residuals(w, memory + w->p.columns * rows);
     load_gains(w, memory, memory + w->p.columns * rows, v[5].x, v[5].n, v[6].x);
     free(memory);
