@@ -1,4 +1,4 @@
-"""Maps the three rooms at the top level to subpackages of retuner, and the compiled engine; all else is in pyproject.toml.
+"""Maps the three rooms at the top level to subpackages of retuner; names the compiled engine; all else: pyproject.toml.
 
 The engine is optional: without a compiler everything is installed but it, and numpy computes the fits. It knows only
 Python's stable interface, so one wheel serves 3.11 and later. No contraction of a * b + c: the same bits everywhere.

@@ -13,14 +13,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.dynamics import Dynamics
+from retuner.adaptive.identification.engine import compiled
 from retuner.adaptive.identification.loads import improved
-from retuner.adaptive.identification.misfit import Misfit
+from retuner.adaptive.identification.misfit import USEFUL, Misfit
 from retuner.adaptive.identification.record import Record
 from retuner.adaptive.identification.refine import Fit, refine
 from retuner.adaptive.identification.search import with_second_lag
@@ -106,9 +107,13 @@ class StuckValve:
 
     def position(self, co: FloatArray) -> FloatArray:
         """Position of the valve for the controller output co, shape (n,)."""
-        run = _kano if self.family == Family.KANO else _he
         f_static, f_kinetic = (self.stick + self.jump) / 2, (self.stick - self.jump) / 2
+        run = _kano if self.family == Family.KANO else _he
         return np.array(run(co.tolist(), f_static, f_kinetic, self.start * f_static))
+
+    def numbers(self) -> tuple[float, float, float, float]:
+        """Family (0 Kano, 1 He), stick, jump and start, as the compiled engine takes them."""
+        return float(self.family == Family.HE), self.stick, self.jump, self.start
 
 
 def _kano(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
@@ -171,6 +176,8 @@ UNKNOWN_START = 0.6
 """Periods after which a valve has slipped at least once, and where it stood first no longer matters."""
 MOST_ROWS = 500
 """Rows of the coarse scan."""
+NOTHING_NEW = 1e-12
+"""A column of whose square less than this share is its own says nothing: a valve that stood still in these rows."""
 LEAST_TRAVEL = 0.05
 """The usual travel of co counts as at least this share of its range."""
 
@@ -183,17 +190,13 @@ class Sticking:
     fit: Candidate
 
 
-Node = tuple[float, float, Dynamics, FloatArray, FloatArray]
-Scanned = tuple[float, StuckValve, FloatArray]
-
-
 def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
     """The best explanation with a stuck valve.
 
     linear : the explanation without. period_s : of the oscillation, or a typical time of the record's movement.
     """
     record, sign = linear.fit.misfit.record, linear.fit.misfit.sign
-    ranked = sorted(_scanned(record, sign, period_s), key=lambda s: s[0])[:FINALISTS]
+    ranked = _scanned(record, sign, period_s)
     misfit = replace(
         linear.fit.misfit,
         type=ProcessType.FOPDT,
@@ -205,7 +208,7 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
         harmonics=0,
         most_order=WHITE,
     )
-    firsts = [_with_lag(_fine(_refined(misfit, valve, x))) for _, valve, x in ranked]
+    firsts = [_with_lag(_fine(_refined(misfit, valve, x))) for valve, x in ranked]
     closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
     best = min((_settled(s) for s in closest), key=lambda s: s.fit.criterion)
     return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
@@ -221,21 +224,25 @@ def _settled(at: Sticking) -> Sticking:
     return _with_lag(at)
 
 
-def _scanned(record: Record, sign: int, period_s: float) -> list[Scanned]:
-    """Sum of squares, valve and x of first order, for everything on the grid."""
-    nodes = _nodes(record, period_s)
+def _scanned(record: Record, sign: int, period_s: float) -> list[tuple[StuckValve, FloatArray]]:
+    """The best valves on the grid, each with x of first order."""
+    travel, nodes = _travel(record, period_s), Nodes.of(record, period_s)
+    valves, pairs = list(_grid(travel)), nodes.pairs()
+    engine = compiled()
+    if engine is not None:
+        left, gain = engine.valves_scanned(record, [v.numbers() for v in valves], nodes)
+    else:
+        left, gain = _through(record, valves, nodes)
+    left = np.where(gain * sign > 0, left, np.inf).ravel()
+    best = [i for i in np.argsort(left, kind="stable")[:FINALISTS].tolist() if math.isfinite(left[i])]
+    if not best:
+        usual = np.log([record.pv_range / travel / period_s, pairs[0][1], pairs[0][0]])
+        return [(StuckValve(Family.KANO, STICK_RANGE[0] * travel, 0.0), usual)]
     found = []
-    for valve in _grid(_travel(record, period_s)):
-        moved = valve.position(record.co)
-        if np.ptp(moved) > 0:
-            for left, gain, lag, theta in _through(record, moved - moved[0], nodes, period_s):
-                if gain * sign > 0:
-                    found.append((left, valve, np.log([abs(gain), theta, lag])))
-    if found:
-        return found
-    travel = _travel(record, period_s)
-    usual = np.log([record.pv_range / travel / period_s, nodes[0][1], nodes[0][0]])
-    return [(0.0, StuckValve(Family.KANO, STICK_RANGE[0] * travel, 0.0), usual)]
+    for i in best:
+        lag, theta = pairs[i % len(pairs)]
+        found.append((valves[i // len(pairs)], np.log([abs(gain.ravel()[i]), theta, lag])))
+    return found
 
 
 def _grid(travel: float) -> Iterator[StuckValve]:
@@ -253,19 +260,37 @@ def _travel(record: Record, period_s: float) -> float:
     return max(float(np.median([np.ptp(piece) for piece in pieces])), LEAST_TRAVEL * record.co_range)
 
 
-def _nodes(record: Record, period_s: float) -> list[Node]:
-    """Lag, dead time, dynamics, and the basis of bias, start and trend with pv free of it, on the thinned rows."""
-    keep = _rows(record, period_s)
-    t, pv = record.t_s[keep], record.pv[keep]
-    dt = record.sample_time_s
-    found = []
-    for lag in (max(share * period_s, dt) for share in LAGS_PER_PERIOD):
-        dynamics = Dynamics(0.0, 1 / lag)
-        start = dynamics.step(t - t[0] + dt)
-        q, _ = np.linalg.qr(np.stack([np.ones_like(t), start / start[-1], t / t[-1]], axis=1))
-        y = pv - q @ (q.T @ pv)
-        found += [(lag, max(share * period_s, dt / 2), dynamics, q, y) for share in THETAS_PER_PERIOD]
-    return found
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """First-order dynamics of the scan, on the rows that it looks at.
+
+    lags_s, thetas_s : every pair is a node. basis : shape (lags, 3, rows), orthonormal, of bias, start and trend.
+    free : shape (lags, rows), pv without them.
+    """
+
+    lags_s: FloatArray
+    thetas_s: FloatArray
+    rows: slice
+    basis: FloatArray
+    free: FloatArray
+
+    @classmethod
+    def of(cls, record: Record, period_s: float) -> "Nodes":
+        """The nodes for a record with a swing."""
+        rows, dt = _rows(record, period_s), record.sample_time_s
+        t, pv = record.t_s[rows], record.pv[rows]
+        lags = [max(share * period_s, dt) for share in LAGS_PER_PERIOD]
+        basis = []
+        for lag in lags:
+            start = Dynamics(0.0, 1 / lag).step(t - t[0] + dt)
+            basis.append(np.linalg.qr(np.stack([np.ones_like(t), start / start[-1], t / t[-1]], axis=1))[0].T)
+        thetas = [max(share * period_s, dt / 2) for share in THETAS_PER_PERIOD]
+        free = [pv - q.T @ (q @ pv) for q in basis]
+        return cls(np.array(lags), np.array(thetas), rows, np.array(basis), np.array(free))
+
+    def pairs(self) -> list[tuple[float, float]]:
+        """Lag and dead time of every node."""
+        return list(product(self.lags_s.tolist(), self.thetas_s.tolist()))
 
 
 def _rows(record: Record, period_s: float) -> slice:
@@ -275,21 +300,34 @@ def _rows(record: Record, period_s: float) -> slice:
     return slice(first if first < n // 3 else 0, None, -(-n // MOST_ROWS))
 
 
-def _through(
-    record: Record, moved: FloatArray, nodes: list[Node], period_s: float
-) -> Iterator[tuple[float, float, float, float]]:
-    """Sum of squares, slope gain, lag and dead time with the valve's position as input, for every node."""
-    keep = _rows(record, period_s)
-    for lag, theta, dynamics, q, y in nodes:
-        column = dynamics.held(record.clock, moved, theta)[keep]
-        c = column - q @ (q.T @ column)
-        size = float(c @ c)
-        gain = float(y @ c) / size if size > 0 else 0.0
-        yield float(y @ y) - gain**2 * size, gain, lag, theta
+def _through(record: Record, valves: list[StuckValve], nodes: Nodes) -> tuple[FloatArray, FloatArray]:
+    """Sum of squares and slope gain with every valve's position as input, shape (valves, nodes)."""
+    pairs = nodes.pairs()
+    left, gain = np.full((len(valves), len(pairs)), np.inf), np.zeros((len(valves), len(pairs)))
+    for i, valve in enumerate(valves):
+        moved = _moved(record, valve)
+        for j, (lag, theta) in enumerate(pairs) if np.ptp(moved) > 0 else ():
+            q, y = nodes.basis[j // len(nodes.thetas_s)], nodes.free[j // len(nodes.thetas_s)]
+            column = Dynamics(0.0, 1 / lag).held(record.clock, moved, theta)[nodes.rows]
+            gain[i, j], left[i, j] = _projected(y, column, column - q.T @ (q @ column))
+    return left, gain
+
+
+def _projected(y: FloatArray, column: FloatArray, free: FloatArray) -> tuple[float, float]:
+    """Coefficient of a column and what it leaves of y. free : the column without what else explains y."""
+    size, whole = float(free @ free), float(y @ y)
+    if not size > NOTHING_NEW * float(column @ column):
+        return 0.0, whole
+    gain = float(y @ free) / size
+    return gain, whole - gain**2 * size
 
 
 def _moved(record: Record, valve: StuckValve) -> FloatArray:
     """Position of the valve, counted from its first value."""
+    engine = compiled()
+    if engine is not None:
+        travelled: FloatArray = engine.valve_travel(valve.numbers(), record.co)
+        return travelled
     position = valve.position(record.co)
     return np.asarray(position - position[0], dtype=np.float64)
 
@@ -310,10 +348,10 @@ def _with_lag(at: Sticking) -> Sticking:
 def _fine(at: Sticking) -> Sticking:
     """Neighbouring bands, jumps and starts with the process held, then refined from the best of them."""
     fit: Fit = at.fit.fit
-    best, cost = at.valve, _cost(fit.misfit, fit.p)
+    best, (cost,) = at.valve, _costs(fit, [at.valve])
     for around in (_starts, _bands, _jumps, _sticks):
-        for valve in around(best):
-            tried = _cost(replace(fit.misfit, co=_moved(fit.misfit.record, valve)), fit.p)
+        valves = around(best)
+        for valve, tried in zip(valves, _costs(fit, valves), strict=True):
             if tried < cost:
                 best, cost = valve, tried
     if best is at.valve:
@@ -321,12 +359,21 @@ def _fine(at: Sticking) -> Sticking:
     return _refined(fit.misfit, best, fit.p)
 
 
-def _cost(misfit: Misfit, p: FloatArray) -> float:
+def _costs(fit: Fit, valves: list[StuckValve]) -> list[float]:
     """Sum of squares with lags and dead time held, and the gain, which another band changes, free as well."""
-    columns, _ = misfit.columns(p)
-    q, _ = np.linalg.qr(np.column_stack([columns, misfit.moved(p)]))
-    left = misfit.record.pv - q @ (q.T @ misfit.record.pv)
-    return float(left @ left)
+    misfit, record, engine = fit.misfit, fit.misfit.record, compiled()
+    if engine is not None:
+        costs: list[float] = engine.valve_costs(misfit, fit.p, [v.numbers() for v in valves])
+        return costs
+    columns, _ = misfit.columns(fit.p)
+    size = np.abs(np.diag(np.linalg.qr(columns)[1]))
+    q, _ = np.linalg.qr(columns[:, size > USEFUL * np.max(size)])
+    y = record.pv - q @ (q.T @ record.pv)
+    found = []
+    for valve in valves:
+        moved = replace(misfit, co=_moved(record, valve)).moved(fit.p)
+        found.append(_projected(y, moved, moved - q @ (q.T @ moved))[1])
+    return found
 
 
 def _starts(valve: StuckValve) -> list[StuckValve]:

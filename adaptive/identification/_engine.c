@@ -30,13 +30,21 @@
 
 #define VERSION "1"
 
+/* Where the loader can choose, the loops over samples exist twice, for wider registers, too: the same operations in the
+ * same order for every sample, so the same bits. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
 enum { MOST_P = 40, MOST_COLUMNS = 96, MOST_STARTS = 8, MOST_LOADS = 24, MOST_AR = 16, MOST_HARMONICS = 12 };
 enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG };
 static const int SIZE[] = {3, 4, 2, 3}, LAG[] = {2, 2, -1, -1}, SECOND[] = {-1, 3, -1, 2};
 enum { SLOPE, THETA };
 
 static const double LEAST_DISCRIMINANT = 1e-8, LEAST_SLOPE_DISCRIMINANT = 1e-5, LEAST_APART = 1e-5, STILL = 1e-200;
-static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0, USEFUL = 1e-10;
+static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0, USEFUL = 1e-10, NOTHING_NEW = 1e-12;
 static const double DAMPING = 1e-2, LESS = 0.2, MORE = 5.0, MOST_DAMPING = 1e8, LEAST_DAMPING = 1e-9;
 static const double SMALLEST_STEP = 1e-9;
 
@@ -73,7 +81,7 @@ static cplx held(cplx s, double t) {
 }
 
 /* Eight running sums, so that the additions do not wait for each other; their order is fixed. */
-static double dot(const double *restrict x, const double *restrict y, Py_ssize_t n) {
+WIDE static double dot(const double *restrict x, const double *restrict y, Py_ssize_t n) {
     double s[8] = {0};
     Py_ssize_t i = 0;
     for (; i + 8 <= n; i += 8)
@@ -84,17 +92,31 @@ static double dot(const double *restrict x, const double *restrict y, Py_ssize_t
     return ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7]));
 }
 
-static void add(double *restrict y, double k, const double *restrict x, Py_ssize_t n) {
+WIDE static void add(double *restrict y, double k, const double *restrict x, Py_ssize_t n) {
     for (Py_ssize_t i = 0; i < n; i++)
         y[i] += k * x[i];
 }
 
-static Py_ssize_t largest(const double *x, Py_ssize_t n) {
-    Py_ssize_t at = 0;
-    for (Py_ssize_t i = 1; i < n; i++)
-        if (fabs(x[i]) > fabs(x[at]))
-            at = i;
-    return at;
+WIDE static void multiply(double *restrict y, double k, Py_ssize_t n) {
+    for (Py_ssize_t i = 0; i < n; i++)
+        y[i] *= k;
+}
+
+/* The first of the samples that are largest in size. */
+WIDE static Py_ssize_t largest(const double *x, Py_ssize_t n) {
+    double lane[8] = {0}, most = 0;
+    Py_ssize_t whole = n - n % 8;
+    for (Py_ssize_t i = 0; i < whole; i += 8)
+        for (int j = 0; j < 8; j++)
+            lane[j] = fabs(x[i + j]) > lane[j] ? fabs(x[i + j]) : lane[j];
+    for (int j = 0; j < 8; j++)
+        most = fmax(most, lane[j]);
+    for (Py_ssize_t i = whole; i < n; i++)
+        most = fmax(most, fabs(x[i]));
+    for (Py_ssize_t i = 0; i < n; i++)
+        if (fabs(x[i]) == most)
+            return i;
+    return 0;
 }
 
 /* ---------------------------------------------------------------- modes of the process */
@@ -434,8 +456,14 @@ static void run_step(const Problem *p, const Modes *m, const Interval *steps, do
         return;
     Interval start = interval_of(m, p->t[first] - at);
     double x = start.v[0], y = start.v[1];
-    if (stride == 0 && !m->pair) { /* two chains that do not wait for each other */
+    if (stride == 0 && !m->pair) { /* two chains that do not wait for each other, or one */
         double ex = steps->e[0], ey = steps->e[3], vx = steps->v[0], vy = steps->v[1];
+        if (m->count == 1)
+            memset(b + i, 0, (size_t)(p->n - i) * sizeof *b);
+        for (; m->count == 1 && i < p->n; i++) {
+            a[i] = x;
+            x = ex * x + vx;
+        }
         for (; i < p->n; i++) {
             a[i] = x, b[i] = y;
             x = ex * x + vx, y = ey * y + vy;
@@ -459,6 +487,20 @@ static void run_input(const Work *w, double *restrict a, double *restrict b, dou
     Py_ssize_t n = w->p.n, stride = w->p.dt > 0 ? 0 : 1;
     const double *u = w->p.u;
     double x = 0, y = 0, x1 = 0, y1 = 0;
+    if (stride == 0 && !w->modes.pair) { /* no lane waits for the other */
+        Interval s = w->steps[0];
+        for (Py_ssize_t i = 0; i < n; i++) {
+            a[i] = x, b[i] = y;
+            if (slopes) {
+                a1[i] = x1, b1[i] = y1;
+                x1 = s.e[0] * x1 + (s.e1[0] * x + s.v1[0] * u[i]);
+                y1 = s.e[3] * y1 + (s.e1[3] * y + s.v1[1] * u[i]);
+            }
+            x = s.e[0] * x + s.v[0] * u[i];
+            y = s.e[3] * y + s.v[1] * u[i];
+        }
+        return;
+    }
     for (Py_ssize_t i = 0; i < n; i++) {
         const Interval *s = w->steps + (i + 1 < n ? i * stride : 0);
         a[i] = x, b[i] = y;
@@ -568,7 +610,7 @@ static void run_lanes(Work *w, const double *p, double least, int slopes) {
 
 /* ---------------------------------------------------------------- columns */
 
-static void add_form(const Work *w, const Basis *basis, Form f, double *restrict out) {
+WIDE static void add_form(const Work *w, const Basis *basis, Form f, double *restrict out) {
     const double *restrict t = w->p.t, *restrict a = basis->a, *restrict b = basis->b, *restrict c = basis->c;
     double at = basis->at;
     if (f.c == 0 && f.xc == 0 && f.xa == 0 && f.xb == 0 && f.x == 0 && f.xx == 0) {
@@ -590,8 +632,7 @@ static void make_unit(Work *w, int k) {
     double size = fabs(column[at]);
     w->peak_at[k] = at, w->peak[k] = column[at];
     if (size > 0)
-        for (Py_ssize_t i = 0; i < w->p.n; i++)
-            column[i] /= size;
+        multiply(column, 1 / size, w->p.n);
 }
 
 static void put_form(Work *w, int k, const Basis *basis, Form f) {
@@ -673,8 +714,7 @@ static void decompose(double *a, Py_ssize_t rows, int columns, double *beta) {
         if (size > 0) {
             double diagonal = -copysign(hypot(alpha, size), alpha);
             beta[j] = (diagonal - alpha) / diagonal;
-            for (Py_ssize_t i = j + 1; i < rows; i++)
-                v[i] /= alpha - diagonal;
+            multiply(v + j + 1, 1 / (alpha - diagonal), rows - j - 1);
             v[j] = diagonal;
         }
         for (int k = j + 1; beta[j] != 0 && k < columns; k++)
@@ -769,21 +809,29 @@ static void solve(Work *w, const double *p) {
 
 /* ---------------------------------------------------------------- Jacobian */
 
-/* The derivative of a column before it is made a unit one, into w->scratch. */
-static double *raw_change(Work *w, const Basis *basis, Form f) {
-    memset(w->scratch, 0, (size_t)w->p.n * sizeof *w->scratch);
-    add_form(w, basis, f, w->scratch);
-    return w->scratch;
+static double form_at(const Work *w, const Basis *basis, Form f, Py_ssize_t i) {
+    if (i < basis->first)
+        return 0;
+    double x = w->p.t[i] - basis->at, a = basis->a[i], b = basis->b[i], c = basis->c[i];
+    return f.one + f.a * a + f.b * b + f.c * c + x * (f.x + f.xx * x + f.xa * a + f.xb * b + f.xc * c);
 }
 
-/* A coefficient times the derivative of its unit column, whose own derivative stands in w->scratch. */
-static void add_change(const Work *w, int k, double *change) {
-    double peak = w->peak[k], rise = w->scratch[w->peak_at[k]] / peak;
+/* A coefficient times the derivative of its unit column; the column itself has the derivative f from one basis, and g
+ * from another, where there is one. */
+static void add_change(const Work *w, int k, const Basis *basis, Form f, const Basis *other, Form g, double *change) {
+    double peak = w->peak[k], share = w->c[k] / fabs(peak);
     if (peak == 0 || w->c[k] == 0)
         return;
-    add(change, w->c[k] / fabs(peak), w->scratch, w->p.n);
-    add(change, -w->c[k] * rise, w->column + k * w->p.n, w->p.n);
+    double rise = form_at(w, basis, f, w->peak_at[k]);
+    add_form(w, basis, scaled_form(f, share), change);
+    if (other) {
+        rise += form_at(w, other, g, w->peak_at[k]);
+        add_form(w, other, scaled_form(g, share), change);
+    }
+    add(change, -w->c[k] * (rise / peak), w->column + k * w->p.n, w->p.n);
 }
+
+static const Form NO_FORM = {0};
 
 /* By ln T (q = 0) or ln c2 (q = 1). */
 static void change_by_dynamics(Work *w, int q, double *change) {
@@ -800,17 +848,17 @@ static void change_by_dynamics(Work *w, int q, double *change) {
     Form load = p->rounded ? rounded_slope(&w->load_modes, w->rate, q) : step;
     int k = 0;
     for (int j = 0; j < p->starts; j++)
-        raw_change(w, &w->basis[j], step), add_change(w, k++, change);
+        add_change(w, k++, &w->basis[j], step, NULL, NO_FORM, change);
     for (int j = 0; SECOND[p->type] >= 0 && j < p->starts; j++)
-        raw_change(w, &w->basis[j], impulse_slope(m, q)), add_change(w, k++, change);
+        add_change(w, k++, &w->basis[j], impulse_slope(m, q), NULL, NO_FORM, change);
     for (int j = 0; p->motion && j < p->starts; j++) {
         const Basis *late = &w->basis[p->starts + j];
-        raw_change(w, late, step), add_change(w, k++, change);
-        add_form(w, late, scaled_form(ramp, -1), raw_change(w, &w->basis[j], ramp)), add_change(w, k++, change);
+        add_change(w, k++, late, step, NULL, NO_FORM, change);
+        add_change(w, k++, &w->basis[j], ramp, late, scaled_form(ramp, -1), change);
     }
     k += p->ramp;
     for (int j = 0; j < p->loads; j++)
-        raw_change(w, &w->basis[2 * p->starts + j], load), add_change(w, k++, change);
+        add_change(w, k++, &w->basis[2 * p->starts + j], load, NULL, NO_FORM, change);
 }
 
 static void change_by_theta(Work *w, double *change) {
@@ -828,8 +876,8 @@ static void change_by_theta(Work *w, double *change) {
     int k = p->starts * (1 + (SECOND[p->type] >= 0));
     for (int j = 0; p->motion && j < p->starts; j++) {
         const Basis *late = &w->basis[p->starts + j];
-        raw_change(w, late, rise), add_change(w, k++, change);
-        raw_change(w, late, step), add_change(w, k++, change);
+        add_change(w, k++, late, rise, NULL, NO_FORM, change);
+        add_change(w, k++, late, step, NULL, NO_FORM, change);
     }
 }
 
@@ -838,17 +886,14 @@ static int first_load(const Problem *p) { return p->priors; }
 static void change_by_load_time(Work *w, int j, double *change) {
     Form rise = w->p.rounded ? rounded_rise(&w->load_modes, w->rate) : impulse_form(&w->modes);
     memset(change, 0, (size_t)w->p.n * sizeof *change);
-    raw_change(w, &w->basis[2 * w->p.starts + j], scaled_form(rise, -1));
-    add_change(w, first_load(&w->p) + j, change);
+    add_change(w, first_load(&w->p) + j, &w->basis[2 * w->p.starts + j], scaled_form(rise, -1), NULL, NO_FORM, change);
 }
 
 static void change_by_load_lag(Work *w, double *change) {
     Form slope = rounded_by_lag(&w->load_modes, w->rate);
     memset(change, 0, (size_t)w->p.n * sizeof *change);
-    for (int j = 0; j < w->p.loads; j++) {
-        raw_change(w, &w->basis[2 * w->p.starts + j], slope);
-        add_change(w, first_load(&w->p) + j, change);
-    }
+    for (int j = 0; j < w->p.loads; j++)
+        add_change(w, first_load(&w->p) + j, &w->basis[2 * w->p.starts + j], slope, NULL, NO_FORM, change);
 }
 
 static void change_by_tone(Work *w, double *change) {
@@ -1056,19 +1101,19 @@ static void put_explained(Work *w, double *out) {
         add(out, w->c[k], w->column + k * p->n, p->n);
 }
 
-/* Undo the rotation. */
-static void rotate_back(const Work *w, double *y) {
-    for (int j = w->p.columns - 1; j >= 0; j--)
-        if (w->beta[j] != 0)
-            reflect(w->rotated, w->p.rows, j, w->beta[j], y);
+/* Undo a rotation. */
+static void rotate_back(const double *a, Py_ssize_t rows, int columns, const double *beta, double *y) {
+    for (int j = columns - 1; j >= 0; j--)
+        if (beta[j] != 0)
+            reflect(a, rows, j, beta[j], y);
 }
 
-static void put_basis_vectors(const Work *w, double *q) {
-    Py_ssize_t rows = w->p.rows;
-    memset(q, 0, (size_t)(w->p.columns * rows) * sizeof *q);
-    for (int k = 0; k < w->p.columns; k++) {
+/* The orthonormal basis that a decomposition stands for, shape (columns, rows). */
+static void put_basis_vectors(const double *a, Py_ssize_t rows, int columns, const double *beta, double *q) {
+    memset(q, 0, (size_t)(columns * rows) * sizeof *q);
+    for (int k = 0; k < columns; k++) {
         q[k * rows + k] = 1;
-        rotate_back(w, q + k * rows);
+        rotate_back(a, rows, columns, beta, q + k * rows);
     }
 }
 
@@ -1077,7 +1122,7 @@ static void put_residuals(Work *w, double *r) {
     Py_ssize_t rows = w->p.rows;
     memcpy(r, w->target, (size_t)rows * sizeof *r);
     memset(r, 0, (size_t)w->p.columns * sizeof *r);
-    rotate_back(w, r);
+    rotate_back(w->rotated, rows, w->p.columns, w->beta, r);
     for (Py_ssize_t i = 0; i < rows; i++)
         r[i] /= w->p.sigma;
     r[rows] = w->swing;
@@ -1091,7 +1136,7 @@ static void put_jacobian(Work *w, const double *p, double *out) {
         double *row = out + j * (rows + 1);
         memcpy(row, w->change + j * rows, (size_t)rows * sizeof *row);
         memset(row, 0, (size_t)w->p.columns * sizeof *row);
-        rotate_back(w, row);
+        rotate_back(w->rotated, rows, w->p.columns, w->beta, row);
         for (Py_ssize_t i = 0; i < rows; i++)
             row[i] /= -w->p.sigma;
         row[rows] = wall(w, j);
@@ -1112,8 +1157,7 @@ static void load_gains(Work *w, const double *q, const double *r, const double *
         run_step(p, &w->modes, w->steps, basis.a, basis.b, at[k], basis.first);
         add_form(w, &basis, step, w->moved);
         double most = fmax(fabs(w->moved[largest(w->moved, n)]), DBL_MIN);
-        for (Py_ssize_t i = 0; i < n; i++)
-            w->moved[i] /= most;
+        multiply(w->moved, 1 / most, n);
         whiten(p, w->moved, whitened);
         memcpy(lane, whitened, (size_t)n * sizeof *lane);
         for (int j = 0; j < p->columns; j++)
@@ -1378,12 +1422,13 @@ static void scan_node(const Scan *s, Py_ssize_t lag, const Reading *r, const dou
         Py_ssize_t at = r->at[i] < 0 ? 0 : r->at[i];
         column[i] = r->e[i] * x[at] + r->v[i] * u[at];
     }
+    double whole = dot(column, column, s->rows);
     for (int k = 0; k < 3; k++) {
         const double *q = s->q + (lag * 3 + k) * s->rows;
         add(column, -dot(q, column, s->rows), q, s->rows);
     }
     double size = dot(column, column, s->rows);
-    *gain = size > 0 ? dot(y, column, s->rows) / size : 0;
+    *gain = size > NOTHING_NEW * whole ? dot(y, column, s->rows) / size : 0;
     *left = dot(y, y, s->rows) - *gain * *gain * size;
 }
 
@@ -1424,20 +1469,42 @@ static int scan(Work *w, const Scan *s) {
     return 0;
 }
 
+/* What the first `count` vectors of a basis leave of y. */
+static void leave(const double *q, int count, double *y, Py_ssize_t n) {
+    for (int k = 0; k < count; k++)
+        add(y, -dot(q + k * n, y, n), q + k * n, n);
+}
+
+/* The columns at p as an orthonormal basis in w->rotated, (count, n), without those that say nothing; the count. */
+static int plain_basis(Work *w, const double *p) {
+    const Problem *q = &w->p;
+    size_t bytes = (size_t)q->n * sizeof(double);
+    double most = 0, *a = w->rotated;
+    int kept = 0;
+    run_lanes(w, p, LEAST_DISCRIMINANT, 0);
+    put_columns(w);
+    memcpy(a, w->column, (size_t)q->columns * bytes);
+    decompose(a, q->n, q->columns, w->beta);
+    for (int k = 0; k < q->columns; k++)
+        most = fmax(most, fabs(a[k * q->n + k]));
+    for (int k = 0; k < q->columns; k++)
+        if (fabs(a[k * q->n + k]) > USEFUL * most)
+            memmove(w->column + kept++ * q->n, w->column + k * q->n, bytes);
+    decompose(w->column, q->n, kept, w->beta);
+    put_basis_vectors(w->column, q->n, kept, w->beta, a);
+    return kept;
+}
+
 /* Misfit with each valve where lags and dead time are held, the gain free; neither whitened nor with priors. */
 static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize_t many, const double *co, double *input,
                         double *out) {
     Problem *q = &w->p;
     Py_ssize_t n = q->n;
-    double lane[2];
-    run_lanes(w, p, LEAST_DISCRIMINANT, 0);
-    put_columns(w);
-    decompose(w->column, n, q->columns, w->beta);
-    memcpy(w->target, q->pv, (size_t)n * sizeof *w->target);
-    rotate(w->column, n, q->columns, w->beta, w->target);
-    const double *y = w->target + q->columns;
-    Py_ssize_t rest = n - q->columns;
-    double all = dot(y, y, rest);
+    int kept = plain_basis(w, p);
+    double lane[2], *y = w->target;
+    memcpy(y, q->pv, (size_t)n * sizeof *y);
+    leave(w->rotated, kept, y, n);
+    double all = dot(y, y, n);
     q->u = input;
     on_lanes(&w->modes, w->modes.w, lane);
     for (Py_ssize_t j = 0; j < many; j++) {
@@ -1445,10 +1512,10 @@ static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize
         run_late(w, 0);
         for (Py_ssize_t i = 0; i < n; i++)
             w->moved[i] = w->gain * (lane[0] * w->a[i] + lane[1] * w->b[i]);
-        rotate(w->column, n, q->columns, w->beta, w->moved);
-        double size = dot(w->moved + q->columns, w->moved + q->columns, rest);
-        double along = dot(w->moved + q->columns, y, rest);
-        out[j] = size > 0 ? all - along * along / size : all;
+        double whole = dot(w->moved, w->moved, n);
+        leave(w->rotated, kept, w->moved, n);
+        double size = dot(w->moved, w->moved, n), along = dot(w->moved, y, n);
+        out[j] = size > NOTHING_NEW * whole ? all - along * along / size : all;
     }
 }
 
@@ -1681,7 +1748,7 @@ static PyObject *py_project(PyObject *self, PyObject *args) {
             return ended(call, NULL);
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
-    put_basis_vectors(w, v[5].x);
+    put_basis_vectors(w->rotated, rows, (int)k, w->beta, v[5].x);
     put_residuals(w, v[6].x);
     back(w->rotated, rows, (int)k, w->inside, v[7].x);
     memcpy(v[8].x, w->moved, (size_t)n * sizeof(double));
@@ -1731,7 +1798,7 @@ static PyObject *py_gains(PyObject *self, PyObject *args) {
         return PyErr_NoMemory(), ended(call, NULL);
     Py_BEGIN_ALLOW_THREADS
     solve(w, v[4].x);
-    put_basis_vectors(w, memory);
+    put_basis_vectors(w->rotated, rows, w->p.columns, w->beta, memory);
     put_residuals(w, memory + w->p.columns * rows);
     load_gains(w, memory, memory + w->p.columns * rows, v[5].x, v[5].n, v[6].x);
     free(memory);

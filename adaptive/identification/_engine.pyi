@@ -1,72 +1,79 @@
-from typing_extensions import Buffer
+from array import array
+
+import numpy as np
+import numpy.typing as npt
+
+Numbers = npt.NDArray[np.float64] | array[float]
 
 version: str
 
 def refine(
-    t: Buffer,
-    pv: Buffer,
-    co: Buffer,
-    numbers: Buffer,
-    p: Buffer,
-    low: Buffer,
-    high: Buffer,
-    stride: Buffer,
-    root: Buffer,
-    target: Buffer,
-    explained: Buffer,
+    t: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    numbers: Numbers,
+    p: Numbers,
+    low: Numbers,
+    high: Numbers,
+    stride: Numbers,
+    root: Numbers,
+    target: Numbers,
+    explained: Numbers,
     evaluations: int,
     enough: float,
     /,
 ) -> float: ...
-def costs(t: Buffer, pv: Buffer, co: Buffer, numbers: Buffer, points: Buffer, out: Buffer, /) -> None: ...
+def costs(t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, points: Numbers, out: Numbers, /) -> None: ...
 def project(
-    t: Buffer,
-    pv: Buffer,
-    co: Buffer,
-    numbers: Buffer,
-    p: Buffer,
-    q: Buffer,
-    r: Buffer,
-    c: Buffer,
-    moved: Buffer,
-    columns: Buffer,
-    triangle: Buffer,
+    t: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    numbers: Numbers,
+    p: Numbers,
+    q: Numbers,
+    r: Numbers,
+    c: Numbers,
+    moved: Numbers,
+    columns: Numbers,
+    triangle: Numbers,
     /,
 ) -> None: ...
-def jacobian(t: Buffer, pv: Buffer, co: Buffer, numbers: Buffer, p: Buffer, out: Buffer, /) -> None: ...
-def gains(t: Buffer, pv: Buffer, co: Buffer, numbers: Buffer, p: Buffer, instants: Buffer, out: Buffer, /) -> None: ...
-def colour(r: Buffer, least: float, most_order: int, /) -> tuple[float, tuple[float, ...]]: ...
+def jacobian(t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, out: Numbers, /) -> None: ...
+def gains(
+    t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, instants: Numbers, out: Numbers, /
+) -> None: ...
+def colour(r: Numbers, least: float, most_order: int, /) -> tuple[float, tuple[float, ...]]: ...
 def search(
-    t: Buffer,
-    pv: Buffer,
-    co: Buffer,
-    numbers: Buffer,
-    lags: Buffer,
-    thetas: Buffer,
-    at: Buffer,
+    t: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    numbers: Numbers,
+    lags: Numbers,
+    thetas: Numbers,
+    at: Numbers,
     most: int,
-    deviance: Buffer,
-    slope: Buffer,
-    chosen: Buffer,
+    deviance: Numbers,
+    slope: Numbers,
+    chosen: Numbers,
     /,
 ) -> None: ...
-def position(valve: Buffer, co: Buffer, out: Buffer, /) -> None: ...
+def position(valve: Numbers, co: Numbers, out: Numbers, /) -> None: ...
 def scan(
-    t: Buffer,
-    pv: Buffer,
-    co: Buffer,
-    numbers: Buffer,
-    valves: Buffer,
-    lags: Buffer,
-    thetas: Buffer,
-    q: Buffer,
-    y: Buffer,
+    t: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    numbers: Numbers,
+    valves: Numbers,
+    lags: Numbers,
+    thetas: Numbers,
+    q: Numbers,
+    y: Numbers,
     first: int,
     stride: int,
-    left: Buffer,
-    gain: Buffer,
+    left: Numbers,
+    gain: Numbers,
     /,
 ) -> None: ...
 def valve_costs(
-    t: Buffer, pv: Buffer, co: Buffer, numbers: Buffer, p: Buffer, valves: Buffer, out: Buffer, /
+    t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, valves: Numbers, out: Numbers, /
 ) -> None: ...

@@ -9,19 +9,21 @@ What each function computes, and why, stands with the numpy engine's function of
 import math
 from array import array
 from collections.abc import Iterator, Sequence
-from itertools import product
+from itertools import chain, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from retuner.adaptive.identification import _engine
+from retuner.adaptive.identification.misfit import Misfit
+from retuner.adaptive.identification.record import Record
+from retuner.adaptive.identification.refine import Prior
 from retuner.adaptive.identification.search import Grid, Node
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
 if TYPE_CHECKING:
-    from retuner.adaptive.identification.misfit import Misfit
-    from retuner.adaptive.identification.refine import Prior
+    from retuner.adaptive.diagnosis.rival_fits import Nodes
 
 TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
 """In the order of their numbers."""
@@ -30,7 +32,7 @@ NOTHING = np.zeros(0)
 Packed = tuple[FloatArray, FloatArray, FloatArray, "array[float]"]
 
 
-def packed(misfit: "Misfit") -> Packed:
+def packed(misfit: Misfit) -> Packed:
     """t, pv, co and the numbers of a problem."""
     record = misfit.record
     weights, starts = misfit.prior_weights(), misfit.starts
@@ -43,7 +45,7 @@ def packed(misfit: "Misfit") -> Packed:
 
 
 def refined(
-    misfit: "Misfit", start: FloatArray, limits: tuple[FloatArray, FloatArray, FloatArray], prior: "Prior | None",
+    misfit: Misfit, start: FloatArray, limits: tuple[FloatArray, FloatArray, FloatArray], prior: Prior | None,
     evaluations: int, enough: float,
 ) -> tuple[FloatArray, float, FloatArray]:  # fmt: skip
     """The optimum p, the deviance there, and the pv that it explains. limits : lowest, highest and stride of p."""
@@ -53,14 +55,14 @@ def refined(
     return p, deviance, explained
 
 
-def costs(misfit: "Misfit", points: Sequence[FloatArray]) -> list[float]:
+def costs(misfit: Misfit, points: Sequence[FloatArray]) -> list[float]:
     """The sum of squares at every point."""
     out = np.empty(len(points))
     _engine.costs(*packed(misfit), np.concatenate(points), out)
     return out.tolist()
 
 
-def projected(misfit: "Misfit", p: FloatArray) -> tuple[FloatArray, ...]:
+def projected(misfit: Misfit, p: FloatArray) -> tuple[FloatArray, ...]:
     """q, r, c, moved, columns and triangle of a Projection."""
     n = len(misfit.record.pv)
     k = misfit.priors + misfit.loads + 2 * misfit.harmonics + 1
@@ -70,14 +72,14 @@ def projected(misfit: "Misfit", p: FloatArray) -> tuple[FloatArray, ...]:
     return q.T, r, c, moved, columns.T, triangle
 
 
-def jacobian(misfit: "Misfit", p: FloatArray) -> FloatArray:
+def jacobian(misfit: Misfit, p: FloatArray) -> FloatArray:
     """Derivative of the residuals by p, shape (len(residuals), len(p))."""
     out = np.empty((misfit.size, len(misfit.record.pv) + misfit.priors + 1))
     _engine.jacobian(*packed(misfit), np.ascontiguousarray(p), out)
     return out.T
 
 
-def load_gains(misfit: "Misfit", p: FloatArray, instants: FloatArray) -> FloatArray:
+def load_gains(misfit: Misfit, p: FloatArray, instants: FloatArray) -> FloatArray:
     """What one more load step at each instant would bring."""
     out = np.empty(len(instants))
     _engine.gains(*packed(misfit), np.ascontiguousarray(p), instants, out)
@@ -105,3 +107,36 @@ def searched(grid: Grid, sigma: float, most_loads: int) -> Iterator[Node]:
         for m in range(most_loads + 1):
             if math.isfinite(left[m]):
                 yield Node(left[m], gains[m], lag, theta, sorted(at[int(j)] for j in places[:m]))
+
+
+Valve = tuple[float, float, float, float]
+"""Family (0 Kano, 1 He), stick, jump and start."""
+
+
+def valve_travel(valve: Valve, co: FloatArray) -> FloatArray:
+    """Position of a sticking valve, counted from its first value."""
+    out = np.empty(len(co))
+    _engine.position(array("d", valve), np.ascontiguousarray(co), out)
+    return out
+
+
+def valves_scanned(record: Record, valves: Sequence[Valve], nodes: "Nodes") -> tuple[FloatArray, FloatArray]:
+    """Sum of squares and slope gain with every valve's position as input, shape (valves, nodes)."""
+    numbers = array("d", (record.clock.dt_s or 0.0, record.span_s, record.noise_std, 1, 0, 0, 0, 0, 0, 0, 0, 0))
+    shape = (len(valves), len(nodes.lags_s) * len(nodes.thetas_s))
+    left, gain = np.empty(shape), np.empty(shape)
+    _engine.scan(
+        record.clock.t_s, record.pv, record.co, numbers, array("d", chain.from_iterable(valves)), nodes.lags_s,
+        nodes.thetas_s, nodes.basis, nodes.free, nodes.rows.start, nodes.rows.step, left, gain,
+    )  # fmt: skip
+    return left, gain
+
+
+def valve_costs(misfit: Misfit, p: FloatArray, valves: Sequence[Valve]) -> list[float]:
+    """Sum of squares with every valve, lags and dead time held, the gain free."""
+    t, pv, _, numbers = packed(misfit)
+    out = np.empty(len(valves))
+    _engine.valve_costs(
+        t, pv, misfit.record.co, numbers, np.ascontiguousarray(p), array("d", chain.from_iterable(valves)), out
+    )
+    return out.tolist()

@@ -1,7 +1,7 @@
 """Which engine computes the fits: the compiled one where it was built, else numpy. Chosen here and nowhere else.
 
-RETUNER_ENGINE says which: auto (the default), c, or numpy. Both do the same mathematics, equal to rounding; numpy is the
-reference, and all that a machine without a compiler needs. An engine that was built for another version of this package
+RETUNER_ENGINE says which: auto (the default), c, or numpy. Both do the same mathematics, equal to rounding; numpy is
+the reference, and all that a machine without a compiler needs. An engine built for another version of this package
 is not used.
 """
 

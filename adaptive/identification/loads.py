@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.engine import compiled
 from retuner.adaptive.identification.misfit import LOAD_COST, Misfit
 from retuner.adaptive.identification.refine import refine
 from retuner.adaptive.identification.structure import SIZE, dynamics_at
@@ -118,8 +119,12 @@ def _with_load(at: Candidate, most: int) -> Proposal | None:
         return None
     after = SIZE[misfit.type] + misfit.loads
     instants = np.linspace(0.0, misfit.record.span_s, SCAN + 2)[1:-1]
-    steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - instants[None, :])
-    gains = _gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
+    engine = compiled()
+    if engine is not None:
+        gains = engine.load_gains(misfit, p, instants)
+    else:
+        steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - instants[None, :])
+        gains = _gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
     best = int(np.argmax(gains))
     if gains[best] < PROMISING * LOAD_COST * math.log(len(misfit.record.pv)):
         return None

@@ -95,6 +95,8 @@ AT_REST = 1e-4
 """A start_spread of zero (a record known to begin at rest) counts as this, so that its weight stays finite."""
 RAMP_SPREAD = 0.5
 """Prior standard deviation of a drift over the whole record, as a share of pv's range."""
+USEFUL = 1e-10
+"""A column of which less than this share is its own, against the largest, says nothing."""
 SWING_WEIGHT = 30.0
 """Residual, in standard deviations, per e-fold beyond the least damping: a wall, but one with a slope."""
 
@@ -238,7 +240,8 @@ class Misfit:
         """Derivative of the residuals by p (Kaufman's approximation), shape (len(residuals), len(p))."""
         engine = compiled()
         if engine is not None:
-            return engine.jacobian(self, at.p)
+            slopes: FloatArray = engine.jacobian(self, at.p)
+            return slopes
         p, n = at.p, len(self.record.pv)
         changes = np.zeros((len(at.r) - 1, len(p)))
         changes[:n] = self.whitened(np.stack(changes_of(self, at), axis=1))
@@ -283,6 +286,6 @@ def _unit(column: FloatArray) -> FloatArray:
 def _back(triangle: FloatArray, inside: FloatArray) -> FloatArray:
     """Coefficients from the triangle; columns that say nothing get zero."""
     size = np.abs(np.diag(triangle))
-    if np.min(size) > 1e-10 * np.max(size):
+    if np.min(size) > USEFUL * np.max(size):
         return np.asarray(np.linalg.solve(triangle, inside), dtype=np.float64)
-    return np.asarray(np.linalg.lstsq(triangle, inside, rcond=1e-10)[0], dtype=np.float64)
+    return np.asarray(np.linalg.lstsq(triangle, inside, rcond=USEFUL)[0], dtype=np.float64)

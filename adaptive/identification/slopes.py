@@ -68,12 +68,12 @@ def mode_slopes(dynamics: Dynamics, by: By) -> list[ModeSlope]:
     return found[:1] if found[0].doubled else found
 
 
-def _held(s: complex, x: Array) -> Array:
+def _held(s: complex, x: Array | np.float64) -> Array:
     """h, see the head of this file."""
     return np.asarray(-np.expm1(-s * x) / s if abs(s) >= STILL else x)
 
 
-def _held_slope(s: complex, x: Array) -> Array:
+def _held_slope(s: complex, x: Array | np.float64) -> Array:
     """Its derivative by s; a rate of zero has none that is asked for."""
     return np.asarray((x * np.exp(-s * x) - _held(s, x)) / s if abs(s) >= STILL else np.zeros_like(x))
 
@@ -157,12 +157,13 @@ def held_by_theta(dynamics: Dynamics, clock: Clock, u: FloatArray, theta_s: floa
 
 def _late(s: complex, clock: Clock, u: FloatArray, theta_s: float) -> tuple[Array, Array, FloatArray]:
     """A mode's response to u after the dead time, its derivative by s, and u as it was read."""
-    dt = np.float64(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
+    dt: Array = np.asarray(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
     decay = np.exp(-s * dt)
     x = recursion(decay, _held(s, dt) * u[:-1])
     slope = recursion(decay, -dt * decay * x[:-1] + _held_slope(s, dt) * u[:-1])
     late = Reading.of(clock, theta_s)
-    since, e = late.since_s, np.exp(-s * late.since_s)
+    since: Array = np.asarray(late.since_s)
+    e = np.exp(-s * since)
     value_out, slope_out, read = np.zeros_like(x), np.zeros_like(x), np.zeros(len(u))
     value_out[late.first :] = x[late.at] * e + u[late.at] * _held(s, since)
     slope_out[late.first :] = (slope[late.at] - since * x[late.at]) * e + u[late.at] * _held_slope(s, since)

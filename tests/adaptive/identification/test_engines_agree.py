@@ -1,0 +1,201 @@
+"""The compiled engine and numpy compute the same: at random points of every structure, step by step, and as a whole."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.diagnosis.rival_fits import Nodes, StuckValve, _costs, _grid, _moved, _through, _travel
+from retuner.adaptive.identification import engine
+from retuner.adaptive.identification.candidate import judged
+from retuner.adaptive.identification.changes import changes_of
+from retuner.adaptive.identification.loads import _gains
+from retuner.adaptive.identification.misfit import Misfit, colour
+from retuner.adaptive.identification.record import Record
+from retuner.adaptive.identification.refine import Prior, bounds, refine
+from retuner.adaptive.identification.search import Grid, _searched
+from retuner.adaptive.identification.slopes import told_apart
+from retuner.adaptive.identification.structure import SIZE, dynamics_at
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+compiled = pytest.importorskip(
+    "retuner.adaptive.identification.compiled", reason="the compiled engine was not built: no compiler"
+)
+POINTS = 1000
+"""Random points of every structure."""
+CLOSE = 1e-9
+"""Largest difference, as a share of the largest value."""
+DEPENDENT = 1e8
+"""Above this condition of the columns, the coefficients are not told from each other in double precision."""
+
+
+def drawn_record(rng: np.random.Generator) -> Record:
+    """A record of any clock, with or without a gap, at rest or in motion."""
+    n, dt = int(rng.integers(60, 300)), 10 ** rng.uniform(-2, 2)
+    t = np.cumsum(rng.uniform(0.3, 1.7, n)) * dt if rng.random() < 0.4 else np.arange(n) * dt
+    if rng.random() < 0.3:
+        t[rng.integers(n // 4, n - 5) :] += dt * rng.uniform(6, 30)
+    co = np.cumsum(rng.standard_normal(n) * (rng.random(n) < 0.05)) + 0.05 * rng.standard_normal(n)
+    pv = 0.02 * np.cumsum(co) + 0.1 * rng.standard_normal(n)
+    if rng.random() < 0.5:
+        pv += 5 * np.exp(-8 * (t - t[0]) / (t[-1] - t[0]))
+    return Record.of(Window(t, np.zeros(n), pv, co))
+
+
+def drawn(rng: np.random.Generator, type_: ProcessType) -> tuple[Misfit, FloatArray]:
+    """A misfit with any of its parts, and a point."""
+    record, loads = drawn_record(rng), int(rng.integers(0, 4))
+    misfit = Misfit(
+        record,
+        type_,
+        int(rng.choice([-1, 1])),
+        loads,
+        float(rng.uniform(0.3, 2)) * record.noise_std,
+        0.3,
+        ar=tuple(rng.uniform(-0.4, 0.4, rng.integers(0, 3))),
+        harmonics=int(rng.integers(1, 4)) if rng.random() < 0.15 else 0,
+        ramp=bool(rng.random() < 0.3),
+        rounded=bool(loads and rng.random() < 0.4),
+    )
+    low, high = bounds(misfit)
+    d, span = SIZE[type_], record.span_s
+    p = np.log(span) + rng.uniform(-6, 0, misfit.size)
+    p[0] = math.log(record.pv_range / record.co_range / span) + 1.5 * rng.standard_normal()
+    p[d : d + loads] = rng.uniform(0, 1, loads) * (span - record.sample_time_s)
+    if misfit.harmonics:
+        p[-1] = rng.uniform(low[-1], high[-1])
+    return misfit, np.clip(p, low, high)
+
+
+def points(type_: ProcessType) -> Iterator[tuple[Misfit, FloatArray]]:
+    rng = np.random.default_rng(SIZE[type_] + 10 * len(type_))
+    for _ in range(POINTS):
+        yield drawn(rng, type_)
+
+
+def off(found: FloatArray, expected: FloatArray) -> float:
+    """Largest difference as a share of the largest value."""
+    return float(np.max(np.abs(found - expected)) / max(float(np.max(np.abs(expected))), 1e-300))
+
+
+def digits_lost(misfit: Misfit, p: FloatArray) -> float:
+    """What double precision leaves of a derivative where two rates are nearly equal, as a share of it."""
+    rates = [s for s, _ in told_apart(dynamics_at(misfit.type, p)).modes()]
+    if misfit.rounded:
+        rates.append(complex(math.exp(-p[SIZE[misfit.type] + misfit.loads])))
+    return max((1e-15 / max(abs(1 - a / b), 1e-5) ** 3 for a, b in permutations(rates, 2) if b), default=0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("type_", SIZE)
+def test_columns_residuals_costs_and_derivatives_at_random_points(type_: ProcessType) -> None:
+    for misfit, p in points(type_):
+        with engine.using("numpy"):
+            at = misfit.solve(p)
+            sizes = [np.max(np.abs(misfit.whitened(change))) / misfit.sigma for change in changes_of(misfit, at)]
+            jacobian = misfit.jacobian(at)
+        q, r, c, moved, columns, triangle = compiled.projected(misfit, p)
+        assert off(columns, at.columns) < CLOSE
+        assert off(moved, at.moved) < CLOSE
+        if np.linalg.cond(triangle) > DEPENDENT:
+            continue
+        assert off(r, at.r) < CLOSE
+        assert off(c, at.c) < CLOSE
+        assert abs(float(r @ r) / at.cost - 1) < CLOSE
+        assert abs(compiled.costs(misfit, [p])[0] / at.cost - 1) < CLOSE
+        assert off(q @ triangle, at.q @ at.triangle) < CLOSE
+        worst = np.max(np.abs(compiled.jacobian(misfit, p) - jacobian), axis=0)
+        stride = np.ones(misfit.size)
+        stride[SIZE[type_] : SIZE[type_] + misfit.loads] = misfit.record.span_s
+        allowed = (CLOSE + digits_lost(misfit, p)) * np.maximum(np.array(sizes) * stride, 1.0)
+        assert np.all(worst * stride <= allowed)
+
+
+@pytest.mark.parametrize("type_", SIZE)
+@pytest.mark.parametrize("with_prior", [False, True])
+def test_a_refinement_ends_in_the_same_optimum(type_: ProcessType, with_prior: bool) -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        misfit, p = drawn(rng, type_)
+        misfit = replace(misfit, harmonics=0, rounded=False, loads=min(misfit.loads, 1))
+        start, d = p[: misfit.size], SIZE[type_]
+        prior = Prior.of(start[:d] + 0.1, 0.3 * np.eye(d)) if with_prior else None
+        with engine.using("numpy"):
+            expected = refine(misfit, start, prior, evaluations=6)
+        found = refine(misfit, start, prior, evaluations=6)
+        assert found.deviance == pytest.approx(expected.deviance, rel=1e-6)
+        assert off(found.explained, expected.explained) < 1e-4
+
+
+def test_the_coarse_search_finds_the_same_nodes() -> None:
+    rng = np.random.default_rng(3)
+    for type_ in (ProcessType.FOPDT, ProcessType.INTEGRATING):
+        for _ in range(5):
+            record = drawn_record(rng)
+            misfit = Misfit(record, type_, 1, 0, record.noise_std, 0.3)
+            grid = Grid.of(misfit)
+            expected, found = list(_searched(grid, misfit, 2)), list(compiled.searched(grid, misfit.sigma, 2))
+            assert [(n.lag_s, n.theta_s, n.loads) for n in found] == [(n.lag_s, n.theta_s, n.loads) for n in expected]
+            assert off(np.array([n.deviance for n in found]), np.array([n.deviance for n in expected])) < CLOSE
+            assert off(np.array([n.slope for n in found]), np.array([n.slope for n in expected])) < 1e-7
+
+
+def test_the_colour_of_a_remainder_is_the_same() -> None:
+    rng = np.random.default_rng(4)
+    for order in range(5):
+        r = rng.standard_normal(400)
+        for i in range(order, 400):
+            r[i] += 0.6 * r[i - 1] - 0.2 * r[i - order]
+        with engine.using("numpy"):
+            expected = colour(r, 1e-3)
+        found = colour(r, 1e-3)
+        assert found.std == pytest.approx(expected.std, rel=CLOSE)
+        assert found.ar == pytest.approx(expected.ar, rel=1e-7)
+
+
+def test_a_further_load_step_brings_the_same() -> None:
+    rng = np.random.default_rng(5)
+    for type_ in SIZE:
+        misfit, p = drawn(rng, type_)
+        at = judged(refine(misfit, p, evaluations=3))
+        instants = np.linspace(0, misfit.record.span_s, 32)[1:-1]
+        steps = dynamics_at(type_, at.fit.p).step(misfit.record.t_s[:, None] - instants[None, :])
+        expected = _gains(at, steps / np.max(np.abs(steps), axis=0))
+        found = compiled.load_gains(misfit, at.fit.p, instants)
+        np.testing.assert_allclose(found, expected, atol=1e-7 * np.max(expected) + 1e-9)
+
+
+def test_sticking_valves_move_and_explain_alike() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(6):
+        record = drawn_record(rng)
+        period = record.span_s / 8
+        valves = list(_grid(_travel(record, period)))[::17]
+        valves += [replace(v, start=0.4) for v in valves[:3]]
+        nodes = Nodes.of(record, period)
+        fit = refine(Misfit(record, ProcessType.FOPDT, 1, 0, record.noise_std, 0.3), np.log([1, period / 9, period]))
+        with engine.using("numpy"):
+            left, gain = _through(record, valves, nodes)
+            costs, moved = _costs(fit, valves), [_moved(record, v) for v in valves]
+        for valve, expected in zip(valves, moved, strict=True):
+            np.testing.assert_allclose(compiled.valve_travel(valve.numbers(), record.co), expected, atol=1e-12)
+        found = compiled.valves_scanned(record, [v.numbers() for v in valves], nodes)
+        told = np.isfinite(left)
+        assert np.array_equal(told, np.isfinite(found[0]))
+        assert off(found[0][told], left[told]) < CLOSE
+        assert off(found[1], gain) < 1e-7
+        np.testing.assert_allclose(
+            compiled.valve_costs(fit.misfit, fit.p, [v.numbers() for v in valves]), costs, rtol=1e-8
+        )
+
+
+def test_a_valve_that_stands_still_says_nothing() -> None:
+    record = drawn_record(np.random.default_rng(8))
+    valve = StuckValve(next(_grid(1.0)).family, 1e6, 0.0)
+    left, gain = compiled.valves_scanned(record, [valve.numbers()], Nodes.of(record, record.span_s / 8))
+    assert np.all(np.isinf(left))
+    assert not np.any(gain)
