@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Iterable
 
+import numpy as np
 import pytest
 from loop_bench import GOOD, Bench, made, scaled, table
 
