@@ -19,6 +19,7 @@ import tempfile
 from pathlib import Path
 
 INIT = Path(__file__).resolve().with_name("init.sh")
+WIDE_REGISTERS = Path(__file__).resolve().with_name("wide_registers.c")
 TIMED_OUT, BROKEN, IMPOSSIBLE = 75, 76, 77
 MEMORY = "1G"  # of the user-mode kernel; taken from the host as it is used
 MODULES = Path("/usr/lib/uml/modules")
@@ -53,6 +54,20 @@ def in_namespace(command: list[str], timeout_s: float) -> int:
     return wait(process, timeout_s)
 
 
+def wide_registers(job: Path) -> dict[str, str]:
+    """The environment in which user-mode Linux 6.1 starts on a processor whose registers are wider than it knows."""
+    if " amx_tile" not in Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace"):
+        return {}
+    library = job / "wide_registers.so"
+    build = ["cc", "-shared", "-fPIC", "-O2", "-o", str(library), str(WIDE_REGISTERS), "-ldl"]
+    if not shutil.which("cc") or subprocess.run(build, check=False).returncode != 0:
+        print(
+            "socketcan: this processor needs wide_registers.c, and it cannot be built (is there a cc?)", file=sys.stderr
+        )
+        return {}
+    return {"LD_PRELOAD": str(library)}
+
+
 def in_user_mode_linux(kernel: str, command: list[str], timeout_s: float) -> int:
     """Run the command in user-mode Linux and replay what it printed."""
     print(f"socketcan: vcan0 inside user-mode Linux ({kernel})", file=sys.stderr)
@@ -79,6 +94,7 @@ def in_user_mode_linux(kernel: str, command: list[str], timeout_s: float) -> int
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=console,
+                env={**os.environ, **wide_registers(job)},
                 start_new_session=True,
             )
             status = wait(process, timeout_s)
