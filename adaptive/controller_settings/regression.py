@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
+from retuner.adaptive.signals.recursion import recursion
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 BLOCKS = 30
@@ -117,7 +117,7 @@ def filtered(x: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
     if tau_s <= 0:
         return x
     a = tau_s / (tau_s + dt_s)
-    followed: FloatArray = np.asarray(lfilter([1 - a], [1, -a], x - x[0]), dtype=np.float64) + x[0]
+    followed: FloatArray = recursion(np.asarray(a), (1 - a) * (x - x[0]))[1:] + x[0]
     return followed
 
 

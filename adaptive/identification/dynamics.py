@@ -14,15 +14,12 @@ So the dead time only moves the instants at which the modes are read, and may be
 import cmath
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.signals.recursion import Array, recursion
 from retuner.adaptive.signals.sample import FloatArray
-
-Array = npt.NDArray[Any]
-"""Real or complex, shape (n,): a mode is either."""
 
 EVEN = 1e-6
 """Sampling intervals that differ by less than this fraction of the interval count as equal (the fast path)."""
@@ -176,39 +173,3 @@ def run_mode(clock: Clock, u: FloatArray, s: complex) -> Array:
     """The same at the samples, without dead time."""
     dt = np.float64(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
     return recursion(np.exp(-s * dt), _held(s, dt) * u[:-1])
-
-
-BLOCK = 64
-"""Samples that one product of matrices takes at a time."""
-
-
-def recursion(decay: Array, moved: Array) -> Array:
-    """x_0 = 0, x_(i+1) = decay_i x_i + moved_i; shape (len(moved) + 1,). decay : one, or one for each."""
-    decay = np.asarray(decay)
-    if decay.ndim == 0:
-        return _even_recursion(decay, moved)
-    x = np.empty(len(moved) + 1, dtype=np.result_type(decay, moved))
-    now = x[0] = 0.0
-    for i, (a, step) in enumerate(zip(decay.tolist(), moved.tolist(), strict=True), 1):
-        now = a * now + step
-        x[i] = now
-    return x
-
-
-def _even_recursion(decay: Array, moved: Array) -> Array:
-    """By blocks: within one, a triangle of powers of the decay; from one to the next, what is left of the last."""
-    n = len(moved)
-    powers = decay ** np.arange(BLOCK + 1)
-    padded = np.zeros(-(-n // BLOCK) * BLOCK, dtype=np.result_type(decay, moved))
-    padded[:n] = moved
-    inside = padded.reshape(-1, BLOCK) @ np.where(LATER, 0.0, powers[np.where(LATER, 0, AGO)]).T
-    carried, now = [], powers[0] * 0
-    for last in inside[:, -1].tolist():
-        carried.append(now)
-        now = powers[BLOCK] * now + last
-    whole = inside + np.array(carried)[:, None] * powers[1:]
-    return np.concatenate([[0.0], whole.ravel()[:n]])
-
-
-AGO = np.arange(BLOCK)[:, None] - np.arange(BLOCK)
-LATER = AGO < 0

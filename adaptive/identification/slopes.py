@@ -18,7 +18,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from retuner.adaptive.identification.dynamics import STILL, Array, Clock, Dynamics, Reading, apart_from, recursion
+from retuner.adaptive.identification.dynamics import STILL, Clock, Dynamics, Reading, apart_from
+from retuner.adaptive.signals.recursion import Array, recursion
 from retuner.adaptive.signals.sample import FloatArray
 
 LEAST = 1e-5

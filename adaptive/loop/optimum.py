@@ -13,7 +13,6 @@ from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 
 from retuner.adaptive.loop.crossovers import bracketed_root, grid, phase_crossovers
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -141,6 +140,8 @@ def optimal_pi(process: LinearProcess, ms: float, aim: Aim = Aim.BOTH) -> Optimu
             f"no PI controller has Ms = {ms:g} on this process; ask for another Ms, or give more dead time"
         )
     bracket = float(tried[max(i - 1, 0)]), float(tried[min(i + 1, len(tried) - 1)])
+    from scipy.optimize import minimize_scalar
+
     refined = minimize_scalar(lambda x: _cost(judged(x)), bounds=bracket, method="bounded", options={"xatol": REFINED})
     candidates += [one for one in [judged(float(refined.x))] if one is not None]
     return min(candidates, key=lambda one: one.cost)
@@ -166,6 +167,8 @@ def optimal_pid(process: LinearProcess, ms: float) -> Optimum:
 
     def cost(x: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
         return _cost(judged(x))
+
+    from scipy.optimize import minimize
 
     refined = minimize(cost, [CENTRE, CENTRE], method="Nelder-Mead", tol=1e-3, options={"maxiter": 80})
     found = judged(refined.x)

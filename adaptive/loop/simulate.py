@@ -17,7 +17,6 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import expm
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.process.state_space import state_space
@@ -274,6 +273,8 @@ def plain_steps(loop: CutLoop, setpoint: float, load: float, *, kick: bool) -> P
         start[:n] = loop.b * loop.kd * setpoint * gain
     area = np.zeros(n + 1)
     area[loop.z] = 1.0
+    from scipy.linalg import expm
+
     return PlainSteps(expm(rate * length), error, area, output, output @ rate, length, start)
 
 

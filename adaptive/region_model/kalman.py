@@ -12,12 +12,15 @@ contradict each other for ever.
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, proper_covariance
 from retuner.adaptive.signals.sample import FloatArray
+
+if TYPE_CHECKING:
+    from filterpy.kalman import KalmanFilter
 
 
 def widened(log: LogModel, variance: float) -> LogModel:
@@ -62,9 +65,11 @@ def gate(freedom: int, deviate: float) -> float:
     return float(freedom * (1 - share + deviate * math.sqrt(share)) ** 3)
 
 
-def _filter(log: LogModel) -> KalmanFilter:
+def _filter(log: LogModel) -> "KalmanFilter":
     """A filterpy filter that stands where the estimate stands."""
     d = len(log.x)
+    from filterpy.kalman import KalmanFilter
+
     kf = KalmanFilter(dim_x=d, dim_z=d)
     kf.x = log.x.reshape(d, 1).copy()
     kf.P = log.p.copy()

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import expm
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.process.state_space import state_space
@@ -158,6 +157,8 @@ def _discrete(
     for i, space in enumerate(spaces):
         m = len(space.b)
         whole[i, :m, :m], whole[i, :m, most], c[:m, i] = space.a, space.b, space.c
+    from scipy.linalg import expm
+
     moved = np.asarray(expm(whole))
     phi, gamma, b = moved[:, :most, :most], moved[:, :most, most], whole[:, :most, most]
     spread = (np.repeat(phi, n, axis=0).transpose(1, 2, 0), np.repeat(gamma, n, axis=0).T, np.repeat(b, n, axis=0).T)

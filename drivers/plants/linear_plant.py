@@ -11,7 +11,6 @@ each lag (or integrator) taking at most one lead, so that time constants may lie
 import math
 
 import numpy as np
-from scipy.linalg import expm
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import FloatArray
@@ -131,6 +130,8 @@ def _held(a: FloatArray, b: FloatArray, dt_s: float) -> tuple[FloatArray, FloatA
     n = len(b)
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n], augmented[:n, n] = a, b
+    from scipy.linalg import expm
+
     whole = np.asarray(expm(augmented * dt_s), dtype=np.float64)
     return whole[:n, :n], whole[:n, n]
 
