@@ -29,7 +29,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.response_finder import Completed, Watcher
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import promise
-from retuner.adaptive.trial.judge import Seen
+from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
@@ -60,7 +60,7 @@ class Tried(FixedGains):
         if ended:
             self.findings[ended[0].name.lower()] += 1
         elif isinstance(seen, Completed) and self.trials.phase(0) is TrialPhase.TRIAL:
-            looked_at = Seen(seen.response, self.watcher.window(seen.response))
+            looked_at = JudgedResponse(seen.response, self.watcher.window(seen.response))
             found = self.trials.judge(0, looked_at, self.watcher.table.gains_of(0), sample.t_s, ask=False)
             if found is not None:
                 self.findings[found.finding.name.lower()] += 1

@@ -14,7 +14,15 @@ from itertools import islice
 from typing import NamedTuple
 
 from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
-from retuner.adaptive.signals.recogniser import Phase, RecogniserLaw, RecogniserState, begin, so_far, step, take
+from retuner.adaptive.signals.recogniser import (
+    RecogniserLaw,
+    RecogniserPhase,
+    RecogniserState,
+    begin,
+    so_far,
+    step,
+    take,
+)
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -92,9 +100,9 @@ class Watcher:
         return self.table.at(self._region.region, *self.scheduled) if self._region else None
 
     @property
-    def phase(self) -> Phase | None:
+    def phase(self) -> RecogniserPhase | None:
         """Where the recogniser stands."""
-        return Phase(self._state.phase) if self._state else None
+        return RecogniserPhase(self._state.phase) if self._state else None
 
     @property
     def band(self) -> float:
@@ -162,7 +170,7 @@ class Watcher:
         if new is state:
             return None
         self._state = new
-        return self._complete(new) if new[0] == Phase.ADAPT else None
+        return self._complete(new) if new[0] == RecogniserPhase.ADAPT else None
 
     def gains_changed(self, table: GainTable) -> None:
         """Another revision is in force: what is under way was another loop's; wait until it is at rest."""
@@ -220,7 +228,7 @@ class Watcher:
         self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
         self._noise = noise_step(self._noise, sample.pv)
         self._forget(sample)
-        return Left(region.region, state.started and state.phase < Phase.ADAPT, unknown=True)
+        return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT, unknown=True)
 
     def _leave(self, sample: LoopSample, now: RegionState) -> Left:
         """The loop crossed into another region: a response under way belongs to neither."""
@@ -230,7 +238,7 @@ class Watcher:
         self._region = now
         self._noise = noise_step(self._noise, sample.pv)
         self._forget(sample)
-        return Left(old.region, state.started and state.phase < Phase.ADAPT)
+        return Left(old.region, state.started and state.phase < RecogniserPhase.ADAPT)
 
     def _forget(self, sample: LoopSample) -> None:
         """Drop the samples and let the recogniser settle."""

@@ -25,7 +25,7 @@ from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.signals.recogniser import Phase
+from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
@@ -43,7 +43,7 @@ from retuner.adaptive.supervision.pipeline_types import (
 from retuner.adaptive.supervision.response_finder import Completed, Left, Watcher, WatcherState
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.judge import Finding, Judgement
+from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.schedule.gains import PidGains
@@ -121,7 +121,7 @@ class Retuner:
         return self._watcher.scheduled
 
     @property
-    def phase(self) -> Phase | None:
+    def phase(self) -> RecogniserPhase | None:
         """Where the recogniser stands."""
         return self._watcher.phase
 
@@ -225,7 +225,7 @@ class Retuner:
     def ordered(
         self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
     ) -> Decision:
-        """The decision on what a person ordered (see by_order.py): gains to be written, None when it is not done.
+        """The decision on an order (see operator_orders.py): gains to be written, None when it is not done.
 
         promised : what the gains are held to on trial; without a promise they are written and not on trial.
         """
@@ -374,7 +374,7 @@ class Retuner:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
             self.trials.event(case.region, TrialEvent.SATURATED, self._now_s)
-            return Judgement(Finding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
+            return Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
         looked_at = seen_of(case, outcome)
         ask = self.settings.mode_of(case.region) == Mode.TRIAL
         return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
