@@ -16,8 +16,8 @@ In time means within wait_s; after the first crossing within `reach` times what 
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
 back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times).
 
-`step` is a pure function of plain scalars; `take` turns the ADAPT state into a Response. A loop at rest costs four
-comparisons a sample.
+`step` is a pure function of plain scalars; `response_of` turns the ADAPT state into a Response. A loop at rest costs
+four comparisons a sample.
 """
 
 import math
@@ -274,7 +274,7 @@ _ENDINGS = {
 }
 
 
-def take(state: RecogniserState, band: float) -> Response | None:
+def response_of(state: RecogniserState, band: float) -> Response | None:
     """The response that a state hands out: one in ADAPT, none in every other phase. band : noise band, pv units."""
     if state.phase != RecogniserPhase.ADAPT:
         return None

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.signals.recogniser import TABLE, Event, RecogniserLaw, RecogniserPhase, begin, step, take
+from retuner.adaptive.signals.recogniser import TABLE, Event, RecogniserLaw, RecogniserPhase, begin, response_of, step
 from retuner.adaptive.signals.response import Ending, Response
 
 LAW = RecogniserLaw(wait_s=60.0, quiet_s=8.0)
@@ -18,7 +18,7 @@ def run(pv: list[float], sp: list[float], dt: float, band: float, law: Recognise
     found = []
     for i in range(1, len(pv)):
         state = step(law, state, i * dt, sp[i], sp[i] - pv[i], band)
-        response = take(state, band)
+        response = response_of(state, band)
         if response:
             found.append(response)
     return found
@@ -133,7 +133,7 @@ def test_any_record_keeps_the_states_lawful(errors: list[float], setpoints: list
     for i, e in enumerate(errors, start=1):
         new = step(LAW, state, float(i), setpoints[i - 1], e, band)
         assert new.phase in TABLE[state.phase]
-        response = take(new, band)
+        response = response_of(new, band)
         if response:
             assert response.t_start_s <= response.t_end_s == float(i)
             signs = [math.copysign(1, p.e) for p in response.peaks]
