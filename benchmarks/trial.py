@@ -26,10 +26,10 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import promise
-from retuner.adaptive.trial.judge import Seen
+from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
@@ -44,7 +44,8 @@ class Tried(FixedGains):
     """Good gains on trial: watched and judged, nothing is learned."""
 
     def __init__(self, loop: Loop, rng: np.random.Generator, error: float) -> None:
-        self.watcher = Watcher(one_region(loop.best), RetunerSettings(loop.dt_s, 10.0))
+        self.table = one_region(loop.best)
+        self.finder = ResponseFinder(self.table.regions, self.table.at, RetunerSettings(loop.dt_s, 10.0))
         self.trials = TrialSupervisor(TrialSettings(responses=10), loop.dt_s, {}.__setitem__)
         model = _off(half_rule(loop.process), rng, error)
         old = scaled(loop.best, 0.25, 1.0) if rng.random() < 0.5 else loop.best
@@ -55,13 +56,13 @@ class Tried(FixedGains):
 
     def observe(self, sample: LoopSample) -> None:
         """As the retuner does, without its pipeline."""
-        seen = self.watcher.take(sample)
-        ended = self.trials.look(sample, self.watcher.region, self.watcher.band, 0.0, 1.0, blended=False)
+        seen = self.finder.step(sample)
+        ended = self.trials.look(sample, self.finder.region, self.finder.band, 0.0, 1.0, blended=False)
         if ended:
             self.findings[ended[0].name.lower()] += 1
         elif isinstance(seen, Completed) and self.trials.phase(0) is TrialPhase.TRIAL:
-            looked_at = Seen(seen.response, self.watcher.window(seen.response))
-            found = self.trials.judge(0, looked_at, self.watcher.table.gains_of(0), sample.t_s, ask=False)
+            looked_at = JudgedResponse(seen.response, self.finder.window(seen.response))
+            found = self.trials.judge(0, looked_at, self.table.gains_of(0), sample.t_s, ask=False)
             if found is not None:
                 self.findings[found.finding.name.lower()] += 1
 

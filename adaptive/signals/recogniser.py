@@ -16,8 +16,8 @@ In time means within wait_s; after the first crossing within `reach` times what 
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
 back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times).
 
-`step` is a pure function of plain scalars; `take` turns the ADAPT state into a Response. A loop at rest costs four
-comparisons a sample.
+`step` is a pure function of plain scalars; `response_of` turns the ADAPT state into a Response. A loop at rest costs
+four comparisons a sample.
 """
 
 import math
@@ -27,7 +27,7 @@ from typing import NamedTuple
 from retuner.adaptive.signals.response import Ending, Peak, Response
 
 
-class Phase(IntEnum):
+class RecogniserPhase(IntEnum):
     """States, in EXACT's order."""
 
     LOCATE_1 = 0
@@ -53,10 +53,10 @@ class Event(IntEnum):
     SETPOINT = 7
 
 
-_L1, _V1, _L2, _V2, _L3, _V3, _AD, _SE = Phase
+_L1, _V1, _L2, _V2, _L3, _V3, _AD, _SE = RecogniserPhase
 
 # fmt: off
-TABLE: tuple[tuple[Phase, ...], ...] = (
+TABLE: tuple[tuple[RecogniserPhase, ...], ...] = (
     # NONE START RETREAT NEW_MAX CROSS QUIET TIMEOUT SETPOINT
     (_L1, _L1, _V1, _L1, _L2, _AD, _AD, _AD),  # LOCATE_1
     (_V1, _V1, _V1, _L1, _L2, _AD, _AD, _AD),  # VERIFY_1
@@ -124,13 +124,13 @@ _OUTSIDE = math.inf
 def begin(t_s: float, sp: float) -> RecogniserState:
     """Start in SETTLE: nothing is known of what went before."""
     return RecogniserState(
-        Phase.SETTLE, False, t_s, _OUTSIDE, sp, False, t_s, t_s, 0.0, t_s, 0.0, t_s, 0.0, 0, Event.NONE
+        RecogniserPhase.SETTLE, False, t_s, _OUTSIDE, sp, False, t_s, t_s, 0.0, t_s, 0.0, t_s, 0.0, 0, Event.NONE
     )
 
 
 def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
     """Take one sample: e = sp - pv, and the noise band in pv units (> 0)."""
-    if not state.started and state.phase == Phase.LOCATE_1:
+    if not state.started and state.phase == RecogniserPhase.LOCATE_1:
         size = e if e > 0 else -e
         if size <= START_BANDS * band:
             return state if sp == state.sp else state._replace(sp=sp)
@@ -139,7 +139,7 @@ def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: f
     phase = TABLE[state.phase][event]
     if phase == state.phase and event == Event.NONE:
         return _follow(state, t_s, e, band, inside_s)
-    return _move(state, Phase(phase), Event(event), t_s, sp, e, band)
+    return _move(state, RecogniserPhase(phase), Event(event), t_s, sp, e, band)
 
 
 def _inside_since(state: RecogniserState, t_s: float, e: float, band: float) -> float:
@@ -155,16 +155,18 @@ def _event(
     """The one event that this sample is, the most telling first."""
     phase = state.phase
     moved = sp - state.sp
-    if phase == Phase.ADAPT:
+    if phase == RecogniserPhase.ADAPT:
         return Event.QUIET
-    if (state.started or phase == Phase.SETTLE) and (moved > band or -moved > band):
+    if (state.started or phase == RecogniserPhase.SETTLE) and (moved > band or -moved > band):
         return Event.SETPOINT
     if t_s - inside_s >= law.quiet_s:
         return Event.QUIET
-    if phase == Phase.LOCATE_1 and not state.started:
+    if phase == RecogniserPhase.LOCATE_1 and not state.started:
         return Event.START
     late = _late(law, state, t_s)
-    if phase == Phase.SETTLE:  # a swing is followed from where it crosses zero, so that its first extreme is one
+    if (
+        phase == RecogniserPhase.SETTLE
+    ):  # a swing is followed from where it crosses zero, so that its first extreme is one
         return Event.TIMEOUT if late and inside_s < _OUTSIDE else Event.NONE
     return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
 
@@ -174,11 +176,11 @@ def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
     waited = t_s - state.since_s
     if waited > law.wait_s:
         return True
-    if state.phase == Phase.SETTLE:
+    if state.phase == RecogniserPhase.SETTLE:
         return False
     if t_s - state.t_start_s > law.longest_s:
         return True
-    crossed = state.phase > Phase.VERIFY_1
+    crossed = state.phase > RecogniserPhase.VERIFY_1
     return crossed and waited > max(law.reach * (state.since_s - state.t_start_s), law.quiet_s)
 
 
@@ -188,7 +190,7 @@ def _peak_event(phase: int, e_peak: float, e: float, band: float) -> Event:
         e, e_peak = -e, -e_peak
     if e < -band:
         return Event.CROSS
-    verifying = phase in {Phase.VERIFY_1, Phase.VERIFY_2, Phase.VERIFY_3}
+    verifying = phase in {RecogniserPhase.VERIFY_1, RecogniserPhase.VERIFY_2, RecogniserPhase.VERIFY_3}
     if verifying and e > e_peak:
         return Event.NEW_MAX
     if not verifying and e < e_peak - band:
@@ -198,10 +200,10 @@ def _peak_event(phase: int, e_peak: float, e: float, band: float) -> Event:
 
 def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s: float) -> RecogniserState:
     """Stay; take a larger error as the new extreme, and one that has come back by a band as a new beginning."""
-    if state.phase in {Phase.LOCATE_1, Phase.LOCATE_2, Phase.LOCATE_3}:
+    if state.phase in {RecogniserPhase.LOCATE_1, RecogniserPhase.LOCATE_2, RecogniserPhase.LOCATE_3}:
         if e > state.e_peak if state.e_peak > 0 else e < state.e_peak:
             return state._replace(t_peak_s=t_s, e_peak=e, inside_s=inside_s)
-    elif state.phase == Phase.VERIFY_1:
+    elif state.phase == RecogniserPhase.VERIFY_1:
         size = e if e > 0 else -e
         if size < state.e_near - band:
             return state._replace(since_s=t_s, inside_s=inside_s, e_near=size)
@@ -209,16 +211,16 @@ def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s:
 
 
 def _move(
-    state: RecogniserState, phase: Phase, event: Event, t_s: float, sp: float, e: float, band: float
+    state: RecogniserState, phase: RecogniserPhase, event: Event, t_s: float, sp: float, e: float, band: float
 ) -> RecogniserState:
     """Enter a phase: what is remembered belongs to the event that leads there."""
-    if event == Event.START or (event == Event.SETPOINT and state.phase == Phase.SETTLE):
+    if event == Event.START or (event == Event.SETPOINT and state.phase == RecogniserPhase.SETTLE):
         return _upset(state, event, t_s, sp, e, band)
-    if phase == Phase.ADAPT:
+    if phase == RecogniserPhase.ADAPT:
         return _end(state, event, t_s)
-    if phase == Phase.SETTLE:
+    if phase == RecogniserPhase.SETTLE:
         return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=event)
-    if state.phase == Phase.SETTLE:
+    if state.phase == RecogniserPhase.SETTLE:
         return begin(t_s, sp)._replace(phase=phase)
     if event == Event.CROSS:
         return _pass_peak(state, phase, t_s, e)
@@ -230,7 +232,7 @@ def _move(
 def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
     """An upset begins: a load, a setpoint change, or a small setpoint change that is only taken note of."""
     return state._replace(
-        phase=Phase.LOCATE_1,
+        phase=RecogniserPhase.LOCATE_1,
         started=abs(e) > START_BANDS * band,
         since_s=t_s,
         inside_s=_OUTSIDE,
@@ -246,20 +248,20 @@ def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float
 def _end(state: RecogniserState, event: Event, t_s: float) -> RecogniserState:
     """The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the new."""
     verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
-    ended = state._replace(phase=Phase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
-    if state.phase == Phase.VERIFY_1:
+    ended = state._replace(phase=RecogniserPhase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
+    if state.phase == RecogniserPhase.VERIFY_1:
         return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak)
-    if state.phase == Phase.VERIFY_2:
+    if state.phase == RecogniserPhase.VERIFY_2:
         return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
     return ended
 
 
-def _pass_peak(state: RecogniserState, phase: Phase, t_s: float, e: float) -> RecogniserState:
+def _pass_peak(state: RecogniserState, phase: RecogniserPhase, t_s: float, e: float) -> RecogniserState:
     """The error is on the other side: the extreme was a peak, and the next one is followed from here."""
     moved = state._replace(
         phase=phase, since_s=t_s, inside_s=_OUTSIDE, t_peak_s=t_s, e_peak=e, event=Event.CROSS, e_near=math.inf
     )
-    if phase == Phase.LOCATE_2:
+    if phase == RecogniserPhase.LOCATE_2:
         return moved._replace(t1_s=state.t_peak_s, e1=state.e_peak)
     return moved._replace(t2_s=state.t_peak_s, e2=state.e_peak)
 
@@ -272,9 +274,9 @@ _ENDINGS = {
 }
 
 
-def take(state: RecogniserState, band: float) -> Response | None:
+def response_of(state: RecogniserState, band: float) -> Response | None:
     """The response that a state hands out: one in ADAPT, none in every other phase. band : noise band, pv units."""
-    if state.phase != Phase.ADAPT:
+    if state.phase != RecogniserPhase.ADAPT:
         return None
     peaks = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2), Peak(state.t_peak_s, state.e_peak))
     return Response(
@@ -284,7 +286,7 @@ def take(state: RecogniserState, band: float) -> Response | None:
 
 def so_far(state: RecogniserState, t_s: float, band: float) -> Response | None:
     """The response under way, cut short at t_s: its peaks and the extreme it is at; None when none is under way."""
-    if not state.started or state.phase >= Phase.ADAPT:
+    if not state.started or state.phase >= RecogniserPhase.ADAPT:
         return None
     passed = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2))[: state.phase // 2]
     peaks = (*passed, Peak(state.t_peak_s, state.e_peak))

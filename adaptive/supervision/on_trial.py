@@ -15,9 +15,9 @@ from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
-from retuner.adaptive.trial.judge import Seen
+from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
-from retuner.adaptive.trial.posterior_check import Hindsight, hindsight
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import GainTable
@@ -57,7 +57,7 @@ def promise_of(
     return promise_without_model(response, in_force, new) if response else None
 
 
-def seen_of(case: ResponseRecord, outcome: StageResult) -> Seen:
+def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
     """
@@ -66,12 +66,12 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> Seen:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return Seen(case.response, window, limited, outside, outcome.posterior)
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior)
 
 
 def posterior_of(
     case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
-) -> Hindsight | None:
+) -> PosteriorCheck | None:
     """None where the record shows nothing of the process, or leaves more than noise unexplained."""
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
@@ -83,7 +83,9 @@ def posterior_of(
         return None
     old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
     allowed = believed(estimate.plausible, settings.guard.believed)
-    found = hindsight(allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    found = check_posterior(
+        allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+    )
     return replace(found, settled=estimate.identifiable)
 
 

@@ -15,7 +15,7 @@ from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.guard_request import change_request
-from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, Standing
+from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, ProposalStanding
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
@@ -62,7 +62,7 @@ def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict
     if proposal.promise is None:
         return "it promises nothing that a trial could hold it to"
     if change_factor(in_force, proposal.before) > SAME_GAINS:
-        return str(Standing.OTHER_GAINS)
+        return str(ProposalStanding.OTHER_GAINS)
     if verdict is None:
         moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard)
         whole = moved is not None and change_factor(moved[0], proposal.after) < WHOLE

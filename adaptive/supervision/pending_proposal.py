@@ -18,7 +18,7 @@ SAME_GAINS = 1.00001
 """Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""
 
 
-class Standing(StrEnum):
+class ProposalStanding(StrEnum):
     """Whether a proposal may be taken up; the value is the sentence that people see."""
 
     OPEN = "open"
@@ -71,11 +71,12 @@ class Proposal:
             promise,
         )
 
-    def standing(self, in_force: PidGains, t_s: float, expires_after_s: float) -> Standing:
+    def standing(self, in_force: PidGains, t_s: float, expires_after_s: float) -> ProposalStanding:
         """Whether it may be taken up at t_s, with these gains in force in its region."""
         if t_s - self.t_s > expires_after_s:
-            return Standing.EXPIRED
-        return Standing.OPEN if change_factor(in_force, self.before) <= SAME_GAINS else Standing.OTHER_GAINS
+            return ProposalStanding.EXPIRED
+        same = change_factor(in_force, self.before) <= SAME_GAINS
+        return ProposalStanding.OPEN if same else ProposalStanding.OTHER_GAINS
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""

@@ -16,7 +16,7 @@ from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.posterior_check import Hindsight
+from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
@@ -73,7 +73,7 @@ class StageResult:
     numbers: dict[str, float] = field(default_factory=dict)
     forget: bool = False
     promise: Promise | None = None
-    posterior: Hindsight | None = None
+    posterior: PosteriorCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,31 +1,38 @@
-"""The watcher: one sample in, now and then a completed response out.
+"""The finder: one sample in, now and then a completed response out.
 
     sample -> region -> noise band -> recogniser -> response with its samples
 
-`take` is the per-sample path; at rest it returns after a handful of comparisons. What a response means is not its
+`step` is the per-sample path; at rest it returns after a handful of comparisons. What a response means is not its
 business: see pipeline.py. While a scheduling variable is not known (a signal on the bus is stale), the region stays and
 no response is taken: nobody could say where it belongs.
 """
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import NamedTuple
 
 from retuner.adaptive.signals.noise import MEDIAN_TO_SIGMA, NoiseState, noise_start, noise_step
-from retuner.adaptive.signals.recogniser import Phase, RecogniserLaw, RecogniserState, begin, so_far, step, take
+from retuner.adaptive.signals.recogniser import (
+    RecogniserLaw,
+    RecogniserPhase,
+    RecogniserState,
+    begin,
+    response_of,
+    so_far,
+    step,
+)
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
-from retuner.schedule.regions import RegionState, choose, enter, values
-from retuner.schedule.table import GainTable
+from retuner.schedule.regions import Regions, RegionState, choose, enter, values
 
 
-class WatcherState(NamedTuple):
-    """Where a watcher stands in its record; with the table, all that its later responses depend on."""
+class FinderState(NamedTuple):
+    """Where a finder stands in its record; with the gains in force, all that its later responses depend on."""
 
     region: RegionState | None
     recogniser: RecogniserState | None
@@ -51,19 +58,23 @@ class Left(NamedTuple):
     unknown: bool = False
 
 
-class Watcher:
-    """Watches one loop.
+GainsAt = Callable[[int, float, float], PidGains]
+"""The gains in force in a region, by index, at the scheduling values x and x2."""
+
+
+class ResponseFinder:
+    """Finds the responses in the samples of one loop.
 
     Parameters
     ----------
-    table : regions, and the gains in force in each (their integral time sets the waiting times).
+    regions : the operating regions. gains_at : the gains in force (their integral time sets the waiting times).
     settings : see RetunerSettings.
     """
 
-    def __init__(self, table: GainTable, settings: RetunerSettings) -> None:
-        self.table = table
+    def __init__(self, regions: Regions, gains_at: GainsAt, settings: RetunerSettings) -> None:
+        self._axes, self._gains_at = regions.axes, gains_at
         self.settings = settings
-        self._regions = table.regions.law()
+        self._regions = regions.law()
         self._samples: deque[LoopSample] = deque(maxlen=settings.history)
         self._region: RegionState | None = None
         self._state: RecogniserState | None = None
@@ -88,13 +99,13 @@ class Watcher:
 
     @property
     def in_force(self) -> PidGains | None:
-        """What the table says shall run now, None before the first sample."""
-        return self.table.at(self._region.region, *self.scheduled) if self._region else None
+        """The gains in force now, None before the first sample."""
+        return self._gains_at(self._region.region, *self.scheduled) if self._region else None
 
     @property
-    def phase(self) -> Phase | None:
+    def phase(self) -> RecogniserPhase | None:
         """Where the recogniser stands."""
-        return Phase(self._state.phase) if self._state else None
+        return RecogniserPhase(self._state.phase) if self._state else None
 
     @property
     def band(self) -> float:
@@ -118,18 +129,18 @@ class Watcher:
         response = so_far(state, self._samples[-1].t_s, self.band)
         return Completed(self._region.region, response) if response else None
 
-    def state(self) -> WatcherState:
+    def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
-        return WatcherState(self._region, self._state, self._noise, tuple(self._samples))
+        return FinderState(self._region, self._state, self._noise, tuple(self._samples))
 
-    def resume(self, state: WatcherState) -> None:
+    def resume(self, state: FinderState) -> None:
         """Go on from there."""
         self._region, self._state, self._noise, samples = state
         self._samples.clear()
         self._samples.extend(samples)
         self._adopt_time_scale()
 
-    def take(self, sample: LoopSample) -> Completed | Left | None:
+    def step(self, sample: LoopSample) -> Completed | Left | None:
         """Take one sample; what is told comes with the sample that completes it.
 
         Raises
@@ -162,11 +173,10 @@ class Watcher:
         if new is state:
             return None
         self._state = new
-        return self._complete(new) if new[0] == Phase.ADAPT else None
+        return self._complete(new) if new[0] == RecogniserPhase.ADAPT else None
 
-    def gains_changed(self, table: GainTable) -> None:
-        """Another revision is in force: what is under way was another loop's; wait until it is at rest."""
-        self.table = table
+    def gains_changed(self) -> None:
+        """Other gains are in force: what is under way was another loop's; wait until it is at rest."""
         self._adopt_time_scale()
         if self._state and self._samples:
             self._state = begin(self._samples[-1].t_s, self._samples[-1].sp)
@@ -204,7 +214,7 @@ class Watcher:
         """
         if not finite(sample):
             raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
-        for axis, value in zip(self.table.regions.axes, (sample.x, sample.x2), strict=False):
+        for axis, value in zip(self._axes, (sample.x, sample.x2), strict=False):
             if not math.isfinite(value):
                 if axis.variable != CAN:
                     raise ValueError(f"the sample at {sample.t_s} s is not finite: {sample}")
@@ -220,7 +230,7 @@ class Watcher:
         self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
         self._noise = noise_step(self._noise, sample.pv)
         self._forget(sample)
-        return Left(region.region, state.started and state.phase < Phase.ADAPT, unknown=True)
+        return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT, unknown=True)
 
     def _leave(self, sample: LoopSample, now: RegionState) -> Left:
         """The loop crossed into another region: a response under way belongs to neither."""
@@ -230,7 +240,7 @@ class Watcher:
         self._region = now
         self._noise = noise_step(self._noise, sample.pv)
         self._forget(sample)
-        return Left(old.region, state.started and state.phase < Phase.ADAPT)
+        return Left(old.region, state.started and state.phase < RecogniserPhase.ADAPT)
 
     def _forget(self, sample: LoopSample) -> None:
         """Drop the samples and let the recogniser settle."""
@@ -244,7 +254,7 @@ class Watcher:
         if self._region is None:
             return
         s = self.settings
-        gains = self.table.at(self._region.region, *self.scheduled)
+        gains = self._gains_at(self._region.region, *self.scheduled)
         tau_i = gains.kp / gains.ki if gains.ki else 0.0
         wait = s.wait_s or max(s.wait_tau_i * tau_i, s.shortest_wait * s.sample_time_s)
         quiet = min(max(s.quiet_tau_i * tau_i, s.shortest_quiet * s.sample_time_s), wait)
@@ -253,7 +263,7 @@ class Watcher:
 
     def _complete(self, state: RecogniserState) -> Completed:
         """A response is complete."""
-        response = take(state, self.band)
+        response = response_of(state, self.band)
         assert response is not None
         assert self._region is not None
         return Completed(self._region.region, response)

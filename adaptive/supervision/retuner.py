@@ -1,6 +1,6 @@
 """The retuner: one sample in, now and then one decision out.
 
-    sample -> watcher -> completed response -> pipeline -> decision
+    sample -> finder -> completed response -> pipeline -> decision
            -> trial -> the verified set is restored
 
 The object is a thin shell round pure steps: no clock, no file, no bus. It never writes gains: it hands out a decision,
@@ -25,7 +25,7 @@ from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.signals.recogniser import Phase
+from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
@@ -40,10 +40,10 @@ from retuner.adaptive.supervision.pipeline_types import (
     ResponseRecord,
     StageResult,
 )
-from retuner.adaptive.supervision.response_finder import Completed, Left, Watcher, WatcherState
+from retuner.adaptive.supervision.response_finder import Completed, FinderState, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.judge import Finding, Judgement
+from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.schedule.gains import PidGains
@@ -53,7 +53,7 @@ from retuner.schedule.table import GainTable, Lookup
 class RetunerState(NamedTuple):
     """Where a retuner stands; with its table and beliefs, all that later decisions depend on."""
 
-    watcher: WatcherState
+    finder: FinderState
     decisions: int
     samples: int
 
@@ -89,16 +89,19 @@ class Retuner:
     table : regions and the gains in force in each.
     settings : see RetunerSettings.
     commissioned : the table as it was at first, when `table` is a later revision of it.
+
+    Its attribute `table` is the gain table as it stands; nothing else changes it.
     """
 
     def __init__(self, table: GainTable, settings: RetunerSettings, commissioned: GainTable | None = None) -> None:
         self.settings = settings
+        self.table = table
         self.commissioned = commissioned or table
         self.beliefs: dict[int, Belief] = {}
         self.standing: dict[int, Standing] = {}
         self.excitation: dict[int, Excitation] = {}
-        self._watcher = Watcher(table, settings)
-        self._observe = self._watcher.take
+        self._finder = ResponseFinder(table.regions, self._gains_at, settings)
+        self._observe = self._finder.step
         self.trials = TrialSupervisor(settings.trial, settings.sample_time_s, self._put_back)
         self._decisions = 0
         self._open: _Open | None = None
@@ -106,37 +109,32 @@ class Retuner:
         """Samples observed so far."""
 
     @property
-    def table(self) -> GainTable:
-        """The gains in force."""
-        return self._watcher.table
-
-    @property
     def region(self) -> int | None:
         """Index of the region that the loop is in, None before the first sample."""
-        return self._watcher.region
+        return self._finder.region
 
     @property
     def scheduled(self) -> tuple[float, float]:
         """The scheduling values in force, x and x2: filtered, and the last good ones while one is not known."""
-        return self._watcher.scheduled
+        return self._finder.scheduled
 
     @property
-    def phase(self) -> Phase | None:
+    def phase(self) -> RecogniserPhase | None:
         """Where the recogniser stands."""
-        return self._watcher.phase
+        return self._finder.phase
 
     @property
     def band(self) -> float:
         """Noise band in pv units."""
-        return self._watcher.band
+        return self._finder.band
 
     def state(self) -> RetunerState:
         """Where it stands: see memory.py, which turns it into plain values."""
-        return RetunerState(self._watcher.state(), self._decisions, self.sample_number)
+        return RetunerState(self._finder.state(), self._decisions, self.sample_number)
 
     def resume(self, state: RetunerState) -> None:
         """Go on from there. A question that was open is not any more: nobody may enter its answer."""
-        self._watcher.resume(state.watcher)
+        self._finder.resume(state.finder)
         self._decisions, self.sample_number = state.decisions, state.samples
         self._open = None
 
@@ -202,7 +200,7 @@ class Retuner:
         gains : as read back from the controller (after its rounding).
         """
         if self.trials.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
-            self._watcher.gains_changed(self.table.with_gains(region, gains))
+            self._change(region, gains)
             self.trials.written(region, gains, self._now_s)
         return self.table
 
@@ -225,7 +223,7 @@ class Retuner:
     def ordered(
         self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
     ) -> Decision:
-        """The decision on what a person ordered (see by_order.py): gains to be written, None when it is not done.
+        """The decision on an order (see operator_orders.py): gains to be written, None when it is not done.
 
         promised : what the gains are held to on trial; without a promise they are written and not on trial.
         """
@@ -251,16 +249,25 @@ class Retuner:
     @property
     def _now_s(self) -> float:
         """Time of the newest sample."""
-        return self._watcher.samples[-1].t_s if self._watcher.samples else 0.0
+        return self._finder.samples[-1].t_s if self._finder.samples else 0.0
 
     def _put_back(self, region: int, gains: PidGains) -> None:
         """A region's verified set comes back into the table."""
         if self.table.gains_of(region) != gains:
-            self._watcher.gains_changed(self.table.with_gains(region, gains))
+            self._change(region, gains)
+
+    def _change(self, region: int, gains: PidGains) -> None:
+        """The one place where the table changes."""
+        self.table = self.table.with_gains(region, gains)
+        self._finder.gains_changed()
+
+    def _gains_at(self, region: int, x: float, x2: float) -> PidGains:
+        """The gains in force there."""
+        return self.table.at(region, x, x2)
 
     def _step_on_trial(self, sample: LoopSample) -> Step:
         """A sample while a change is undecided, or being taken back."""
-        w, last_s, following = self._watcher, self._now_s, self._watcher.recogniser
+        w, last_s, following = self._finder, self._now_s, self._finder.recogniser
         seen = self._observe(sample)
         self.sample_number += 1
         gap_s = self.settings.gap_samples * self.settings.sample_time_s
@@ -296,7 +303,7 @@ class Retuner:
             return Overtaken.TRIAL_ENDED
         if self.region != region:
             return Overtaken.REGION_LEFT
-        samples = self._watcher.samples
+        samples = self._finder.samples
         if samples[0].t_s > asked.t_s:
             return Overtaken.BROKEN_OFF
         moved = self.table.lookup is Lookup.HARD and samples[-1].revision != asked.record.samples[-1].revision
@@ -374,20 +381,20 @@ class Retuner:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
             self.trials.event(case.region, TrialEvent.SATURATED, self._now_s)
-            return Judgement(Finding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
+            return Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
         looked_at = seen_of(case, outcome)
         ask = self.settings.mode_of(case.region) == Mode.TRIAL
         return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
-        w = self._watcher
+        w = self._finder
         return ResponseRecord(
             seen.region,
             seen.response,
             w.window(seen.response),
             tuple(w.samples),
-            w.table,
+            self.table,
             self.commissioned,
             dict(self.beliefs),
             self.standing.get(seen.region),
@@ -408,7 +415,7 @@ class Retuner:
         response = question.record.response if question else None
         promised = outcome.promise
         if accepted and promised is None:
-            at = question.record.at if question else self._watcher.scheduled
+            at = question.record.at if question else self._finder.scheduled
             promised = promise_of(outcome, self.table, region, at, response, self.settings)
         made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
         if question is None or question.sample_number == self.sample_number:
@@ -433,7 +440,7 @@ class Retuner:
         self._decisions += 1
         return Decision(
             number=self._decisions,
-            t_s=self._watcher.samples[-1].t_s,
+            t_s=self._finder.samples[-1].t_s,
             loop=self.table.loop,
             region=self.table.regions.names[region],
             mode=mode,

@@ -21,7 +21,7 @@ from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoin
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.response_finder import WatcherState
+from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner, RetunerState
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.document import from_toml, to_toml
@@ -111,16 +111,16 @@ VERSION = 7
 def remember(retuner: Retuner) -> dict[str, object]:
     """The memory as a dict of plain JSON values (infinities and NaN as strings)."""
     state = retuner.state()
-    watcher = state.watcher
+    finder = state.finder
     return {
         "version": VERSION,
         "table": to_toml(retuner.table),
         "beliefs": {str(region): belief_out(belief) for region, belief in retuner.beliefs.items()},
         "commissioned": to_toml(retuner.commissioned),
-        "region": _numbers_out(watcher.region),
-        "recogniser": _numbers_out(watcher.recogniser),
-        "noise": _numbers_out(watcher.noise),
-        "samples": [_numbers_out(sample) for sample in watcher.samples],
+        "region": _numbers_out(finder.region),
+        "recogniser": _numbers_out(finder.recogniser),
+        "noise": _numbers_out(finder.noise),
+        "samples": [_numbers_out(sample) for sample in finder.samples],
         "decisions": state.decisions,
         "samples_observed": state.samples,
         "trials": retuner.trials.to_dict(),
@@ -156,14 +156,14 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
             int(region): Excitation(*(int(count) for count in counts))
             for region, counts in memory["excitation"].items()
         }
-        watcher = WatcherState(
+        finder = FinderState(
             region=_region_in(memory["region"]),
             recogniser=RecogniserState(*_numbers_in(memory["recogniser"])) if memory["recogniser"] else None,
             noise=NoiseState(*_numbers_in(memory["noise"])),
             samples=tuple(LoopSample(*_numbers_in(sample)) for sample in memory["samples"]),
         )
         retuner.trials.resume(memory["trials"])
-        retuner.resume(RetunerState(watcher, int(memory["decisions"]), int(memory["samples_observed"])))
+        retuner.resume(RetunerState(finder, int(memory["decisions"]), int(memory["samples_observed"])))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the memory is damaged: {error!r}") from error
     return retuner

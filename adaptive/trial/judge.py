@@ -9,7 +9,7 @@ inexactness can do, and is no improvement on the gains before either:
 (before: the old gains, as the response showed them that led to the change, else on the best model; a model that calls
 them unstable without that having been seen says nothing of their IAE. shape.py has the numbers; s from the noise of
 the peaks.) It is WORSE as well when the old gains were surely better on the models that are still allowed, whatever
-the upset was (hindsight.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
+the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
     all peaks within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
@@ -31,7 +31,7 @@ from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.signals.trapezoid import trapezoid
 from retuner.adaptive.trial.expectation import Expected, Promise
-from retuner.adaptive.trial.posterior_check import Hindsight, against, in_favour
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, against, in_favour
 from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.schedule.gains import PidGains
@@ -44,7 +44,7 @@ LIMITED = 0.05
 """Share of limited samples from which the IAE is not the tuning's alone."""
 
 
-class Finding(StrEnum):
+class TrialFinding(StrEnum):
     """Outcome of a judgement."""
 
     BETTER = "better than promised"
@@ -57,7 +57,7 @@ class Finding(StrEnum):
 class Judgement:
     """finding : outcome. reason : the sentence. numbers : what was weighed (measured, promised, before)."""
 
-    finding: Finding
+    finding: TrialFinding
     reason: str
     numbers: dict[str, float]
 
@@ -67,12 +67,12 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class JudgedResponse:
     """What the judge looks at.
 
     response, window : the response and its samples, with some of the time before it.
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
-    tuning that was found behind the response, empty when none was. hindsight : what the models that are still allowed
+    tuning that was found behind the response, empty when none was. posterior : what the models that are still allowed
     say of both sets, None where there are none.
     """
 
@@ -80,22 +80,22 @@ class Seen:
     window: Window
     limited_share: float = 0.0
     outside: str = ""
-    hindsight: Hindsight | None = None
+    posterior: PosteriorCheck | None = None
 
 
-def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
+def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
     """Judge a response that ran under `gains`."""
     numbers: dict[str, float] = {"peaks": float(len(seen.response.peaks))}
     nothing = _says_nothing(seen, settings)
     if nothing:
-        return Judgement(Finding.INCONCLUSIVE, nothing, numbers)
-    worse = against(seen.hindsight, promised, settings, numbers) if seen.hindsight else ""
+        return Judgement(TrialFinding.INCONCLUSIVE, nothing, numbers)
+    worse = against(seen.posterior, promised, settings, numbers) if seen.posterior else ""
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
     if unlike and worse:
-        return Judgement(Finding.WORSE, worse, numbers)
+        return Judgement(TrialFinding.WORSE, worse, numbers)
     if unlike:
-        return _by_hindsight(unlike, seen.hindsight, settings, numbers)
+        return _by_posterior(unlike, seen.posterior, settings, numbers)
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
@@ -106,26 +106,28 @@ def judge(seen: Seen, promised: Promise, gains: PidGains, settings: TrialSetting
         seen, gains, now, then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0, settings, numbers
     )
     if swings or costs or worse:
-        return Judgement(Finding.WORSE, "; ".join(filter(None, (swings, costs, worse))), numbers)
+        return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (swings, costs, worse))), numbers)
     told = _told(numbers)
     if seen.response.ending == Ending.SETPOINT:
         why = f"{seen.response.ending}; until then {told}"
-        return _by_hindsight(why, seen.hindsight, settings, numbers)
+        return _by_posterior(why, seen.posterior, settings, numbers)
     better = numbers.get("iae", math.inf) < now.iae.low and numbers["decay"] <= max(now.decay.best, now.decay.low)
     if better:
-        return Judgement(Finding.BETTER, f"better than promised: {told}", numbers)
-    return Judgement(Finding.AS_PROMISED, f"as promised: {told}", numbers)
+        return Judgement(TrialFinding.BETTER, f"better than promised: {told}", numbers)
+    return Judgement(TrialFinding.AS_PROMISED, f"as promised: {told}", numbers)
 
 
-def _by_hindsight(why: str, seen: Hindsight | None, settings: TrialSettings, numbers: dict[str, float]) -> Judgement:
+def _by_posterior(
+    why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: dict[str, float]
+) -> Judgement:
     """Of a response that cannot speak for the promise: what is known with it of the tried set may be enough."""
     good = in_favour(seen, settings) if seen else ""
     if not good:
-        return Judgement(Finding.INCONCLUSIVE, why, numbers)
-    return Judgement(Finding.AS_PROMISED, f"{good}; {why}", numbers)
+        return Judgement(TrialFinding.INCONCLUSIVE, why, numbers)
+    return Judgement(TrialFinding.AS_PROMISED, f"{good}; {why}", numbers)
 
 
-def _says_nothing(seen: Seen, settings: TrialSettings) -> str:
+def _says_nothing(seen: JudgedResponse, settings: TrialSettings) -> str:
     """Why the response says nothing at all, if so."""
     response = seen.response
     if seen.outside:
@@ -136,7 +138,7 @@ def _says_nothing(seen: Seen, settings: TrialSettings) -> str:
     return ""
 
 
-def _unlike_a_step(seen: Seen, settings: TrialSettings) -> str:
+def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
     """Why a setpoint's response is not one of a step from rest, if so.
 
     What is left of an older upset shifts the peaks and the IAE by its share of the step, so that share counts as well
@@ -189,7 +191,12 @@ def _surely(peaks: list[float], band: float, level: float) -> float:
 
 
 def _costs(
-    seen: Seen, gains: PidGains, now: Expected, before: float, settings: TrialSettings, numbers: dict[str, float]
+    seen: JudgedResponse,
+    gains: PidGains,
+    now: Expected,
+    before: float,
+    settings: TrialSettings,
+    numbers: dict[str, float],
 ) -> str:
     """What speaks against the IAE, if anything; its numbers are put down."""
     response, window = seen.response, seen.window
@@ -221,14 +228,14 @@ def _costs(
     )
 
 
-def _during(seen: Seen) -> NDArray[np.bool_]:
+def _during(seen: JudgedResponse) -> NDArray[np.bool_]:
     """The samples of the response; the one with the setpoint change that cut it short belongs to the next."""
     t_s, response = seen.window.t_s, seen.response
     cut = response.ending == Ending.SETPOINT
     return (t_s >= response.t_start_s) & (t_s < response.t_end_s if cut else t_s <= response.t_end_s)
 
 
-def _unit(seen: Seen, gains: PidGains, e: FloatArray, t: FloatArray, least: float) -> float:
+def _unit(seen: JudgedResponse, gains: PidGains, e: FloatArray, t: FloatArray, least: float) -> float:
     """Size of the upset: of the setpoint's step, or of the load that the integral took over; 0 when it is not known.
 
     least : integrated error of a load that stayed. A load that went again leaves an IAE that is large against it; below

@@ -1,4 +1,4 @@
-"""Hindsight: what is known with a trial's record says of both sets, whatever was promised.
+"""The check after the fact: what is known with a trial's record says of both sets, whatever was promised.
 
     least Ms(tried)  >  max(greatest promised, harmless_ms),  and  > Ms(old) on every model      less robust
     least J          >  iae_slack x max(promised J, 1),  Ms(old) <= harmless_ms on every model,
@@ -28,7 +28,7 @@ UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Hindsight:
+class PosteriorCheck:
     """ms_tried, ms_most : least and greatest Ms of the tried set over the models. ms_old : greatest of the old one;
     infinite where unstable. robuster : the old set has the smaller Ms on every model. slower : least J, see the head
     of this file; 0 where it is not known. settled : settings could follow from what is known; to speak against a set it
@@ -43,14 +43,14 @@ class Hindsight:
     settled: bool = True
 
 
-def hindsight(
+def check_posterior(
     allowed: Sequence[Plausible],
     old: PidGains,
     tried: PidGains,
     sample_time_s: float,
     b: float = 1.0,
     tau_f_s: float = 0.0,
-) -> Hindsight:
+) -> PosteriorCheck:
     """Both sets on the models that are still allowed.
 
     Parameters
@@ -64,15 +64,15 @@ def hindsight(
     iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(sampled)
     slower = min(_mean_ratio(now, then) for now, then in zip(iae[:n], iae[n:], strict=True))
     robuster = all(then < now for then, now in zip(ms_old, ms_tried, strict=True))
-    return Hindsight(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
+    return PosteriorCheck(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
 
 
-def against(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
-    """What hindsight says against the tried set, if anything; its numbers are put down."""
+def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+    """What it says against the tried set, if anything; its numbers are put down."""
     return _less_robust(found, promised, settings, numbers) or _slower(found, promised, settings, numbers)
 
 
-def _less_robust(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+def _less_robust(found: PosteriorCheck, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
     """The first test at the head of this file."""
     said = promised.ms
     allowed = [ms for ms in (said.best, said.high) if math.isfinite(ms)] if said else []
@@ -86,7 +86,7 @@ def _less_robust(found: Hindsight, promised: Promise, settings: TrialSettings, n
     return f"worse than promised: by every model that is still allowed {words}, limit {limit:.2f}"
 
 
-def _slower(found: Hindsight, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+def _slower(found: PosteriorCheck, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
     """The second test at the head of this file."""
     said = _promised_cost(promised)
     limit = settings.iae_slack * max(said, 1.0)
@@ -101,8 +101,8 @@ def _slower(found: Hindsight, promised: Promise, settings: TrialSettings, number
     )
 
 
-def in_favour(found: Hindsight, settings: TrialSettings) -> str:
-    """What hindsight says for the tried set, if anything."""
+def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
+    """What it says for the tried set, if anything."""
     if not found.settled or found.ms_most > settings.harmless_ms:
         return ""
     return f"robust: Ms is {found.ms_most:.2f} at most by every model that is still allowed"

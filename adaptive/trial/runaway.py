@@ -34,7 +34,7 @@ TWICE = 2
 """So many growing half waves after the first are a runaway."""
 
 
-class WatchLaw(NamedTuple):
+class RunawayLaw(NamedTuple):
     """Thresholds (see the head of this file); limited_s in seconds."""
 
     grows: float
@@ -44,7 +44,7 @@ class WatchLaw(NamedTuple):
     limited_s: float
 
 
-class WatchState(NamedTuple):
+class RunawayState(NamedTuple):
     """Where the watch stands: setpoint; extreme of the half wave under way and of the one before (signed, 0: none);
     how many have grown and stayed in a row; last limit touched (-1, 0, 1), swings between limits, and since when the
     output stands at one (infinite when it does not); since when the half wave under way lasts, and since when the error
@@ -64,13 +64,13 @@ class WatchState(NamedTuple):
     joined: bool = False
 
 
-def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> WatchLaw:
+def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> RunawayLaw:
     """The thresholds for one trial. shortest_s : least time at a limit that counts, s."""
     high = max(promised.setpoint.decay.high, promised.load_step.decay.high) + settings.decay_slack
     before = min(max(promised.decay_before(setpoint=True), promised.decay_before(setpoint=False)), MOST_GROWTH)
     least = max(min(high, MOST_GROWTH), before if before > 1 else 0.0)
     patience = promised.patience_s if math.isfinite(promised.patience_s) else 0.0
-    return WatchLaw(
+    return RunawayLaw(
         max(settings.grows, least),
         max(settings.stays, least),
         settings.stays_for,
@@ -79,15 +79,17 @@ def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> Wat
     )
 
 
-def watch_begin(sp: float, *, joined: bool = True) -> WatchState:
+def runaway_begin(sp: float, *, joined: bool = True) -> RunawayState:
     """Nothing seen yet. joined : a half wave may be under way, as when a trial begins."""
-    return WatchState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
+    return RunawayState(sp, 0.0, 0.0, 0, 0, 0, 0, math.inf, joined=joined)
 
 
-def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> tuple[WatchState, TrialEvent | None]:
+def runaway_step(
+    law: RunawayLaw, state: RunawayState, sample: LoopSample, band: float
+) -> tuple[RunawayState, TrialEvent | None]:
     """Take one sample; the event that ends the trial, if this is it. band : noise band, pv units."""
     if abs(sample.sp - state.sp) > max(band, MOVED * abs(state.extreme), MOVED * abs(state.last)):
-        state = watch_begin(sample.sp, joined=False)
+        state = runaway_begin(sample.sp, joined=False)
     state = _at_limits(state, sample)
     if state.swings >= law.limit_swings:
         return state, TrialEvent.RUNAWAY
@@ -102,7 +104,7 @@ def watch(law: WatchLaw, state: WatchState, sample: LoopSample, band: float) -> 
     return state, TrialEvent.RUNAWAY if runs else None
 
 
-def _at_limits(state: WatchState, sample: LoopSample) -> WatchState:
+def _at_limits(state: RunawayState, sample: LoopSample) -> RunawayState:
     """Which limit the output touches, and since when."""
     if not sample.limited:
         return state if math.isinf(state.since_s) else state._replace(since_s=math.inf)
@@ -111,7 +113,7 @@ def _at_limits(state: WatchState, sample: LoopSample) -> WatchState:
     return state._replace(limit=sample.limited, swings=state.swings + (state.limit != 0), since_s=sample.t_s)
 
 
-def _rested(state: WatchState, sample: LoopSample) -> WatchState:
+def _rested(state: RunawayState, sample: LoopSample) -> RunawayState:
     """Out of the band again: after a rest, half waves are counted anew."""
     rest_s, wave_s = sample.t_s - state.inside_s, state.inside_s - state.wave_s
     if rest_s > wave_s:
@@ -119,7 +121,7 @@ def _rested(state: WatchState, sample: LoopSample) -> WatchState:
     return state._replace(inside_s=math.inf)
 
 
-def _follow(law: WatchLaw, state: WatchState, e: float, t_s: float) -> WatchState:
+def _follow(law: RunawayLaw, state: RunawayState, e: float, t_s: float) -> RunawayState:
     """The half wave under way goes on, or a new one begins on the other side."""
     if state.extreme == 0:
         return state._replace(extreme=e, wave_s=t_s)

@@ -13,9 +13,9 @@ from typing import Any
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.judge import Finding, Judgement, Seen, judge
+from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
 from retuner.adaptive.trial.phase import UNDECIDED, UNDOS, TrialEvent, TrialPhase, after
-from retuner.adaptive.trial.runaway import law_of, watch, watch_begin
+from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
@@ -24,10 +24,10 @@ P, E = TrialPhase, TrialEvent
 LEAST_SAMPLES = 60
 """Cool-downs and times at a limit last at least so many samples."""
 FINDINGS = {
-    Finding.BETTER: E.GOOD,
-    Finding.AS_PROMISED: E.AS_PROMISED,
-    Finding.WORSE: E.WORSE,
-    Finding.INCONCLUSIVE: E.INCONCLUSIVE,
+    TrialFinding.BETTER: E.GOOD,
+    TrialFinding.AS_PROMISED: E.AS_PROMISED,
+    TrialFinding.WORSE: E.WORSE,
+    TrialFinding.INCONCLUSIVE: E.INCONCLUSIVE,
 }
 KEPT = (E.GOOD, E.AS_PROMISED)
 WITH_GAINS = (E.PROPOSED, E.URGENT, E.WRITTEN)
@@ -146,7 +146,7 @@ class TrialSupervisor:
                 ended[at] = found
         return ended
 
-    def judge(self, region: int, seen: Seen, ran: PidGains, t_s: float, *, ask: bool) -> Judgement | None:
+    def judge(self, region: int, seen: JudgedResponse, ran: PidGains, t_s: float, *, ask: bool) -> Judgement | None:
         """Judge a response of a region on trial, and go on accordingly; None when it is not on trial.
 
         ran : gains under which it ran (in an interpolated table, the mean that was in force).
@@ -208,7 +208,7 @@ class TrialSupervisor:
         if trial.phase != P.TRIAL or trial.promise is None:
             return None
         law = law_of(trial.promise, self.settings, self._shortest_s)
-        seen, found = watch(law, trial.seen or watch_begin(sample.sp), sample, band)
+        seen, found = runaway_step(law, trial.seen or runaway_begin(sample.sp), sample, band)
         if seen is not trial.seen:
             self._trials[at] = replace(trial, seen=seen)
         return found

@@ -7,7 +7,7 @@ from typing import Any
 
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
-from retuner.adaptive.trial.runaway import WatchState
+from retuner.adaptive.trial.runaway import RunawayState
 from retuner.schedule.gains import PidGains
 
 
@@ -29,7 +29,7 @@ class Trial:
     undos: int = 0
     until_s: float = 0.0
     cause: TrialEvent | None = None
-    seen: WatchState | None = None
+    seen: RunawayState | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain JSON values."""
@@ -79,19 +79,19 @@ def _gains_in(values: list[float] | None) -> PidGains | None:
     return PidGains(*values) if values else None
 
 
-def _seen_out(seen: WatchState | None) -> dict[str, float | None] | None:
+def _seen_out(seen: RunawayState | None) -> dict[str, float | None] | None:
     """By name; null where infinite."""
     if seen is None:
         return None
     return {name: None if math.isinf(value) else value for name, value in seen._asdict().items()}
 
 
-def _seen_in(body: Mapping[str, Any] | None) -> WatchState | None:
+def _seen_in(body: Mapping[str, Any] | None) -> RunawayState | None:
     """And back."""
     if body is None:
         return None
     at = {name: math.inf if value is None else float(value) for name, value in body.items()}
-    return WatchState(
+    return RunawayState(
         at["sp"],
         at["extreme"],
         at["last"],

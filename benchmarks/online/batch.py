@@ -112,7 +112,7 @@ def rivals(task: Task, judge: Judge, gains: PidGains) -> dict[str, list[bool]]:
     relay = relay_then_ziegler_nichols(HeldPlant(process, dt_s), process, dt_s, task.noise, rng)
     simc = step_then_simc(HeldPlant(process, dt_s), process, judge.theta_s, dt_s, task.noise, rng)
     pattern = PatternAlone(one_region(gains), settings(dt_s, PV_SPAN))
-    loop = WatchedLoop(HeldPlant(process, dt_s), pattern.watcher.table, dt_s, pattern)
+    loop = WatchedLoop(HeldPlant(process, dt_s), pattern.table, dt_s, pattern)
     once = {"fixed": gains, "relay once": relay, "simc once": simc}
     found = {who: [x is not None and judge.of(x).in_spec] * DISTURBANCES for who, x in once.items()}
     return found | {"pattern": [x.in_spec for x in disturbed(loop, judge, task, [])]}

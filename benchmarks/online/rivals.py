@@ -16,7 +16,7 @@ from retuner.adaptive.loop.margins import ultimate
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
@@ -92,18 +92,24 @@ class PatternAlone:
     """Recogniser and pattern rule, nothing else: no model, no cause, no proof, no trial."""
 
     def __init__(self, table: GainTable, wanted: RetunerSettings) -> None:
-        self.watcher = Watcher(table, wanted)
+        self.table = table
+        self.finder = ResponseFinder(table.regions, self.gains_at, wanted)
         self.rule = PatternSettings(alone=True)
+
+    def gains_at(self, region: int, x: float, x2: float) -> PidGains:
+        """The gains in force."""
+        return self.table.at(region, x, x2)
 
     def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
         """What the pattern of a completed response asks for."""
-        seen = self.watcher.take(sample)
+        seen = self.finder.step(sample)
         if not isinstance(seen, Completed):
             return None
-        gains = self.watcher.table.gains_of(seen.region)
-        advice = pattern_rule(seen.response, self.watcher.window(seen.response), gains, None, self.rule)
+        gains = self.table.gains_of(seen.region)
+        advice = pattern_rule(seen.response, self.finder.window(seen.response), gains, None, self.rule)
         return None if advice.tuning is None else (seen.region, advice.tuning.gains)
 
     def written(self, region: int, gains: PidGains) -> None:
         """The controller runs them now."""
-        self.watcher.gains_changed(self.watcher.table.with_gains(region, gains))
+        self.table = self.table.with_gains(region, gains)
+        self.finder.gains_changed()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.signals.recogniser import TABLE, Event, Phase, RecogniserLaw, begin, step, take
+from retuner.adaptive.signals.recogniser import TABLE, Event, RecogniserLaw, RecogniserPhase, begin, response_of, step
 from retuner.adaptive.signals.response import Ending, Response
 
 LAW = RecogniserLaw(wait_s=60.0, quiet_s=8.0)
@@ -18,7 +18,7 @@ def run(pv: list[float], sp: list[float], dt: float, band: float, law: Recognise
     found = []
     for i in range(1, len(pv)):
         state = step(law, state, i * dt, sp[i], sp[i] - pv[i], band)
-        response = take(state, band)
+        response = response_of(state, band)
         if response:
             found.append(response)
     return found
@@ -102,25 +102,25 @@ def test_at_rest_the_state_is_the_same_object() -> None:
     state = begin(0.0, 1.0)
     for i in range(1, 100):
         state = step(LAW, state, i * 0.5, 1.0, 0.01, 0.1)
-    assert state.phase == Phase.LOCATE_1
+    assert state.phase == RecogniserPhase.LOCATE_1
     assert step(LAW, state, 60.0, 1.0, -0.02, 0.1) is state
 
 
 def test_every_state_and_event_leads_somewhere() -> None:
-    assert len(TABLE) == len(Phase)
+    assert len(TABLE) == len(RecogniserPhase)
     assert all(len(row) == len(Event) for row in TABLE)
-    assert all(TABLE[phase][Event.NONE] == phase for phase in Phase if phase != Phase.ADAPT)
-    assert all(target == Phase.SETTLE for target in TABLE[Phase.ADAPT])
-    for phase in list(Phase)[: Phase.ADAPT]:
+    assert all(TABLE[phase][Event.NONE] == phase for phase in RecogniserPhase if phase != RecogniserPhase.ADAPT)
+    assert all(target == RecogniserPhase.SETTLE for target in TABLE[RecogniserPhase.ADAPT])
+    for phase in list(RecogniserPhase)[: RecogniserPhase.ADAPT]:
         for event in (Event.QUIET, Event.TIMEOUT, Event.SETPOINT):
-            assert TABLE[phase][event] == Phase.ADAPT
-    reachable, queue = set(), [Phase.SETTLE]
+            assert TABLE[phase][event] == RecogniserPhase.ADAPT
+    reachable, queue = set(), [RecogniserPhase.SETTLE]
     while queue:
         phase = queue.pop()
         if phase not in reachable:
             reachable.add(phase)
             queue += TABLE[phase]
-    assert reachable == set(Phase)
+    assert reachable == set(RecogniserPhase)
 
 
 @given(
@@ -133,7 +133,7 @@ def test_any_record_keeps_the_states_lawful(errors: list[float], setpoints: list
     for i, e in enumerate(errors, start=1):
         new = step(LAW, state, float(i), setpoints[i - 1], e, band)
         assert new.phase in TABLE[state.phase]
-        response = take(new, band)
+        response = response_of(new, band)
         if response:
             assert response.t_start_s <= response.t_end_s == float(i)
             signs = [math.copysign(1, p.e) for p in response.peaks]

@@ -13,7 +13,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.region_model.update import Surprise
-from retuner.adaptive.signals.recogniser import Phase
+from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision import pipeline
@@ -134,10 +134,10 @@ def test_a_gap_or_manual_mode_begins_anew() -> None:
     bench.run(30, sp=1.0)
     last = LoopSample(bench.t + 60.0, 1.0, 0.3, 0.2, LoopMode.AUTO, 0, 10.0)
     assert bench.retuner.observe(last) is None
-    assert bench.retuner.phase == Phase.SETTLE
+    assert bench.retuner.phase == RecogniserPhase.SETTLE
     manual = last._replace(t_s=last.t_s + 1, mode=LoopMode.MANUAL)
     assert bench.retuner.observe(manual) is None
-    assert bench.retuner.phase == Phase.SETTLE
+    assert bench.retuner.phase == RecogniserPhase.SETTLE
 
 
 def bad(values: Iterable[float]) -> list[dict[str, float]]:

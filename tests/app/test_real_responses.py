@@ -9,7 +9,7 @@ from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
 from retuner.adaptive.supervision.admission import AdmissionSettings, admit
 from retuner.adaptive.supervision.decision import Action, Basis, Mode
 from retuner.adaptive.supervision.pretune import pretune
-from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.without_model.pattern_rule import MOVING, PatternSettings, Reading, pattern_rule
@@ -30,28 +30,30 @@ def table(gains: PidGains) -> GainTable:
 
 
 @pytest.fixture(scope="module")
-def servo() -> tuple[Watcher, Completed, PidGains]:
+def servo() -> tuple[ResponseFinder, Completed, PidGains]:
     """The first completed response of the servo's record (its gains are not told; these have its time scale)."""
     gains = PidGains(1.0, 1.0 / 0.04)
-    watcher = Watcher(table(gains), RetunerSettings(0.002, 130.0))
+    finder = ResponseFinder(table(gains).regions, table(gains).at, RetunerSettings(0.002, 130.0))
     for t, sp, pv, co in columns("servo/pid_step.csv").T:
-        seen = watcher.take(LoopSample(float(t), float(sp), float(pv), float(co)))
+        seen = finder.step(LoopSample(float(t), float(sp), float(pv), float(co)))
         if isinstance(seen, Completed):
-            return watcher, seen, gains
+            return finder, seen, gains
     raise AssertionError("no response was recognised")
 
 
-def test_a_real_response_is_admitted_and_its_pattern_read(servo: tuple[Watcher, Completed, PidGains]) -> None:
-    watcher, seen, gains = servo
-    window = watcher.window(seen.response)
-    assert admit(window, watcher.samples, seen.response, AdmissionSettings()).admitted
+def test_a_real_response_is_admitted_and_its_pattern_read(servo: tuple[ResponseFinder, Completed, PidGains]) -> None:
+    finder, seen, gains = servo
+    window = finder.window(seen.response)
+    assert admit(window, finder.samples, seen.response, AdmissionSettings()).admitted
     advice = pattern_rule(seen.response, window, gains, None, PatternSettings())
     assert advice.reading is Reading.CALM  # it overshoots by two percent
     assert advice.numbers["overshoot"] == pytest.approx(0.02, abs=0.01)
     assert advice.reading in MOVING
 
 
-def test_the_slow_oscillation_rule_says_why_it_is_silent_on_it(servo: tuple[Watcher, Completed, PidGains]) -> None:
+def test_the_slow_oscillation_rule_says_why_it_is_silent_on_it(
+    servo: tuple[ResponseFinder, Completed, PidGains],
+) -> None:
     _, seen, gains = servo
     advice = slow_oscillation_online(seen.response, gains, None, SlowSettings())
     assert advice.reading is not SlowReading.APPLIES

@@ -57,7 +57,7 @@ def story(process: LinearProcess, start: tuple[float, float]) -> Story:
     first = PidGains(best.kp * start[0], best.ki * start[0] / start[1])
     rule = Noted(one_region(first), settings(dt_s, 10.0))
     rule.changes = []
-    loop = WatchedLoop(HeldPlant(process, dt_s), rule.watcher.table, dt_s, rule)
+    loop = WatchedLoop(HeldPlant(process, dt_s), rule.table, dt_s, rule)
     rng, sp, load, lost = np.random.default_rng(3), 0.0, 0.0, False
     size = 0.5 * abs(best.kp)
     n = int(max(LENGTH_THETA * theta_s, 6 * best.kp / best.ki) / dt_s)

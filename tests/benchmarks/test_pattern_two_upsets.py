@@ -11,7 +11,7 @@ from online.loop import WatchedLoop
 from online.supervisors import one_region, settings
 
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.without_model.pattern_rule import MOVING, PatternAdvice, PatternSettings, pattern_rule
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
@@ -24,13 +24,14 @@ class Listening:
     """Hears every response, and changes nothing."""
 
     def __init__(self, table: GainTable, dt_s: float) -> None:
-        self.watcher, self.gains = Watcher(table, settings(dt_s, 10.0)), table.gains_of(0)
+        self.table, self.gains = table, table.gains_of(0)
+        self.finder = ResponseFinder(table.regions, table.at, settings(dt_s, 10.0))
         self.heard: list[PatternAdvice] = []
 
     def observe(self, sample: LoopSample) -> None:
-        seen = self.watcher.take(sample)
+        seen = self.finder.step(sample)
         if isinstance(seen, Completed):
-            window = self.watcher.window(seen.response)
+            window = self.finder.window(seen.response)
             self.heard.append(pattern_rule(seen.response, window, self.gains, None, PatternSettings()))
 
     def written(self, region: int, gains: PidGains) -> None:
@@ -43,7 +44,7 @@ def heard(name: str, second: float, gap_theta: float) -> list[PatternAdvice]:
     dt_s = perfect(process, 0.0)[1] / 8
     best = perfect(process, dt_s)[0]
     listening = Listening(one_region(best), dt_s)
-    loop = WatchedLoop(HeldPlant(process, dt_s), listening.watcher.table, dt_s, listening)
+    loop = WatchedLoop(HeldPlant(process, dt_s), listening.table, dt_s, listening)
     rng, size = np.random.default_rng(1), 3.0 * best.kp
     for load, n in ((0.0, 400), (size, 8), (0.0, int(8 * (gap_theta - 1))), (second * size, 8), (0.0, 1200)):
         loop.run(0.0, load, list(0.01 * rng.standard_normal(n)))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from retuner.adaptive.supervision.decision import gains_dict
-from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
+from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.config.loading import load_config
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
@@ -135,7 +135,7 @@ def _closed(desk: Desk, full: str) -> str:
     if proposal is None:
         return "" if full in desk.shown.waiting.values() else "this change does not wait for a person"
     standing = desk.shown.standing(proposal, desk.expires_after_s)
-    return str(standing) if standing is not Standing.OPEN else superseded(desk.shown.successor(proposal))
+    return str(standing) if standing is not ProposalStanding.OPEN else superseded(desk.shown.successor(proposal))
 
 
 def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, gains_dict
-from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
+from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.errors import LedgerError, one_line
@@ -59,7 +59,7 @@ class Shown:
     approved: set[str] = field(default_factory=set)
     files: set[str] = field(default_factory=set)
 
-    def standing(self, proposal: Proposal, expires_after_s: float) -> Standing:
+    def standing(self, proposal: Proposal, expires_after_s: float) -> ProposalStanding:
         """Whether a proposal is open, as far as the ledger tells."""
         return proposal.standing(self.in_force.get(proposal.region, proposal.before), self.last_s, expires_after_s)
 
@@ -73,7 +73,7 @@ class Shown:
         return [
             p
             for p in self.proposals.values()
-            if p.digest not in self.approved and self.standing(p, expires_after_s) is Standing.OPEN
+            if p.digest not in self.approved and self.standing(p, expires_after_s) is ProposalStanding.OPEN
         ]
 
 
@@ -235,7 +235,11 @@ class OrderDesk:
             standing = Proposal.from_dict(proposal).standing(
                 self._retuner.table.gains_of(order.region), order.past_s + t_s, self._expires_after_s
             )
-            reason = str(standing) if standing is not Standing.OPEN else self._superseded(Proposal.from_dict(proposal))
+            reason = (
+                str(standing)
+                if standing is not ProposalStanding.OPEN
+                else self._superseded(Proposal.from_dict(proposal))
+            )
             if reason:
                 body |= {"accepted": False, "reason": reason}
         self._record("order", t_s, body)

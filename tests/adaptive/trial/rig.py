@@ -11,10 +11,10 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.supervision.response_finder import Completed, Watcher
+from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import promise
-from retuner.adaptive.trial.judge import Seen
+from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -76,16 +76,16 @@ BAD = {
 """Deliberately bad changes of GOOD."""
 
 
-def responses(rig: Rig, samples: int, band: float = 0.1, rest: int = 200, **upset: float) -> list[Seen]:
-    """The responses that a watcher recognises in the rig's next samples; after `rest` samples comes the upset."""
+def responses(rig: Rig, samples: int, band: float = 0.1, rest: int = 200, **upset: float) -> list[JudgedResponse]:
+    """The responses that a finder recognises in the rig's next samples; after `rest` samples comes the upset."""
     table = GainTable("loop", Regions("sp", "-", ("all",), -1e3, (), 1e3), (rig.gains,))
-    watcher = Watcher(table, RetunerSettings(1.0, 100.0, band=band))
+    finder = ResponseFinder(table.regions, table.at, RetunerSettings(1.0, 100.0, band=band))
     found = []
     for part, changes in ((rest, {}), (samples, upset)):
         for name, value in changes.items():
             setattr(rig, name, value)
         for sample in rig.run(part):
-            seen = watcher.take(sample)
+            seen = finder.step(sample)
             if isinstance(seen, Completed):
-                found.append(Seen(seen.response, watcher.window(seen.response)))
+                found.append(JudgedResponse(seen.response, finder.window(seen.response)))
     return found

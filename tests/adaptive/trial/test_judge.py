@@ -9,7 +9,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.trial.expectation import decay_seen, promise
-from retuner.adaptive.trial.judge import Finding, Judgement, Seen, judge
+from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
 from retuner.adaptive.trial.response_numbers import swing
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.schedule.gains import PidGains
@@ -26,7 +26,7 @@ def first(rig: Rig, samples: int = 2500, **upset: float) -> Judgement:
 @pytest.mark.parametrize("upset", [STEP, LOAD, {"sp": -5.0}, {"load": -10.0}], ids=str)
 def test_good_gains_keep_their_promise_under_noise(seed: int, upset: dict[str, float]) -> None:
     found = first(Rig(GOOD, noise=0.025, seed=seed), 300, **upset)
-    assert found.finding in {Finding.AS_PROMISED, Finding.BETTER}, found.reason
+    assert found.finding in {TrialFinding.AS_PROMISED, TrialFinding.BETTER}, found.reason
     assert found.numbers["decay"] < found.numbers["decay_limit"]
 
 
@@ -34,7 +34,7 @@ def test_good_gains_keep_their_promise_under_noise(seed: int, upset: dict[str, f
 @pytest.mark.parametrize("upset", [STEP, LOAD], ids=str)
 def test_sluggish_gains_are_worse_than_promised_in_iae(name: str, upset: dict[str, float]) -> None:
     found = first(Rig(BAD[name], noise=0.025), **upset)
-    assert found.finding is Finding.WORSE
+    assert found.finding is TrialFinding.WORSE
     assert "IAE" in found.reason
     assert found.numbers["iae"] > found.numbers["iae_limit"] > found.numbers["iae_promised"]
 
@@ -43,7 +43,7 @@ def test_sluggish_gains_are_worse_than_promised_in_iae(name: str, upset: dict[st
 def test_a_loop_that_swings_is_worse_than_promised_in_its_peaks(upset: dict[str, float]) -> None:
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
     found = first(Rig(ringing, noise=0.025), 400, **upset)
-    assert found.finding is Finding.WORSE
+    assert found.finding is TrialFinding.WORSE
     assert "successive peaks" in found.reason
     assert found.numbers["decay_sure"] > found.numbers["decay_limit"]
 
@@ -52,8 +52,8 @@ def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
     from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 1.0)
     seen = responses(Rig(ringing), 400, load=10.0)[0]
-    assert judge(seen, from_unstable, ringing, S).finding is not Finding.WORSE
-    assert judge(seen, PROMISE, ringing, S).finding is Finding.WORSE
+    assert judge(seen, from_unstable, ringing, S).finding is not TrialFinding.WORSE
+    assert judge(seen, PROMISE, ringing, S).finding is TrialFinding.WORSE
 
 
 @pytest.mark.parametrize("seconds", [5, 10, 20, 40])
@@ -62,7 +62,7 @@ def test_a_load_that_comes_and_goes_undoes_nothing(seconds: int) -> None:
     found = responses(_Pulsed(rig, seconds), 400)
     assert found
     for seen in found:
-        assert judge(seen, PROMISE, GOOD, S).finding is not Finding.WORSE
+        assert judge(seen, PROMISE, GOOD, S).finding is not TrialFinding.WORSE
 
 
 class _Pulsed:
@@ -88,16 +88,16 @@ def test_a_ramp_of_the_load_undoes_nothing() -> None:
 
     found = responses(Ramp(Rig(GOOD, noise=0.02), 0), 600)
     assert found
-    assert all(judge(seen, PROMISE, GOOD, S).finding is not Finding.WORSE for seen in found)
+    assert all(judge(seen, PROMISE, GOOD, S).finding is not TrialFinding.WORSE for seen in found)
 
 
-def example(**changes: object) -> Seen:
+def example(**changes: object) -> JudgedResponse:
     seen = responses(Rig(PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)), 400, sp=5.0)[0]
     return replace(seen, response=replace(seen.response, **changes))
 
 
 def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
-    assert judge(example(), PROMISE, GOOD, S).finding is Finding.WORSE
+    assert judge(example(), PROMISE, GOOD, S).finding is TrialFinding.WORSE
     small = (Peak(1.0, 0.3), Peak(2.0, -0.3), Peak(3.0, 0.3))
     for seen, why in (
         (example(peaks=small), "noise bands"),
@@ -105,7 +105,7 @@ def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
         (replace(example(), outside="an oscillation from outside"), "from outside"),
     ):
         found = judge(seen, PROMISE, GOOD, S)
-        assert found.finding is Finding.INCONCLUSIVE
+        assert found.finding is TrialFinding.INCONCLUSIVE
         assert why in found.reason
 
 
@@ -117,9 +117,9 @@ def test_a_response_that_was_cut_short_may_speak_against_the_gains_but_not_for_t
         assert watcher_sees[0].response.ending is Ending.SETPOINT
         return judge(watcher_sees[0], PROMISE, gains, S)
 
-    assert cut(GOOD, 25).finding is Finding.INCONCLUSIVE
-    assert cut(BAD["kc /4"], 20).finding is Finding.INCONCLUSIVE
-    assert cut(BAD["kc /4"], 80).finding is Finding.WORSE
+    assert cut(GOOD, 25).finding is TrialFinding.INCONCLUSIVE
+    assert cut(BAD["kc /4"], 20).finding is TrialFinding.INCONCLUSIVE
+    assert cut(BAD["kc /4"], 80).finding is TrialFinding.WORSE
 
 
 class Stepped:
@@ -144,14 +144,14 @@ def test_a_setpoint_that_moves_on_or_a_start_from_motion_is_inconclusive() -> No
     moved[w.t_s < seen.response.t_start_s] += 0.5
     for window, why in ((Window(w.t_s, ramp, w.pv, w.co), "moving"), (Window(w.t_s, w.sp, moved, w.co), "at rest")):
         found = judge(replace(seen, window=window), PROMISE, GOOD, S)
-        assert found.finding is Finding.INCONCLUSIVE
+        assert found.finding is TrialFinding.INCONCLUSIVE
         assert why in found.reason
 
 
 def test_a_small_rest_of_an_older_upset_is_no_motion() -> None:
     seen = example()
     w = seen.window
-    for left, finding in ((0.15, Finding.WORSE), (0.35, Finding.INCONCLUSIVE)):  # of a step of 5, band 0.1
+    for left, finding in ((0.15, TrialFinding.WORSE), (0.35, TrialFinding.INCONCLUSIVE)):  # of a step of 5, band 0.1
         moved = w.pv - left * (w.t_s < seen.response.t_start_s)
         found = judge(replace(seen, window=Window(w.t_s, w.sp, moved, w.co)), PROMISE, GOOD, S)
         assert found.finding is finding, found.reason
@@ -159,8 +159,8 @@ def test_a_small_rest_of_an_older_upset_is_no_motion() -> None:
 
 def test_an_output_at_its_limit_says_nothing_of_the_iae() -> None:
     seen = responses(Rig(BAD["kc /4"]), 1500, sp=5.0)[0]
-    assert judge(seen, PROMISE, BAD["kc /4"], S).finding is Finding.WORSE
-    assert judge(replace(seen, limited_share=0.2), PROMISE, BAD["kc /4"], S).finding is Finding.AS_PROMISED
+    assert judge(seen, PROMISE, BAD["kc /4"], S).finding is TrialFinding.WORSE
+    assert judge(replace(seen, limited_share=0.2), PROMISE, BAD["kc /4"], S).finding is TrialFinding.AS_PROMISED
 
 
 def test_peaks_within_noise_do_not_speak_against_the_gains() -> None:
@@ -172,9 +172,9 @@ def test_peaks_within_noise_do_not_speak_against_the_gains() -> None:
             base.response.t_start_s, base.response.t_end_s, peaks, Ending.COMPLETE, sp_changed=False, band=0.1
         ),
     )
-    assert judge(noisy, PROMISE, GOOD, S).finding is not Finding.WORSE
+    assert judge(noisy, PROMISE, GOOD, S).finding is not TrialFinding.WORSE
     sure = replace(noisy, response=replace(noisy.response, peaks=tuple(Peak(p.t_s, 50 * p.e) for p in peaks)))
-    assert judge(sure, PROMISE, GOOD, S).finding is Finding.WORSE
+    assert judge(sure, PROMISE, GOOD, S).finding is TrialFinding.WORSE
 
 
 def test_plain_values() -> None:
@@ -197,9 +197,9 @@ def test_what_was_seen_of_the_old_gains_counts_more_than_what_a_model_says_of_th
     sluggish = PidGains(GOOD.kp / 5, GOOD.ki / 5)
     lie = promise([wrong], GOOD, sluggish, 1.0)
     seen = responses(Rig(sluggish), 2500, sp=5.0)[0]
-    assert judge(seen, lie, sluggish, S).finding is Finding.WORSE
-    assert judge(seen, replace(lie, decay_seen=0.05), sluggish, S).finding is Finding.WORSE
-    assert judge(seen, replace(lie, decay_seen=1.0), sluggish, S).finding is not Finding.WORSE
+    assert judge(seen, lie, sluggish, S).finding is TrialFinding.WORSE
+    assert judge(seen, replace(lie, decay_seen=0.05), sluggish, S).finding is TrialFinding.WORSE
+    assert judge(seen, replace(lie, decay_seen=1.0), sluggish, S).finding is not TrialFinding.WORSE
 
 
 def test_decay_seen_is_that_of_a_whole_response_with_a_second_peak() -> None:
@@ -215,8 +215,8 @@ def test_a_response_that_begins_with_a_small_peak_is_judged() -> None:
     first, *rest = base.response.peaks
     inverse = (Peak(first.t_s - 5.0, -0.02 * first.e), first, *rest)
     found = judge(replace(base, response=replace(base.response, peaks=inverse)), PROMISE, BAD["kc /4"], S)
-    assert found.finding is Finding.WORSE
+    assert found.finding is TrialFinding.WORSE
     assert "IAE" in found.reason
     tiny = tuple(Peak(peak.t_s, 0.01 * peak.e) for peak in inverse)
     small = judge(replace(base, response=replace(base.response, peaks=tiny)), PROMISE, BAD["kc /4"], S)
-    assert small.finding is Finding.INCONCLUSIVE
+    assert small.finding is TrialFinding.INCONCLUSIVE

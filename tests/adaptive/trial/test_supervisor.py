@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig, responses
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.judge import Finding
+from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import WITH_GAINS, TrialSupervisor
@@ -130,7 +130,7 @@ def test_passing_resets_the_count_and_a_person_has_the_next_word_where_asked() -
     bench.undo()
     bench.t_s = 1e5
     bench.write(new=GOOD)
-    assert bench.trials.judge(0, seen, GOOD, bench.t_s, ask=True).finding is not Finding.WORSE
+    assert bench.trials.judge(0, seen, GOOD, bench.t_s, ask=True).finding is not TrialFinding.WORSE
     assert bench.trials.phase(0) is P.WAITING
     assert bench.table[0] == GOOD
     assert bench.trials.of(0).undos == 0
@@ -158,7 +158,7 @@ def test_a_response_that_is_worse_takes_the_set_back() -> None:
     bench.write(new=bad)
     found = bench.trials.judge(0, seen, bad, 1.0, ask=False)
     assert found is not None
-    assert found.finding is Finding.WORSE
+    assert found.finding is TrialFinding.WORSE
     assert bench.trials.restoring == (0,)
     assert bench.table[0] == GOOD
 

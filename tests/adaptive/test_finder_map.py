@@ -1,4 +1,4 @@
-"""The watcher on a map: filtered values choose, an unknown one holds, manual keeps the hysteresis."""
+"""The finder on a map: filtered values choose, an unknown one holds, manual keeps the hysteresis."""
 
 import json
 import math
@@ -7,7 +7,7 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.response_finder import Left, Watcher
+from retuner.adaptive.supervision.response_finder import Left, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -28,24 +28,24 @@ def sample(t_s: float, x: float = 20.0, x2: float = 20.0, mode: int = LoopMode.A
     return LoopSample(t_s, 0.0, pv + 0.01 * (t_s % 3), 30.0 + 0.01 * (t_s % 2), mode, 0, x, 0, x2)
 
 
-def watched(samples: list[LoopSample], table: GainTable = TABLE) -> tuple[Watcher, list[object]]:
-    watcher = Watcher(table, SETTINGS)
-    return watcher, [seen for s in samples if (seen := watcher.take(s)) is not None]
+def watched(samples: list[LoopSample], table: GainTable = TABLE) -> tuple[ResponseFinder, list[object]]:
+    finder = ResponseFinder(table.regions, table.at, SETTINGS)
+    return finder, [seen for s in samples if (seen := finder.step(s)) is not None]
 
 
 def test_the_second_variable_chooses_through_its_filter() -> None:
     samples = [sample(float(t), x2=20.0 if t < 10 else 90.0) for t in range(40)]
-    watcher, seen = watched(samples)
+    finder, seen = watched(samples)
     assert [s.region for s in seen if isinstance(s, Left)] == [0]
-    assert watcher.region == 1
-    early = Watcher(TABLE, SETTINGS)
+    assert finder.region == 1
+    early = ResponseFinder(TABLE.regions, TABLE.at, SETTINGS)
     places = []
     for s in samples:
-        early.take(s)
+        early.step(s)
         places.append(early.region)
     assert places.index(1) == 13  # 20 + 70 (1 - 0.8^n) passes 50 + 5 with the 4th sample of the new value
-    assert watcher.scheduled[0] == 20.0
-    assert watcher.scheduled[1] == pytest.approx(90.0, abs=0.1)
+    assert finder.scheduled[0] == 20.0
+    assert finder.scheduled[1] == pytest.approx(90.0, abs=0.1)
 
 
 def test_an_unknown_variable_keeps_its_axis_and_cuts_responses() -> None:
@@ -53,50 +53,50 @@ def test_an_unknown_variable_keeps_its_axis_and_cuts_responses() -> None:
     samples += [sample(float(t), pv=5.0) for t in range(100, 104)]  # a response has begun
     samples += [sample(float(t), x2=NAN, x=80.0) for t in range(104, 110)]
     samples += [sample(float(t), x=80.0, x2=20.0) for t in range(110, 120)]
-    watcher, seen = watched(samples)
+    finder, seen = watched(samples)
     cut = [s for s in seen if isinstance(s, Left)]
     assert cut[0] == Left(0, under_way=True, unknown=True)
     assert all(not s.under_way for s in cut[1:])
-    assert watcher.region == 2, "heat goes on by itself"
-    assert watcher.scheduled == (80.0, 20.0)
+    assert finder.region == 2, "heat goes on by itself"
+    assert finder.scheduled == (80.0, 20.0)
 
 
 def test_nothing_begins_before_all_variables_are_known() -> None:
-    watcher, seen = watched([sample(float(t), x2=NAN) for t in range(5)])
-    assert (watcher.region, watcher.in_force, seen) == (None, None, [])
-    watcher.take(sample(5.0, x2=80.0))
-    assert watcher.region == 1
+    finder, seen = watched([sample(float(t), x2=NAN) for t in range(5)])
+    assert (finder.region, finder.in_force, seen) == (None, None, [])
+    finder.step(sample(5.0, x2=80.0))
+    assert finder.region == 1
 
 
 @pytest.mark.parametrize("wrong", [{"x": NAN}, {"x": math.inf}, {"pv": NAN}])
 def test_what_comes_with_every_sample_must_be_a_number(wrong: dict[str, float]) -> None:
-    watcher, _ = watched([sample(float(t)) for t in range(5)])
-    for first in (watcher, Watcher(TABLE, SETTINGS)):
+    finder, _ = watched([sample(float(t)) for t in range(5)])
+    for first in (finder, ResponseFinder(TABLE.regions, TABLE.at, SETTINGS)):
         with pytest.raises(ValueError, match="is not finite"):
-            first.take(sample(5.0, **wrong))
+            first.step(sample(5.0, **wrong))
 
 
 def test_manual_keeps_the_hysteresis() -> None:
     xs = [48.0, 51.0, 49.0, 51.9, 53.0, 49.0, 47.0]
-    watcher = Watcher(TABLE, SETTINGS)
+    finder = ResponseFinder(TABLE.regions, TABLE.at, SETTINGS)
     places = []
     for t, x in enumerate(xs):
-        watcher.take(sample(float(t), x=x, mode=LoopMode.MANUAL))
-        places.append(watcher.region)
+        finder.step(sample(float(t), x=x, mode=LoopMode.MANUAL))
+        places.append(finder.region)
     assert places == [0, 0, 0, 0, 2, 2, 0]
 
 
 def test_after_a_gap_the_place_is_taken_anew_where_it_is_known() -> None:
-    watcher, _ = watched([sample(float(t), x2=90.0) for t in range(5)])
-    watcher.take(sample(500.0, x=80.0, x2=NAN))
-    assert watcher.region == 3
-    assert watcher.scheduled == (80.0, 90.0)
+    finder, _ = watched([sample(float(t), x2=90.0) for t in range(5)])
+    finder.step(sample(500.0, x=80.0, x2=NAN))
+    assert finder.region == 3
+    assert finder.scheduled == (80.0, 90.0)
 
 
 def test_in_force_is_the_mean_of_an_interpolated_table() -> None:
     smooth = GainTable("boiler", TABLE.regions, GAINS, Lookup.INTERPOLATED)
-    watcher, _ = watched([sample(float(t), x=50.0, x2=50.0) for t in range(3)], smooth)
-    assert watcher.in_force == PidGains(2.5, 0.02)
+    finder, _ = watched([sample(float(t), x=50.0, x2=50.0) for t in range(3)], smooth)
+    assert finder.in_force == PidGains(2.5, 0.02)
 
 
 def test_a_memory_taken_while_a_variable_is_unknown_goes_on_alike() -> None:

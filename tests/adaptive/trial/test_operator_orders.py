@@ -18,7 +18,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import Belief, Known
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
-from retuner.adaptive.supervision.pending_proposal import Proposal, Standing
+from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -94,7 +94,7 @@ def test_what_is_known_now_decides_and_not_what_was_known() -> None:
 
 def test_other_gains_or_no_promise_end_a_proposal() -> None:
     bench = Bench(GOOD)
-    assert str(Standing.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason
+    assert str(ProposalStanding.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason
     bare = replace(OFFERED, promise=None)
     assert "promises nothing" in approve(Bench().retuner, bare, 60.0).reason
     with pytest.raises(ValueError, match="does not exist"):
@@ -106,7 +106,7 @@ def test_other_gains_or_no_promise_end_a_proposal() -> None:
     [(SLOW, 100.0, "OPEN"), (SLOW, 200.0, "OPEN"), (SLOW, 200.1, "EXPIRED"), (GOOD, 150.0, "OTHER_GAINS")],
 )
 def test_a_proposal_stands_until_its_time_or_its_gains_are_over(in_force: PidGains, t_s: float, standing: str) -> None:
-    assert OFFERED.standing(in_force, t_s, 100.0) is Standing[standing]
+    assert OFFERED.standing(in_force, t_s, 100.0) is ProposalStanding[standing]
 
 
 @given(

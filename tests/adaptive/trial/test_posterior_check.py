@@ -1,4 +1,4 @@
-"""Hindsight: what the record of a trial says of both sets undoes what kept a false promise, and only that."""
+"""The check after the fact: what a record says of both sets undoes what kept a false promise, and only that."""
 
 import math
 from dataclasses import replace
@@ -11,15 +11,15 @@ from rig import BAD, GOOD, MODEL, Rig, responses
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import Surprise
-from retuner.adaptive.supervision import retuner as retuner_module
+from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Action, Mode
-from retuner.adaptive.supervision.on_trial import seen_of
+from retuner.adaptive.supervision.on_trial import posterior_of
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, Spread, promise
-from retuner.adaptive.trial.judge import Finding, Seen, judge
-from retuner.adaptive.trial.posterior_check import Hindsight, against, hindsight, in_favour
+from retuner.adaptive.trial.judge import TrialFinding, judge
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, against, check_posterior, in_favour
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -42,21 +42,21 @@ def lie(tried: PidGains, k: float) -> Promise:
 
 
 def test_the_numbers_are_those_of_the_margins_and_of_the_integral_time() -> None:
-    found = hindsight(TRUE, GOOD, STRONG, DT_S)
+    found = check_posterior(TRUE, GOOD, STRONG, DT_S)
     peaks = [sensitivity_peak(replace(p.model, theta_s=p.model.theta_s + DT_S / 2).linear(), STRONG) for p in TRUE]
     assert found.ms_tried == pytest.approx(min(peaks))
     assert found.robuster
     assert 1.55 < found.ms_old < S.harmless_ms
-    slow = hindsight(TRUE[:1], GOOD, SLUGGISH, DT_S)
+    slow = check_posterior(TRUE[:1], GOOD, SLUGGISH, DT_S)
     assert slow.slower == pytest.approx(4.0, rel=0.1)  # both IAE go with 1/ki where nothing swings
 
 
 def test_a_sluggish_set_that_a_wrong_model_calls_right_is_found_out() -> None:
     believed = lie(SLUGGISH, 4.0)
     seen = responses(Rig(SLUGGISH, noise=0.025), 2500, load=10.0)[0]
-    assert judge(seen, believed, SLUGGISH, S).finding is not Finding.WORSE  # its IAE is 1/ki, as promised
-    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, SLUGGISH, DT_S)), believed, SLUGGISH, S)
-    assert found.finding is Finding.WORSE
+    assert judge(seen, believed, SLUGGISH, S).finding is not TrialFinding.WORSE  # its IAE is 1/ki, as promised
+    found = judge(replace(seen, posterior=check_posterior(TRUE, GOOD, SLUGGISH, DT_S)), believed, SLUGGISH, S)
+    assert found.finding is TrialFinding.WORSE
     assert "times that with the gains before" in found.reason
     assert found.numbers["cost"] > found.numbers["cost_limit"]
 
@@ -64,9 +64,9 @@ def test_a_sluggish_set_that_a_wrong_model_calls_right_is_found_out() -> None:
 def test_a_set_that_is_too_strong_is_found_out_after_a_load() -> None:
     believed = lie(STRONG, 1 / 1.8)
     seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
-    assert judge(seen, believed, STRONG, S).finding is not Finding.WORSE
-    found = judge(replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, DT_S)), believed, STRONG, S)
-    assert found.finding is Finding.WORSE
+    assert judge(seen, believed, STRONG, S).finding is not TrialFinding.WORSE
+    found = judge(replace(seen, posterior=check_posterior(TRUE, GOOD, STRONG, DT_S)), believed, STRONG, S)
+    assert found.finding is TrialFinding.WORSE
     assert "Ms is at least" in found.reason
     assert found.numbers["ms"] > found.numbers["ms_limit"]
 
@@ -74,26 +74,26 @@ def test_a_set_that_is_too_strong_is_found_out_after_a_load() -> None:
 def test_one_model_that_clears_the_tried_set_is_enough() -> None:
     for tried, k in ((SLUGGISH, 4.0), (STRONG, 1 / 1.8)):
         clears = Plausible(replace(MODEL, k=MODEL.k * k), 3.0)
-        assert not against(hindsight([*TRUE, clears], GOOD, tried, DT_S), lie(tried, k), S, {})
+        assert not against(check_posterior([*TRUE, clears], GOOD, tried, DT_S), lie(tried, k), S, {})
 
 
-def test_hindsight_decides_where_the_loop_was_not_at_rest() -> None:
+def test_the_check_after_the_fact_decides_where_the_loop_was_not_at_rest() -> None:
     rig = Rig(SLUGGISH, noise=0.025)
     rig.load = 10.0
     moving = next(seen for seen in responses(rig, 2500, rest=60, sp=5.0) if seen.response.sp_changed)
     found = judge(moving, lie(SLUGGISH, 4.0), SLUGGISH, S)
-    assert (found.finding, "not at rest" in found.reason) == (Finding.INCONCLUSIVE, True)
-    known = replace(moving, hindsight=hindsight(TRUE, GOOD, SLUGGISH, DT_S))
-    assert judge(known, lie(SLUGGISH, 4.0), SLUGGISH, S).finding is Finding.WORSE
+    assert (found.finding, "not at rest" in found.reason) == (TrialFinding.INCONCLUSIVE, True)
+    known = replace(moving, posterior=check_posterior(TRUE, GOOD, SLUGGISH, DT_S))
+    assert judge(known, lie(SLUGGISH, 4.0), SLUGGISH, S).finding is TrialFinding.WORSE
 
 
-def test_hindsight_is_silent_where_something_else_is_behind_the_response() -> None:
+def test_the_check_after_the_fact_is_silent_where_something_else_is_behind_the_response() -> None:
     seen = responses(Rig(STRONG, noise=0.025), 400, load=10.0)[0]
-    known = replace(seen, hindsight=hindsight(TRUE, GOOD, STRONG, DT_S), outside="a valve that sticks")
-    assert judge(known, lie(STRONG, 1 / 1.8), STRONG, S).finding is Finding.INCONCLUSIVE
+    known = replace(seen, posterior=check_posterior(TRUE, GOOD, STRONG, DT_S), outside="a valve that sticks")
+    assert judge(known, lie(STRONG, 1 / 1.8), STRONG, S).finding is TrialFinding.INCONCLUSIVE
 
 
-SEEN = Hindsight(ms_tried=1.3, ms_most=1.4, ms_old=1.8, robuster=False, slower=3.0)
+SEEN = PosteriorCheck(ms_tried=1.3, ms_most=1.4, ms_old=1.8, robuster=False, slower=3.0)
 """The tried set is three times as slow as an old one that is robust."""
 
 
@@ -111,7 +111,7 @@ def test_what_was_seen_of_the_old_set_counts_more_than_what_models_say_of_it() -
 
 
 def test_a_set_is_not_undone_for_one_that_is_no_more_robust() -> None:
-    strong = Hindsight(ms_tried=2.5, ms_most=2.6, ms_old=2.7, robuster=True, slower=0.5)
+    strong = PosteriorCheck(ms_tried=2.5, ms_most=2.6, ms_old=2.7, robuster=True, slower=0.5)
     believed = lie(STRONG, 1 / 1.8)
     assert "limit 2.10" in against(strong, believed, S, {})
     assert not against(replace(strong, robuster=False), believed, S, {})
@@ -129,7 +129,7 @@ def test_no_promise_makes_an_unstable_loop_pass() -> None:
     believed = promise(TRUE, SLUGGISH, GOOD, DT_S)
     assert believed.ms is not None
     unsafe = replace(believed, ms=Spread(2.0, 1.5, math.inf))
-    runs_away = Hindsight(ms_tried=math.inf, ms_most=math.inf, ms_old=1.5, robuster=True, slower=0.0)
+    runs_away = PosteriorCheck(ms_tried=math.inf, ms_most=math.inf, ms_old=1.5, robuster=True, slower=0.0)
     assert not in_favour(runs_away, S)
     assert not in_favour(replace(runs_away, ms_tried=1.5, ms_most=S.harmless_ms + 0.01), S)
     numbers: dict[str, float] = {}
@@ -139,12 +139,12 @@ def test_no_promise_makes_an_unstable_loop_pass() -> None:
 
 def test_a_set_that_costs_as_much_as_promised_is_kept() -> None:
     half = PidGains(GOOD.kp / 2, GOOD.ki / 2)
-    assert against(hindsight(TRUE, GOOD, half, DT_S), lie(half, 6.0), S, {})
-    assert not against(hindsight(TRUE, GOOD, half, DT_S), promise(TRUE, GOOD, half, DT_S), S, {})
+    assert against(check_posterior(TRUE, GOOD, half, DT_S), lie(half, 6.0), S, {})
+    assert not against(check_posterior(TRUE, GOOD, half, DT_S), promise(TRUE, GOOD, half, DT_S), S, {})
 
 
 def test_a_promised_ms_is_no_ground_to_undo() -> None:
-    found = Hindsight(ms_tried=2.2, ms_most=2.3, ms_old=1.5, robuster=True, slower=0.7)
+    found = PosteriorCheck(ms_tried=2.2, ms_most=2.3, ms_old=1.5, robuster=True, slower=0.7)
     assert against(found, lie(STRONG, 1 / 1.8), S, {})
     promised = promise([Plausible(MODEL, 0.0)], GOOD, STRONG, DT_S)
     assert promised.ms is not None
@@ -153,7 +153,7 @@ def test_a_promised_ms_is_no_ground_to_undo() -> None:
 
 
 def test_without_integral_action_before_nothing_is_said_of_the_cost() -> None:
-    assert hindsight(TRUE[:1], PidGains(GOOD.kp, 0.0), SLUGGISH, DT_S).slower == 0.0
+    assert check_posterior(TRUE[:1], PidGains(GOOD.kp, 0.0), SLUGGISH, DT_S).slower == 0.0
 
 
 def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
@@ -161,29 +161,29 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     rig.load = 10.0
     moving = next(seen for seen in responses(rig, 2500, rest=30, sp=5.0) if seen.response.sp_changed)
     believed = promise(TRUE, SLUGGISH, GOOD, DT_S)
-    assert judge(moving, believed, GOOD, S).finding is Finding.INCONCLUSIVE
-    said = hindsight(TRUE, SLUGGISH, GOOD, DT_S)
-    known = replace(moving, hindsight=said)
+    assert judge(moving, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE
+    said = check_posterior(TRUE, SLUGGISH, GOOD, DT_S)
+    known = replace(moving, posterior=said)
     found = judge(known, believed, GOOD, S)
-    assert found.finding is Finding.AS_PROMISED
+    assert found.finding is TrialFinding.AS_PROMISED
     assert "robust: Ms is" in found.reason
     doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
-    unsure = replace(moving, hindsight=hindsight([*TRUE, doubtful], SLUGGISH, GOOD, DT_S))
-    assert judge(unsure, believed, GOOD, S).finding is Finding.INCONCLUSIVE
-    unsettled = replace(known, hindsight=replace(said, settled=False))
-    assert judge(unsettled, believed, GOOD, S).finding is Finding.INCONCLUSIVE
+    unsure = replace(moving, posterior=check_posterior([*TRUE, doubtful], SLUGGISH, GOOD, DT_S))
+    assert judge(unsure, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE
+    unsettled = replace(known, posterior=replace(said, settled=False))
+    assert judge(unsettled, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE
     small = replace(known, response=replace(moving.response, band=10.0))
-    assert judge(small, believed, GOOD, S).finding is Finding.INCONCLUSIVE
+    assert judge(small, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE
 
 
 def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[Any, ...]] = []
 
-    def noted(*given: Any) -> Seen:
+    def noted(*given: Any) -> PosteriorCheck | None:
         asked.append(given)
-        return seen_of(*given)
+        return posterior_of(*given)
 
-    monkeypatch.setattr(retuner_module, "seen_of", noted)
+    monkeypatch.setattr(pipeline, "posterior_of", noted)
     table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (GOOD,))
     retuner, rig = Retuner(table, RetunerSettings(1.0, 100.0, Mode.AUTO, band=0.1)), Rig(GOOD, noise=0.02)
     _ = [retuner.observe(sample) for sample in rig.run(60)]
@@ -194,13 +194,12 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
     rig.sp = 5.0
     decision = next(filter(None, (retuner.observe(sample) for sample in rig.run(2000))))
     assert decision.action is Action.RESTORE
-    ((case, outcome, trial, settings),) = asked
-    learned = outcome.learned
+    ((case, learned, trial, settings),) = asked
 
-    def with_(**changes: Any) -> Hindsight | None:
+    def with_(**changes: Any) -> PosteriorCheck | None:
         estimate = replace(learned.estimate, **{k: v for k, v in changes.items() if k != "surprise"})
         now = replace(learned, estimate=estimate, surprise=changes.get("surprise", learned.surprise))
-        return seen_of(case, replace(outcome, learned=now), trial, settings).hindsight
+        return posterior_of(case, now, trial, settings)
 
     usual, unsettled = with_(), with_(identifiable=False)
     assert usual is not None
@@ -209,4 +208,4 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
     assert with_(surprise=Surprise.SILENT) is None
     assert with_(plausible=()) is None
     assert with_(residual_std=1e3) is None
-    assert seen_of(case, replace(outcome, learned=None), trial, settings).hindsight is None
+    assert posterior_of(case, None, trial, settings) is None
