@@ -29,34 +29,10 @@ def check(path: Path, *, as_json: bool) -> int:
         _print_json({"ok": False, "file": str(path), "problems": [_problem(f) for f in unusable.findings]})
         return UNUSABLE
     if as_json:
-        _print_json({"ok": True, "file": str(path), "problems": [], **summary(config)})
+        _print_json({"ok": True, "file": str(path), "problems": [], **config.summary()})
     else:
         sys.stdout.write(f"{path}: ok\n" + "".join(f"  {line}\n" for line in described(config)))
     return 0
-
-
-def summary(config: Config) -> dict[str, object]:
-    """What a configuration says, as JSON values: every setting with its defaults, and the gains of each region."""
-    settings = config.model_dump(mode="json", by_alias=True)
-    where = config.regions()
-    regions = [
-        {
-            "name": region.name,
-            "low": where.span(i)[0],
-            "high": where.span(i)[1],
-            "unit": where.unit,
-            "along": [
-                {"variable": axis.label, "low": axis.span(part)[0], "high": axis.span(part)[1], "unit": axis.unit}
-                for axis, part in zip(where.axes, where.cell(i), strict=True)
-            ],
-            "neighbours": [where.names[other] for other in where.neighbours(i)],
-            "form": region.form,
-            "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
-            "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
-        }
-        for i, (region, gains) in enumerate(zip(config.schedule.regions, config.gains(), strict=True))
-    ]
-    return {**settings, "regions": regions}
 
 
 def described(config: Config) -> list[str]:

@@ -19,13 +19,13 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
-from retuner.commands.tune import described as tuning_lines
 from retuner.decision_page.evidence_words import evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
+from retuner.tuning import tuning_lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,14 +9,15 @@ from retuner.commands.run import RunOptions, overridden
 from retuner.config import Config, load_config
 from retuner.drivers.device import DeviceError
 from retuner.errors import UserError, user_input
-from retuner.experiment.bench import Bench, live, simulated
 from retuner.experiment.findings import Question
 from retuner.experiment.on_demand import OnDemandExperiment
 from retuner.experiment.result import RECORD
+from retuner.experiment.runner import Bench
 from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
 from retuner.ledger import Ledger
 from retuner.report.console import RunScreen, screen_console
 from retuner.session.assembly import make_plant
+from retuner.session.bench import live, simulated
 from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
 from retuner.session.running import real_time_speed
 from retuner.stopping import stoppable

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from retuner.api import Identification, identify_record
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
-from retuner.commands.tune import described as tuning_lines
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import user_input
 from retuner.files import write_whole
+from retuner.tuning import tuning_lines
 
 
 def identify(path: Path, options: RecordOptions) -> int:

@@ -11,13 +11,12 @@ from pathlib import Path
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
-from retuner.commands.check import summary
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
-from retuner.files import write_whole
-from retuner.ledger import Ledger
+from retuner.files import write_json, write_whole
+from retuner.ledger import Ledger, Recorder
 from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore, region_scores
@@ -35,11 +34,10 @@ from retuner.session.outputs import (
     FreshFolder,
     fresh_folder,
     give_back,
-    write_json,
 )
 from retuner.session.running import Run, nothing, real_time_speed
 from retuner.session.scenario import loads_at
-from retuner.session.session import Recorder, Session
+from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 
@@ -173,7 +171,7 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
     }
     changes = {place: value for place, value in named.items() if value is not None}
     text, identity = session_identity(job.config, job.text, changes)
-    body = {"config": summary(job.config), "retuner": version("retuner"), **identity, "samples": 0}
+    body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
     try:
         write_whole(job.folder / CONFIG, text)
         ledger.append("session", body, 0.0)

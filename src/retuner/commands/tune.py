@@ -8,8 +8,8 @@ from pathlib import Path
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.explanation import Explanation
 from retuner.errors import UserError, user_input
-from retuner.tuning import TuneResult
 from retuner.tuning import tune as tune_model
+from retuner.tuning import tuning_lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def tune(process: Process, options: TuneOptions) -> int:
         shown |= {"explanation": why.to_dict()} if why else {}
         sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join([*described(result), *(explained(why) if why else [])]) + "\n")
+        sys.stdout.write("\n".join([*tuning_lines(result), *(explained(why) if why else [])]) + "\n")
     return 0 if result.margins is None or result.margins.stable else 1
 
 
@@ -87,35 +87,3 @@ def explained(why: Explanation) -> list[str]:
     lines += [f"  put in    {numbers}"] if numbers else []
     lines += [f"            {line}" for line in why.with_numbers if line not in why.formula]
     return [*lines, f"  source    {why.source}", f"  range     {why.valid}"]
-
-
-def number(value: object, unit: str = "") -> str:
-    """A number as people read it; none and infinite have words."""
-    if value is None:
-        return "none"
-    assert isinstance(value, float)
-    return f"{value:.4g}{unit}"
-
-
-def described(result: TuneResult) -> list[str]:
-    """Settings, margins and notes in lines."""
-    shown = result.to_dict()
-    gains, parallel, m = shown["gains"], shown["parallel"], result.margins
-    assert isinstance(gains, dict)
-    assert isinstance(parallel, dict)
-    times = f"tau_I {number(gains['tau_i'], ' s')}  tau_D {number(gains['tau_d'], ' s')}"
-    ki, kd = number(parallel["ki"], "/s"), number(parallel["kd"], " s")
-    tau_c = "" if result.tuning.tau_c_s is None else f", tau_c {number(result.tuning.tau_c_s, ' s')}"
-    lines = [
-        f"{result.tuning.rule} {result.kind.upper()}{tau_c}",
-        f"  {result.form:<8}  Kc {number(gains['kc'])}  {times}",
-        f"  parallel  kp {number(parallel['kp'])}  ki {ki}  kd {kd}",
-    ]
-    if m is not None and not m.stable:
-        lines.append("  the closed loop would be UNSTABLE")
-    elif m is not None:
-        lines.append(
-            f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
-            f"delay margin {m.delay_margin_s:.4g} s"
-        )
-    return [*lines, *(f"  note: {note}" for note in result.tuning.notes)]
