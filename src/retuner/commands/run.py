@@ -11,6 +11,7 @@ from pathlib import Path
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
+from retuner.commands.report import scores_of
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
 from retuner.drivers.device import DeviceError
@@ -19,7 +20,7 @@ from retuner.files import write_json, write_whole
 from retuner.ledger import Ledger, Recorder
 from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
 from retuner.report.report import ReportData, render
-from retuner.report.scores import RegionScore, region_scores
+from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
 from retuner.schedule.document import to_toml
 from retuner.session.assembly import make_plant
@@ -36,7 +37,6 @@ from retuner.session.outputs import (
     give_back,
 )
 from retuner.session.running import Run, nothing, real_time_speed
-from retuner.session.scenario import loads_at
 from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
@@ -246,45 +246,40 @@ def _leave(
     """Write everything that the run leaves, and show the result."""
     config, folder = job.config, job.folder
     columns = session.trend.columns()
-    before = config.gain_table()
-    linearise = make_plant(config).linearise if config.device else None
     fixed_columns = fixed.trend.columns() if fixed else None
-    scores = region_scores(
-        before,
-        session.table,
-        session.commits,
-        columns,
-        fixed_columns,
-        linearise,
-        config.loop.sample_time_s,
-        config.loop.tau_f_s,
-        loads_at(config.scenario, columns["t"]),
-    )
+    scores = scores_of(config, session.table, session.commits, columns, fixed_columns)
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
-    facts = _facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {})
     data = ReportData(
-        config.loop.name,
-        config.loop.pv_unit,
-        before,
-        session.table,
-        scores,
-        list(session.decisions),
-        columns,
-        fixed_columns,
-        [t for t, _ in session.commits],
-        session.scenario.played,
-        facts,
+        loop=config.loop.name,
+        unit=config.loop.pv_unit,
+        before=config.gain_table(),
+        after=session.table,
+        scores=scores,
+        decisions=list(session.decisions),
+        run=columns,
+        fixed=fixed_columns,
+        commits=[t for t, _ in session.commits],
+        events=session.scenario.played,
+        facts=_facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {}),
         stopped=config.scenario is not None and not session.scenario.finished,
         advice=[one.sentence for one in advice_of(session)],
     )
     write_whole(folder / REPORT, render(data))
+    _show(job, ledger, session, scores, screen, interrupted=interrupted)
+
+
+def _show(
+    job: _Job, ledger: Ledger, session: Session, scores: list[RegionScore], screen: RunScreen, *, interrupted: bool
+) -> None:
+    """The result as a file, and for whoever asked for it."""
+    folder = job.folder
     document = {**result(session, scores, ledger, folder), "interrupted": interrupted}
     write_json(folder / SUMMARY, document)
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
-    screen.table(scores_table(scores, config.loop.pv_unit))
+    screen.table(scores_table(scores, job.config.loop.pv_unit))
     done = f"{counted(len(session.decisions), 'decision')}, {counted(len(session.commits), 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
