@@ -2,24 +2,23 @@
 
 import json
 import sys
-from pathlib import Path
 
+import typer
+
+from retuner.commands.options import ConfigFile, Json
 from retuner.config.loading import Finding, UnusableError, parse_config, read_text, usable_here
 from retuner.config.model import Config
 from retuner.errors import ConfigError
 from retuner.schedule.axis import Axis
 
+app = typer.Typer(add_completion=False)
+
 UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 
 
-def check(path: Path, *, as_json: bool) -> int:
-    """Check a configuration file and show the result; the exit status.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be used, one line per problem (with as_json: only when it cannot be read at all).
-    """
+@app.command(epilog="Example: retuner check oven.toml")
+def check(path: ConfigFile, as_json: Json = False) -> int:
+    """Say what is wrong with a configuration: file, line, key, limit; or show it when all is well."""
     try:
         text = read_text(path)
         config = usable_here(parse_config(text), text)

@@ -4,8 +4,11 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
+
+from retuner.commands.options import Json, Session
 from retuner.config.model import Config
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.page import page
@@ -23,15 +26,17 @@ from retuner.session.outputs import GAINS, REPORT, SUMMARY
 from retuner.session.recorded_session import RecordedSession, read_session, without_place
 from retuner.session.scenario import loads_at
 
+app = typer.Typer(add_completion=False)
 
-def report(session: Path, *, decision: int | None, out: Path | None, as_json: bool) -> int:
-    """Write the report, or one page; the exit status.
 
-    Raises
-    ------
-    UserError, LedgerError
-        The session cannot be read or believed, or has no such decision.
-    """
+@app.command(epilog="Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html")
+def report(
+    session: Session,
+    decision: Annotated[int | None, typer.Option(help="Only the page of this decision, by its number.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where to write it; default in the session's folder.")] = None,
+    as_json: Json = False,
+) -> int:
+    """Make the report of a recorded session again, or the page of one decision: the whole reasoning with pictures."""
     recorded = read_session(session)
     columns = recorded_columns(recorded)
     rows = [row for row in recorded.rows if row.kind == "decision"]

@@ -7,10 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
+from retuner.commands.options import Channel, ConfigFile, Interface, Json, on_bus, signed_by
 from retuner.commands.report import scores_of
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
@@ -41,22 +45,29 @@ from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 
+app = typer.Typer(add_completion=False)
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """What the command line adds to the configuration; None leaves the configured value."""
+    """Watch a loop, retune it over CAN, and leave a report."""
 
-    interface: str | None = None
-    channel: str | None = None
-    speed: str = "max"
-    mode: str | None = None
-    out: Path | None = None
-    compare: bool = True
-    as_json: bool = False
-    pretune: bool = False
+    config: ConfigFile
+    interface: Interface = None
+    channel: Channel = None
+    speed: Annotated[
+        str, typer.Option(help="max: simulated time; a number: how much faster than real time the device runs.")
+    ] = "max"
+    mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None
+    out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
+    compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
+    pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
+    as_json: Json = False
 
 
-def run(path: Path, options: RunOptions) -> int:
+@app.command(epilog="Example: retuner run examples/oven.toml --out runs/oven")
+@signed_by(RunOptions)
+def run(options: RunOptions) -> int:
     """Run a configuration; the exit status.
 
     Raises
@@ -64,14 +75,16 @@ def run(path: Path, options: RunOptions) -> int:
     ConfigError, UserError, DeviceError
         The configuration, the options, the folder or the bus cannot be used, one line each.
     """
-    read, text = load_with_text(path)
-    config = overridden(read, options)
+    read, text = load_with_text(options.config)
+    config = on_bus(read, options.interface, options.channel)
+    if options.pretune:
+        config = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
     if options.mode is not None and options.mode not in set(Mode):
         raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
     mode = Mode(options.mode) if options.mode else None
     simulated = config.bus.interface == "virtual"
     if simulated and config.scenario is None:
-        raise UserError(f"{path}: a simulated run needs a [scenario] with its length and steps; add one")
+        raise UserError(f"{options.config}: a simulated run needs a [scenario] with its length and steps; add one")
     if simulated:
         make_plant(config)
     speed = real_time_speed(options.speed, simulated=simulated)
@@ -322,14 +335,3 @@ def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: 
         "revision": session.table.revision,
         "ledger_head": ledger.head(),
     }
-
-
-def overridden(config: Config, options: RunOptions) -> Config:
-    """The configuration with the bus that the command line names, and its pretune."""
-    named = {"interface": options.interface, "channel": options.channel}
-    if options.pretune:
-        config = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
-    changes = {name: value for name, value in named.items() if value is not None}
-    if not changes:
-        return config
-    return config.model_copy(update={"bus": config.bus.model_copy(update=changes)})
