@@ -14,6 +14,7 @@ from retuner.adaptive.rules.explanation import Explanation
 from retuner.commands.options import Json, signed_by
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
+from retuner.schedule.forms import proportional_band_pct, repeats_per_min
 from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
 
@@ -47,6 +48,9 @@ class TuneOptions:
     pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None
     kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None
     pq: Annotated[float | None, typer.Option(help="Period at quarter decay, s.")] = None
+    pv_span: Annotated[
+        float | None, typer.Option(help="Span of pv: also as proportional band, percent, and repeats per minute.")
+    ] = None
     everything: Annotated[bool, typer.Option("--all", help="Every rule that applies, in one table.")] = False
     explain: Annotated[bool, typer.Option("--explain", help="Also formula, numbers put in and source.")] = False
     plot: Annotated[
@@ -101,13 +105,16 @@ def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
     if options.plot is not None:
         _draw_one(model, result, options.plot)
+    dial = dialled(result, options.pv_span) if options.pv_span is not None else {}
     why = result.explanation if options.explain else None
     if options.as_json:
         shown = {"model": model.to_dict() if model else None, **result.to_dict()}
-        shown |= {"explanation": why.to_dict()} if why else {}
+        shown |= ({"dialled": dial} if dial else {}) | ({"explanation": why.to_dict()} if why else {})
         sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join([*tuning_lines(result), *(explained(why) if why else [])]) + "\n")
+        sys.stdout.write(
+            "\n".join([*tuning_lines(result), *_dial_lines(dial), *(explained(why) if why else [])]) + "\n"
+        )
     return 0 if result.margins is None or result.margins.stable else 1
 
 
@@ -151,6 +158,24 @@ def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
     with user_input("--plot"):
         picture = responses_png(model, rows)
     path.write_bytes(picture)
+
+
+def dialled(result: TuneResult, pv_span: float) -> dict[str, float]:
+    """The settings in vendors' units: proportional band in percent of the span of pv, and repeats per minute."""
+    gains = result.tuning.to_dict(result.form)["gains"]
+    assert isinstance(gains, dict)
+    with user_input("--pv-span"):
+        return {
+            "band_pct": proportional_band_pct(gains["kc"], pv_span),
+            "repeats_per_min": repeats_per_min(gains["tau_i"]),
+        }
+
+
+def _dial_lines(dial: dict[str, float]) -> list[str]:
+    """Vendors' units in a line, if they are wanted."""
+    if not dial:
+        return []
+    return [f"  dialled   proportional band {dial['band_pct']:.4g} %  {dial['repeats_per_min']:.4g} repeats/min"]
 
 
 def explained(why: Explanation) -> list[str]:
