@@ -18,8 +18,8 @@ MAY_IMPORT = {
 ORDER = (
     "schedule",
     *(f"adaptive.{name}" for name in (
-        "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments", "identification",
-        "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
+        "setting", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
+        "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
