@@ -35,7 +35,7 @@ from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.experiment.findings import Findings, Question, evaluate
-from retuner.experiment.runner import Conductor
+from retuner.experiment.runner import ExperimentRunner
 from retuner.schedule.gains import PidGains
 from retuner.session.running import nothing
 
@@ -96,7 +96,7 @@ class Job:
         )
 
 
-def conduct(job: Job, plan: Plan) -> tuple[Conductor, VirtualDevice]:
+def conduct(job: Job, plan: Plan) -> tuple[ExperimentRunner, VirtualDevice]:
     """The experiment in simulated time."""
     plant = LinearPlant(job.process, start_co=50.0, noise=job.noise, seed=job.seed, co_min=-100.0, co_max=200.0)
     firmware = VirtualDeviceSettings(job.before, sample_time_s=job.dt, co_min=-100.0, co_max=200.0)
@@ -105,7 +105,7 @@ def conduct(job: Job, plan: Plan) -> tuple[Conductor, VirtualDevice]:
     with CanLink(link, clock) as far, CanLink(link, clock) as near:
         on_bus = DeviceOnBus(device, far)
         host = CanDevice(near, CanDeviceSettings(sample_time_s=job.dt))
-        conductor = Conductor(host, plan, job.dt, host.settings.silent_s, nothing)
+        conductor = ExperimentRunner(host, plan, job.dt, host.settings.silent_s, nothing)
         while not conductor.phase.over:
             clock.advance(job.dt)
             on_bus.sample()
@@ -113,7 +113,7 @@ def conduct(job: Job, plan: Plan) -> tuple[Conductor, VirtualDevice]:
     return conductor, device
 
 
-def evaluated(conductor: Conductor, kind: Kind) -> Findings:
+def evaluated(conductor: ExperimentRunner, kind: Kind) -> Findings:
     assert conductor.rest is not None
     assert conductor.before is not None
     kc = conductor.plan.kc0 if kind == Kind.SETPOINT else None

@@ -200,31 +200,15 @@ def proportional_band_pct(kc: float, pv_span: float, co_span: float = 100.0) -> 
     ValueError
         kc is 0, a span is not positive, a value or the band is not finite.
     """
-    return _band(kc, "kc", pv_span, co_span)
-
-
-def gain_from_band(band_pct: float, pv_span: float, co_span: float = 100.0) -> float:
-    """Gain in co units per pv unit of a proportional band in percent of the pv span; it keeps the sign.
-
-    Raises
-    ------
-    ValueError
-        The band is 0, a span is not positive, a value or the gain is not finite.
-    """
-    return _band(band_pct, "band_pct", pv_span, co_span)
-
-
-def _band(value: float, name: str, pv_span: float, co_span: float) -> float:
-    """100 co_span / (value pv_span): band from gain and gain from band are the same formula."""
     for label, span in (("pv_span", pv_span), ("co_span", co_span)):
         if not (span > 0 and math.isfinite(span)):
             raise ValueError(f"{label} = {span} must be a positive finite number")
-    if value == 0 or not math.isfinite(value):
-        raise ValueError(f"{name} = {value} must be a finite number other than 0")
-    result = 100.0 * (co_span / pv_span) / value
-    if result == 0 or not math.isfinite(result):
-        raise ValueError(f"{name} = {value} with pv_span = {pv_span}, co_span = {co_span} is beyond what numbers hold")
-    return result
+    if kc == 0 or not math.isfinite(kc):
+        raise ValueError(f"kc = {kc} must be a finite number other than 0")
+    band = 100.0 * (co_span / pv_span) / kc
+    if band == 0 or not math.isfinite(band):
+        raise ValueError(f"kc = {kc} with pv_span = {pv_span}, co_span = {co_span} is beyond what numbers hold")
+    return band
 
 
 def repeats_per_min(tau_i_s: float | None) -> float:
@@ -235,22 +219,8 @@ def repeats_per_min(tau_i_s: float | None) -> float:
     ValueError
         tau_i_s is not a positive finite number.
     """
-    return 0.0 if tau_i_s is None else _per_minute("tau_i_s", tau_i_s)
-
-
-def tau_i_from_repeats(repeats: float) -> float | None:
-    """Integral time in seconds of integral action in repeats per minute; None for 0 repeats.
-
-    Raises
-    ------
-    ValueError
-        repeats is negative or not finite.
-    """
-    return None if repeats == 0 else _per_minute("repeats per minute", repeats)
-
-
-def _per_minute(name: str, value: float) -> float:
-    """60 / value."""
-    if not (value > 0 and math.isfinite(value)):
-        raise ValueError(f"{name} = {value} must be a positive finite number")
-    return SECONDS_PER_MINUTE / value
+    if tau_i_s is None:
+        return 0.0
+    if not (tau_i_s > 0 and math.isfinite(tau_i_s)):
+        raise ValueError(f"tau_i_s = {tau_i_s} must be a positive finite number")
+    return SECONDS_PER_MINUTE / tau_i_s

@@ -13,7 +13,6 @@ borders, is one comparison; a law that needs more has floors that no x reaches, 
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from itertools import product
 from typing import NamedTuple
 
 from retuner.schedule.axis import VARIABLES, Axis, AxisLaw, filtered, place
@@ -206,10 +205,6 @@ class Regions:
         one, two = self.cell(a), self.cell(b)
         axis = 0 if one[0] != two[0] else 1
         return Border(axis, self.axes[axis].bounds[min(one[axis], two[axis])])
-
-    def centres(self) -> tuple[tuple[float, ...], ...]:
-        """The middle of every region, a number an axis, in the order of the regions."""
-        return tuple(product(*(tuple(axis.centre(i) for i in range(len(axis))) for axis in self.axes)))
 
 
 def enter(law: RegionLaw, x: float, t_s: float, x2: float = 0.0, last: RegionState | None = None) -> RegionState:

@@ -152,20 +152,6 @@ class GainTable:
             needed.append(rest)
         return PidGains(*needed) if all(map(math.isfinite, needed)) and any(needed) else None
 
-    def with_running(self, region: int | str, wanted: PidGains, x: float, x2: float = 0.0) -> "GainTable":
-        """The next revision, in which `wanted` is in force at (x, x2): `stored_for` in place of the region's set.
-
-        Raises
-        ------
-        ValueError
-            As `at` and `index`, or no set of this region does it.
-        """
-        stored = self.stored_for(region, wanted, x, x2)
-        if stored is None:
-            name = self.regions.names[self.index(region)]
-            raise ValueError(f"no set of region {name!r} puts {wanted} in force at {x:g}, {x2:g} beside its neighbours")
-        return self.with_gains(region, stored)
-
 
 def _shares(knots: tuple[float, ...], x: float) -> tuple[tuple[int, float], ...]:
     """The one or two knots that count at x, with their shares; the end knot alone outside."""

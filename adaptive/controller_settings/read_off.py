@@ -88,11 +88,6 @@ class SettingsInForce:
     reason: str
     direction: int | None = None
 
-    @property
-    def confident(self) -> bool:
-        """Whether the record shows the settings."""
-        return self.gains is not None
-
     def forms(self) -> dict[str, dict[str, float | None]]:
         """The settings in each form in which this controller exists: kc, tau_i, tau_d by form."""
         found: dict[str, dict[str, float | None]] = {}

@@ -116,6 +116,11 @@ class _Waves:
         """Half the height of each."""
         return (self.highs - self.lows) / 2
 
+    @property
+    def amplitude(self) -> float:
+        """Their mean."""
+        return float(np.mean(self.amplitudes))
+
 
 def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     """Evaluate a record of relay feedback.
@@ -130,54 +135,62 @@ def relay_cycle(window: Window, hysteresis: float = 0.0) -> RelayCycle:
     ValueError
         co is not a relay's, it switches too rarely, the hysteresis is negative, or the waves do not rise above it.
     """
+    _require_hysteresis(hysteresis)
+    upper = _levels(window.co)
+    waves = _waves(window, _full_waves(window.t_s, upper), hysteresis)
+    co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
+    d = (co_high - co_low) / 2
+    point = _fundamental(window, waves.spans)
+    high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
+    pv_mean, co_mean = _means(window, waves.spans)
+    return RelayCycle(
+        ku=_ku(d, waves.amplitude, hysteresis),
+        pu_s=float(np.mean(waves.periods)),
+        ku_std=float(np.std(4 * d / (math.pi * np.sqrt(waves.amplitudes**2 - hysteresis**2)))),
+        pu_std_s=float(np.std(waves.periods)),
+        waves=len(waves.spans),
+        amplitude=waves.amplitude,
+        co_amplitude=d,
+        hysteresis=hysteresis,
+        high_s=high_s,
+        low_s=low_s,
+        pv_high=float(np.mean(waves.highs)),
+        pv_low=float(np.mean(waves.lows)),
+        pv_mean=pv_mean,
+        co_mean=co_mean,
+        co_high=co_high,
+        co_low=co_low,
+        from_s=float(window.t_s[waves.spans[0][0]]),
+        to_s=float(window.t_s[waves.spans[-1][1]]),
+        gain=abs(point),
+        phase_deg=math.degrees(cmath.phase(point)) % 360 - 360,
+    )
+
+
+def _require_hysteresis(hysteresis: float) -> None:
+    """Refuse what is no hysteresis."""
     if not (math.isfinite(hysteresis) and hysteresis >= 0):
         raise ValueError(f"hysteresis = {hysteresis}: give 0 or a positive number of pv units")
-    upper = _levels(window.co)
+
+
+def _ku(d: float, a: float, hysteresis: float) -> float:
+    """Ultimate gain by the describing function: relay of amplitude d, waves of amplitude a."""
+    return 4 * d / (math.pi * math.sqrt(a * a - hysteresis * hysteresis))
+
+
+def _full_waves(t_s: FloatArray, upper: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[int, int]]:
+    """First and last sample of each full wave of usual duration."""
     switches = np.flatnonzero(np.diff(upper.astype(np.int8))) + 1
     if len(switches) < 2 * FEWEST_WAVES + 2:
         raise ValueError(
             f"the relay switches {len(switches)} times, {2 * FEWEST_WAVES + 2} are needed at least: "
             "record longer, or see whether its sign and size let pv cross the reference"
         )
-    starts = _regular(window.t_s, switches)
-    waves = _waves(window, [(int(switches[i]), int(switches[i + 2])) for i in starts])
-    a = float(np.mean(waves.amplitudes))
-    if np.min(waves.amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
-        raise ValueError(
-            f"the waves of pv are {a:.3g} high on either side, no more than the hysteresis of "
-            f"{hysteresis:.3g}; raise the relay's amplitude or lower its hysteresis"
-        )
-    co_high, co_low = float(np.median(window.co[upper])), float(np.median(window.co[~upper]))
-    d = (co_high - co_low) / 2
-    gains = 4 * d / (math.pi * np.sqrt(waves.amplitudes**2 - hysteresis**2))
-    ku = 4 * d / (math.pi * math.sqrt(a * a - hysteresis * hysteresis))
-    point = _fundamental(window, waves.spans)
-    high_s, low_s = _half_waves(window.t_s, waves.spans, upper)
-    return RelayCycle(
-        ku,
-        float(np.mean(waves.periods)),
-        float(np.std(gains)),
-        float(np.std(waves.periods)),
-        len(waves.spans),
-        a,
-        d,
-        hysteresis,
-        high_s,
-        low_s,
-        float(np.mean(waves.highs)),
-        float(np.mean(waves.lows)),
-        *_means(window, waves.spans),
-        co_high,
-        co_low,
-        float(window.t_s[waves.spans[0][0]]),
-        float(window.t_s[waves.spans[-1][1]]),
-        abs(point),
-        math.degrees(cmath.phase(point)) % 360 - 360,
-    )
+    return [(int(switches[i]), int(switches[i + 2])) for i in _regular(t_s, switches)]
 
 
-def _waves(window: Window, spans: list[tuple[int, int]]) -> _Waves:
-    """Measure the waves and leave outliers out."""
+def _waves(window: Window, spans: list[tuple[int, int]], hysteresis: float) -> _Waves:
+    """Measure the waves, each of which must rise above the hysteresis, and leave outliers out."""
     t, dt = window.t_s, window.sample_time_s
     periods = np.array([t[b] - t[a] for a, b in spans])
     pv = _peaks_kept(window.pv, float(np.median(periods)) / dt)
@@ -187,7 +200,13 @@ def _waves(window: Window, spans: list[tuple[int, int]]) -> _Waves:
     quantum = float(np.min(steps[steps > 0], initial=np.inf))
     usual = _near_median(periods, dt) & _near_median(highs - lows, min(2 * quantum, float(np.median(highs - lows))))
     spans = [span for span, kept in zip(spans, usual, strict=True) if kept]
-    return _Waves(spans, periods[usual], highs[usual], lows[usual])
+    waves = _Waves(spans, periods[usual], highs[usual], lows[usual])
+    if np.min(waves.amplitudes) <= hysteresis * NEXT_TO_HYSTERESIS:
+        raise ValueError(
+            f"the waves of pv are {waves.amplitude:.3g} high on either side, no more than the hysteresis of "
+            f"{hysteresis:.3g}; raise the relay's amplitude or lower its hysteresis"
+        )
+    return waves
 
 
 def _near_median(values: FloatArray, slack: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

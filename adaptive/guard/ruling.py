@@ -48,10 +48,6 @@ class Ruling(StrEnum):
     CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
 
 
-ACCEPTING = frozenset({Ruling.ACCEPTED, Ruling.URGENT, Ruling.SAFER, Ruling.UNPROVED_STEP, Ruling.UNPROVED_WAY_OUT})
-"""Rulings that let gains through."""
-
-
 @dataclass(frozen=True, slots=True)
 class Check:
     """One thing that was asked.

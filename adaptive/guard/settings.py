@@ -1,48 +1,27 @@
-"""Settings of the guard, with their ranges."""
+"""Settings of the guard, each with its meaning, range and source."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
-RANGES = {
-    "ms_nominal": (1.2, 3.0), "ms_target": (1.2, 3.0), "ms_worst": (1.2, 5.0), "ms_border": (1.2, 5.0),
-    "tau_c_max_ratio": (1.0, 3.0), "believed": (0.0, 20.0), "corner_std": (0.0, 6.0),
-    "step_up_max": (1.0, 100.0), "step_down_max": (1.0, 100.0), "pattern_step_max": (1.0, 4.0),
-    "kc_up_max": (1.0, 100.0), "kc_down_max": (1.0, 100.0),
-    "tau_i_shorter_max": (1.0, 100.0), "tau_i_longer_max": (1.0, 100.0),
-    "tau_d_up_max": (1.0, 100.0), "tau_d_down_max": (1.0, 100.0),
-    "integral_up_max": (1.0, 100.0), "integral_down_max": (1.0, 100.0),
-    "urgent_damping": (0.5, 10.0), "total_ratio_max": (1.0, 1000.0),
-    "kc_min": (0.0, math.inf), "kc_max": (0.0, math.inf),
-    "tau_i_min_s": (0.0, math.inf), "tau_i_max_s": (0.0, math.inf), "tau_d_max_s": (0.0, math.inf),
-    "tau_i_samples": (0.0, 100.0), "tau_d_samples": (0.0, 100.0),
-    "records_min": (1, 100), "age_max_s": (0.0, math.inf), "smallest_change": (1.0, 2.0),
-}  # fmt: skip
-"""Least and greatest value of every setting."""
+from retuner.adaptive.setting import Setting, require_in_range
+
+UP, DOWN = "absent: step_up_max", "absent: step_down_max"
+
+
+def _factor(what: str, absent: str) -> Setting:
+    """A limit of one change of one parameter."""
+    return Setting(f"Greatest factor of one change of {what}; {absent}", 1.0, 100.0, source="user", absent=True)
+
+
+def _bound(what: str) -> Setting:
+    """An absolute limit of a time."""
+    return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 
 @dataclass(frozen=True, slots=True)
 class GuardSettings:
-    """Settings.
-
-    ms_nominal : largest Ms on the identified process; default 1.75.
-    ms_target : Ms that proposals aim at by their tau_c; default 1.65 (what is between the two is for the process that
-        is never quite the one identified).
-    ms_worst : largest Ms on any model that the records allow; default 2.1.
-    ms_border : largest Ms where the gains meet a neighbouring region's process or are mixed with its gains; 2.1.
-    tau_c_max_ratio : largest tau_c over theta that robustness may ask for; default 1.3.
-    believed : excess of the deviance up to which a model counts as allowed; default 4 (two standard deviations).
-    corner_std : how many standard deviations out the corners lie where nothing but a covariance is known; default 2.
-    step_up_max, step_down_max : largest factor per change towards more and towards less action, of kc, tau_I, tau_D and
-        kc/tau_I; defaults 2 and 4. More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
-    kc_up_max ... integral_down_max : the same for one of them (integral: kc/tau_I); None for the general limit.
-    urgent_damping : damping (E3 - E2)/(E1 - E2) of a response from which the loop counts as oscillating; default 0.9.
-    pattern_step_max : largest factor either way of a change that no model proves; default 1.5.
-    total_ratio_max : largest factor of kc, tau_I and tau_D against the commissioned set; default 4 (ABB ECA06).
-    kc_min, kc_max : absolute limits on |kc|. tau_i_min_s, tau_i_max_s, tau_d_max_s : of the times, seconds.
-    tau_i_samples, tau_d_samples : least tau_I and tau_D in sampling intervals; defaults 1 and 1. A tau_I that is
-        shorter already may stay, a shorter derivative is left out.
-    records_min : least records behind a model; default 1. age_max_s : greatest age of the last one; default 30 days.
-    smallest_change : changes below this factor are not worth a write; default 1.05. Not for a loop over its limit.
+    """Settings. More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
 
     Raises
     ------
@@ -50,42 +29,122 @@ class GuardSettings:
         A setting is outside its range, or two of them leave no room between them.
     """
 
-    ms_nominal: float = 1.75
-    ms_target: float = 1.65
-    ms_worst: float = 2.1
-    ms_border: float = 2.1
-    tau_c_max_ratio: float = 1.3
-    believed: float = 4.0
-    corner_std: float = 2.0
-    step_up_max: float = 2.0
-    step_down_max: float = 4.0
-    kc_up_max: float | None = None
-    kc_down_max: float | None = None
-    tau_i_shorter_max: float | None = None
-    tau_i_longer_max: float | None = None
-    tau_d_up_max: float | None = None
-    tau_d_down_max: float | None = None
-    integral_up_max: float | None = None
-    integral_down_max: float | None = None
-    urgent_damping: float = 0.9
-    pattern_step_max: float = 1.5
-    total_ratio_max: float = 4.0
-    kc_min: float = 0.0
-    kc_max: float = math.inf
-    tau_i_min_s: float = 0.0
-    tau_i_max_s: float = math.inf
-    tau_d_max_s: float = math.inf
-    tau_i_samples: float = 1.0
-    tau_d_samples: float = 1.0
-    records_min: int = 1
-    age_max_s: float = 30 * 86400.0
-    smallest_change: float = 1.05
+    ms_nominal: Annotated[float, Setting("Largest Ms on the identified process", 1.2, 3.0)] = 1.75
+    ms_target: Annotated[
+        float,
+        Setting("Ms that proposals aim at by their tau_c: the process is never quite the one identified", 1.2, 3.0),
+    ] = 1.65
+    ms_worst: Annotated[float, Setting("Largest Ms on any model that the records allow", 1.2, 5.0)] = 2.1
+    tau_c_max_ratio: Annotated[float, Setting("Largest tau_c over theta that robustness may ask for", 1.0, 3.0)] = 1.3
+    corner_std: Annotated[
+        float, Setting("How many std out the corners lie where nothing but a covariance is known", 0.0, 6.0)
+    ] = 2.0
+    kc_min: Annotated[float, Setting("Least |kc|", 0.0)] = 0.0
+    kc_max: Annotated[float, Setting("Greatest |kc|", 0.0)] = math.inf
+    step_up_max: Annotated[
+        float, Setting("Greatest factor of one change of kc, tau_I, tau_D, kc/tau_I to more action", 1.0, 100.0)
+    ] = 2.0
+    step_down_max: Annotated[float, Setting("The same to less action", 1.0, 100.0)] = 4.0
+    total_ratio_max: Annotated[
+        float,
+        Setting(
+            "Greatest factor of kc, tau_I and tau_D against the commissioned set",
+            1.0,
+            1000.0,
+            source="ABB ECA06, page 152",
+        ),
+    ] = 4.0
+    kc_up_max: Annotated[float | None, _factor("kc upwards", UP)] = None
+    kc_down_max: Annotated[float | None, _factor("kc downwards", DOWN)] = None
+    tau_i_shorter_max: Annotated[float | None, _factor("tau_I, shorter", UP)] = None
+    tau_i_longer_max: Annotated[float | None, _factor("tau_I, longer", DOWN)] = None
+    tau_d_up_max: Annotated[float | None, _factor("tau_D upwards", UP)] = None
+    tau_d_down_max: Annotated[float | None, _factor("tau_D downwards", DOWN)] = None
+    integral_up_max: Annotated[float | None, _factor("kc/tau_I upwards", UP)] = None
+    integral_down_max: Annotated[float | None, _factor("kc/tau_I downwards", DOWN)] = None
+    tau_i_min_s: Annotated[float, _bound("Shortest tau_I")] = 0.0
+    tau_i_max_s: Annotated[float, _bound("Longest tau_I")] = math.inf
+    tau_d_max_s: Annotated[float, _bound("Longest tau_D")] = math.inf
+    tau_i_samples: Annotated[
+        float,
+        Setting(
+            "Shortest tau_I in sampling intervals",
+            0.0,
+            100.0,
+            source="below that the integral moves more in one sample than the gain does",
+        ),
+    ] = 1.0
+    tau_d_samples: Annotated[
+        float,
+        Setting(
+            "Shortest tau_D in sampling intervals; what is shorter is left out",
+            0.0,
+            100.0,
+            source="a shorter one sees one sample's noise",
+        ),
+    ] = 1.0
+    ms_border: Annotated[
+        float,
+        Setting(
+            "Largest Ms where the gains meet a neighbouring region's process or are mixed with its gains",
+            1.2,
+            5.0,
+            source="as ms_worst",
+        ),
+    ] = 2.1
+    urgent_damping: Annotated[
+        float,
+        Setting(
+            "Damping of a response, the ratio of successive half swings, from which the loop counts as oscillating and "
+            "may take the whole step to less action at once",
+            0.5,
+            10.0,
+            source="ten half swings then leave a third",
+        ),
+    ] = 0.9
+    pattern_step_max: Annotated[
+        float,
+        Setting(
+            "Greatest factor of a change that no model proves",
+            1.0,
+            4.0,
+            source="a loop with a gain margin of 2 stays stable",
+        ),
+    ] = 1.5
+    believed: Annotated[
+        float,
+        Setting(
+            "Excess of the deviance up to which a model counts as allowed by the records",
+            0.0,
+            20.0,
+            source="two standard deviations of one parameter",
+        ),
+    ] = 4.0
+    smallest_change: Annotated[
+        float,
+        Setting(
+            "Changes below this factor are not written, unless the loop is over its Ms limit",
+            1.0,
+            2.0,
+            source="no record knows a gain better",
+        ),
+    ] = 1.05
+    records_min: Annotated[
+        int,
+        Setting(
+            "Least number of records behind a model",
+            1,
+            100,
+            "records",
+            source="every change is proved on what the records leave open",
+        ),
+    ] = 1
+    age_max_s: Annotated[float, Setting("Greatest age of the last record", 0.0, unit="s", source="a month")] = (
+        30 * 86400.0
+    )
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), RANGES[field.name]
-            if value is not None and not low <= value <= high:
-                raise ValueError(f"guard: {field.name} = {value} is outside {low:g} to {high:g}")
+        require_in_range(self, "guard")
         for least, most in (("ms_nominal", "ms_worst"), ("kc_min", "kc_max"), ("tau_i_min_s", "tau_i_max_s")):
             if getattr(self, least) > getattr(self, most):
                 raise ValueError(f"guard: {least} = {getattr(self, least):g} is above {most} = {getattr(self, most):g}")

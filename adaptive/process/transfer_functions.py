@@ -1,4 +1,4 @@
-"""From polynomials or roots to time constants and back: how other tools write what process.py holds.
+"""From roots to time constants, and to polynomials: how other tools write what process.py holds.
 
     k' prod(s - z_i) / prod(s - p_j)  =  k prod(1 - s/z_i) / (s^n prod(1 - s/p_j)),   lag = -1/p,  lead = -1/z
 
@@ -21,38 +21,8 @@ REAL_DAMPING = 0.99
 """Zeros of more damping are taken as two real ones: the ring that a double zero's rounding makes of it."""
 UNSTABLE = 1e-6
 """A pole this share of its size to the right of the imaginary axis is unstable, not rounded."""
-NEGLIGIBLE = 1e-14
-"""Leading coefficients below this share of the largest are zero: what subtraction leaves of them."""
 
 Roots = Sequence[complex] | npt.NDArray[np.complex128] | npt.NDArray[np.float64]
-
-
-def from_polynomials(num: Sequence[float], den: Sequence[float], theta_s: float = 0.0) -> LinearProcess:
-    """The process num(s)/den(s) e^(-theta s).
-
-    Parameters
-    ----------
-    num, den : coefficients, highest power first, as scipy.signal and python-control write them. theta_s : dead time.
-
-    Raises
-    ------
-    ValueError
-        A coefficient is not finite, num or den is zero, or from_roots has no answer.
-    """
-    n, d = (_trimmed(name, c) for name, c in (("num", num), ("den", den)))
-    return from_roots(np.roots(n).tolist(), np.roots(d).tolist(), n[0] / d[0], theta_s)
-
-
-def _trimmed(name: str, coefficients: Sequence[float]) -> list[float]:
-    """Finite coefficients without leading zeros."""
-    values = [float(c) for c in coefficients]
-    if not all(math.isfinite(c) for c in values):
-        raise ValueError(f"{name} = {values}: give finite coefficients")
-    largest = max((abs(c) for c in values), default=0.0)
-    if largest == 0:
-        raise ValueError(f"{name} = {values}: is zero; a process has a numerator and a denominator")
-    first = next(i for i, c in enumerate(values) if abs(c) > NEGLIGIBLE * largest)
-    return values[first:]
 
 
 def from_roots(zeros: Roots, poles: Roots, gain: float, theta_s: float = 0.0) -> LinearProcess:

@@ -13,7 +13,6 @@ that lag into the dead time and half into tau1 (the half rule of the same paper,
 
 import math
 
-from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import ControllerKind, Tuning, tuning
 from retuner.schedule.gains import PidGains
@@ -24,7 +23,6 @@ TAU_I_FACTOR_HAUGEN = 1.44
 """Haugen's faster choice of c (appendix A, "Skogestad's method for PID tuning"), at the price of robustness."""
 TAU_I_FACTOR_HAUGEN_2010 = 2.0
 """Haugen's choice of 2010, as Grimholt & Skogestad (2012, section 4.3) quote it."""
-MS_STEPS = 24
 """Bisections of tau_c when an Ms is demanded: 2^-24 of the range, far below what a model is known to."""
 
 
@@ -93,28 +91,3 @@ def without_second_lag(model: ProcessModel) -> ProcessModel:
 def derivative_pays(model: ProcessModel) -> bool:
     """Whether derivative action is worth its noise: tau2 > theta, or two integrators (Skogestad 2003, section 6)."""
     return model.type == ProcessType.DOUBLE_INTEGRATING or model.tau2_s > model.theta_s
-
-
-def simc_at_most_ms(
-    model: ProcessModel, ms_limit: float, tau_c_max_ratio: float, kind: ControllerKind = ControllerKind.PI
-) -> tuple[Tuning, float]:
-    """SIMC with the smallest tau_c from theta upward whose nominal Ms keeps the limit, and that Ms.
-
-    tau_c goes to tau_c_max_ratio times theta at the most; where that is not enough, the settings there are returned
-    with their Ms, and the caller decides. Shown on every process tried to need no more than 1.3 (feasibility study).
-    """
-    theta = without_second_lag(model).theta_s if kind == ControllerKind.PI else model.theta_s
-    process = model.linear()
-
-    def at(ratio: float) -> tuple[Tuning, float]:
-        found = simc(model, ratio * theta, kind)
-        return found, sensitivity_peak(process, found.gains)
-
-    low, high = 1.0, tau_c_max_ratio
-    tightest, widest = at(low), at(high)
-    if tightest[1] <= ms_limit or widest[1] > ms_limit:
-        return tightest if tightest[1] <= ms_limit else widest
-    for _ in range(MS_STEPS):
-        middle = (low + high) / 2
-        low, high = (low, middle) if at(middle)[1] <= ms_limit else (middle, high)
-    return at(high)

@@ -13,11 +13,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.schedule.regions import Regions
@@ -50,34 +52,66 @@ class Ground(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AdmissionSettings:
-    """Settings.
+    """What a response may lack and still teach its region."""
 
-    limited_share : largest share of the response at an output limit; 0 to 1, default 0.5.
-    lost_share : largest share of lost samples; 0 to 0.5, default 0.1.
-    uneven : an interval is uneven when it misses a multiple of the median by this share of it; default 0.25.
-    uneven_share : largest share of uneven intervals; default 0.1.
-    repeated_share : largest share of samples that repeat sp, pv and co of the one before while the error is outside the
-        band and the output free: integral action always moves co there; 0 to 1, default 0.2.
-    outside_share : largest share of samples beyond the region's borders widened by their hysteresis; 0 to 0.5, default
-        0.05 (the noise of a measured variable; a region's filter, minimum stay or sensor may hide a longer absence).
-    moves_most : separate movements of the setpoint that are still a person's; 1 to 20, default 4.
-    moving_share : largest share of samples at which the setpoint moves; 0 to 1, default 0.3 (a ramp is one movement).
-    still_share : a setpoint that moves by less than this share of the noise band stands still; default 0.01.
-    changes_most : most changes of the gains in force during a response; default 0.
-    excitation_bands : least height of a response in noise bands; 2 (where the recogniser starts) to 10, default 2.2.
-    """
+    limited_share: Annotated[
+        float,
+        Setting(
+            "Largest share of a response with the output at a limit",
+            0,
+            1,
+            source="a fit takes co as it was applied; half of it must still move",
+        ),
+    ] = 0.5
+    lost_share: Annotated[float, Setting("Largest share of lost samples", 0, 0.5, source="one in ten")] = 0.1
+    uneven: Annotated[float, Setting("Share of the median by which an uneven interval is off")] = 0.25
+    uneven_share: Annotated[float, Setting("Largest share of samples at uneven times", 0, 1, source="one in ten")] = 0.1
+    repeated_share: Annotated[
+        float,
+        Setting(
+            "Largest share of samples that repeat the one before although the error is outside the noise band",
+            0,
+            1,
+            source="integral action moves co at every such sample",
+        ),
+    ] = 0.2
+    outside_share: Annotated[
+        float,
+        Setting("Largest share of samples outside the region", 0, 0.5, source="noise of a measured variable"),
+    ] = 0.05
+    moves_most: Annotated[
+        int,
+        Setting(
+            "Movements of the setpoint in one response that are still a person's",
+            1,
+            20,
+            "moves",
+            source="a cascade's master moves it all the time",
+        ),
+    ] = 4
+    moving_share: Annotated[
+        float,
+        Setting(
+            "Largest share of samples at which the setpoint moves",
+            0,
+            1,
+            source="a ramp is one movement, and shorter than the response",
+        ),
+    ] = 0.3
+    still_share: Annotated[float, Setting("A setpoint that moves by less of the noise band stands still")] = 0.01
+    changes_most: Annotated[int, Setting("Most changes of the gains in force during a response")] = 0
+    excitation_bands: Annotated[
+        float,
+        Setting(
+            "Least height of a response in noise bands",
+            2,
+            10,
+            source="the recogniser starts at 2; weaker ones are weighed by the fit",
+        ),
+    ] = 2.2
 
-    limited_share: float = 0.5
-    lost_share: float = 0.1
-    uneven: float = 0.25
-    uneven_share: float = 0.1
-    repeated_share: float = 0.2
-    outside_share: float = 0.05
-    moves_most: int = 4
-    moving_share: float = 0.3
-    still_share: float = 0.01
-    changes_most: int = 0
-    excitation_bands: float = 2.2
+    def __post_init__(self) -> None:
+        require_in_range(self, "admission")
 
 
 @dataclass(frozen=True, slots=True)

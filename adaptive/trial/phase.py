@@ -52,7 +52,6 @@ class TrialEvent(StrEnum):
     STOPPED = "the session ends"
     ORDERED_BACK = "a person wants the old set back"
     RESTORED = "the controller runs the verified set, as read back"
-    RESTORE_FAILED = "writing the verified set failed; it is tried again"
     COOLED = "the cool-down is over"
     TOO_MANY_UNDOS = "too many changes had to be undone"
     APPROVED = "a person approved what was tried"

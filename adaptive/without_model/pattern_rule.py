@@ -21,9 +21,11 @@ and may come from outside or from a sticking valve, and large steps. Inside a de
 import math
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from typing import Annotated
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.setting import Setting
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.without_model.pattern_evidence import pattern_numbers
@@ -36,11 +38,7 @@ from retuner.schedule.gains import PidGains
 class PatternSettings:
     """Settings. Where no source is named, the value did best on the batch's first seeds (benchmarks/online).
 
-    overshoot_target, damping_target : 0.05 to 0.5, defaults 0.15; both below the 0.3 that Astrom & Hagglund (1995) give
-        for EXACT's typical aims, because at 0.3 the batch's loops end at Ms above 2.
-    dead_zone : distance from the targets within which nothing moves; 0.02 to 0.2, default 0.05.
     gain : g of the rule, ln of a factor per unit of margin; 0.5 to 3, default 1.5.
-    step_up, step_down : largest factor per response towards more and towards less action; 1.05 to 2, defaults 1.3, 1.5.
     urgent_step : factor at once when the swing grows; 1.05 to 4, default 2.
     careful : factor per response without a second peak, at most step_up; 1.02 to 2, default 1.2.
     co_enough : overshoot of co from which a response without a second peak is fast enough; 0 to 0.3, default 0.05.
@@ -66,12 +64,52 @@ class PatternSettings:
         A number is not finite and positive, or a factor is below 1.
     """
 
-    overshoot_target: float = 0.15
-    damping_target: float = 0.15
-    dead_zone: float = 0.05
+    overshoot_target: Annotated[
+        float,
+        Setting(
+            "Overshoot that is aimed at",
+            0.05,
+            0.5,
+            source="below the 0.3 of Astrom & Hagglund 1995, section 6.5: Ms stays below 2",
+        ),
+    ] = 0.15
+    damping_target: Annotated[
+        float,
+        Setting(
+            "Damping that is aimed at (0 is dead-beat, 1 swings on)",
+            0.05,
+            0.5,
+            source="as the overshoot: for a clean decay both are equal",
+        ),
+    ] = 0.15
+    dead_zone: Annotated[
+        float,
+        Setting(
+            "Distance from the targets within which nothing moves",
+            0.02,
+            0.2,
+            source="what noise makes of an overshoot",
+        ),
+    ] = 0.05
     gain: float = 1.5
-    step_up: float = 1.3
-    step_down: float = 1.5
+    step_up: Annotated[
+        float,
+        Setting(
+            "Greatest factor per response towards more action",
+            1.05,
+            2,
+            source="a gain margin of 1.9 outlives two of them",
+        ),
+    ] = 1.3
+    step_down: Annotated[
+        float,
+        Setting(
+            "Greatest factor per response towards less action",
+            1.05,
+            2,
+            source="safety is reached faster than speed",
+        ),
+    ] = 1.5
     urgent_step: float = 2.0
     careful: float = 1.2
     co_enough: float = 0.05

@@ -126,11 +126,6 @@ class OvenPlant:
         """Sensor temperature in degC without noise."""
         return self._sensor
 
-    @property
-    def chamber_c(self) -> float:
-        """True chamber temperature in degC."""
-        return self._chamber
-
     def step(self, co: float, load: float, dt_s: float) -> float:
         """Hold co and load for dt_s and read the sensor: see plant.Plant."""
         check_step(co, load, dt_s)

@@ -69,22 +69,10 @@ def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> I
     beyond = np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0))
     limited = table.get("limited", beyond)
     known = all(name in table for name in GAINS)
-    for i in range(len(t)):
+    signals = np.column_stack((t, sp, pv, co, mode, limited, x, x2)).tolist()
+    for i, (t_s, sp_i, pv_i, co_i, mode_i, limited_i, x_i, x2_i) in enumerate(signals):
         gains = _gains(path, i, *(float(table[name][i]) for name in GAINS)) if known else None
-        yield Recorded(
-            LoopSample(
-                float(t[i]),
-                float(sp[i]),
-                float(pv[i]),
-                float(co[i]),
-                int(mode[i]),
-                int(limited[i]),
-                float(x[i]),
-                0,
-                float(x2[i]),
-            ),
-            gains,
-        )
+        yield Recorded(LoopSample(t_s, sp_i, pv_i, co_i, int(mode_i), int(limited_i), x_i, 0, x2_i), gains)
 
 
 def _scheduled(path: Path, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:

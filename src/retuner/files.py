@@ -1,6 +1,7 @@
 """Whole files or none: what is written under a name is complete and on disk, whenever the power goes."""
 
 import errno
+import json
 import os
 from pathlib import Path
 
@@ -33,6 +34,11 @@ def write_whole(path: Path, content: str | bytes) -> None:
     finally:  # also when the user stops it; after the rename there is nothing left
         temporary.unlink(missing_ok=True)
     sync_folder(target.parent)
+
+
+def write_json(path: Path, document: object) -> None:
+    """A JSON document as a whole file, readable."""
+    write_whole(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def sync_folder(folder: Path) -> None:

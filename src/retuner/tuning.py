@@ -96,3 +96,35 @@ def _reading(rule: Rule, ku: float | None, pu: float | None, kq: float | None, p
                 raise ValueError(f"{name} = {value} must be finite and {'positive' if name[0] == 'p' else 'not 0'}")
         return Oscillation(gain, period_s)
     return None
+
+
+def tuning_lines(result: TuneResult) -> list[str]:
+    """Settings, margins and notes in lines."""
+    shown = result.to_dict()
+    gains, parallel, m = shown["gains"], shown["parallel"], result.margins
+    assert isinstance(gains, dict)
+    assert isinstance(parallel, dict)
+    times = f"tau_I {_number(gains['tau_i'], ' s')}  tau_D {_number(gains['tau_d'], ' s')}"
+    ki, kd = _number(parallel["ki"], "/s"), _number(parallel["kd"], " s")
+    tau_c = "" if result.tuning.tau_c_s is None else f", tau_c {_number(result.tuning.tau_c_s, ' s')}"
+    lines = [
+        f"{result.tuning.rule} {result.kind.upper()}{tau_c}",
+        f"  {result.form:<8}  Kc {_number(gains['kc'])}  {times}",
+        f"  parallel  kp {_number(parallel['kp'])}  ki {ki}  kd {kd}",
+    ]
+    if m is not None and not m.stable:
+        lines.append("  the closed loop would be UNSTABLE")
+    elif m is not None:
+        lines.append(
+            f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
+            f"delay margin {m.delay_margin_s:.4g} s"
+        )
+    return [*lines, *(f"  note: {note}" for note in result.tuning.notes)]
+
+
+def _number(value: object, unit: str = "") -> str:
+    """A number as people read it; none and infinite have words."""
+    if value is None:
+        return "none"
+    assert isinstance(value, float)
+    return f"{value:.4g}{unit}"

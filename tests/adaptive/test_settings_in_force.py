@@ -207,7 +207,7 @@ def test_the_real_servo_shows_its_settings():
 )
 def test_records_that_do_not_show_the_settings_are_refused_in_a_sentence(spoil, said):
     found = settings_in_force(spoil(record(PidGains(0.8, 0.03))))
-    assert not found.confident
+    assert found.gains is None
     assert said in found.reason
     assert "\n" not in found.reason
     assert found.to_dict()["parallel"] is None
@@ -220,7 +220,7 @@ def test_the_direction_is_told_where_the_size_is_not(sign):
     found = settings_in_force(
         Window(window.t_s, window.sp, window.pv, window.co + 0.14 * np.cumsum(rng.normal(size=800)))
     )
-    assert not found.confident
+    assert found.gains is None
     assert found.direction == sign
     assert settings_in_force(window).direction == sign
 
@@ -229,6 +229,6 @@ def test_noise_for_co_is_refused():
     rng = np.random.default_rng(5)
     window = Window(np.arange(500.0), np.full(500, 50.0), 50 + rng.normal(size=500), 50 + rng.normal(size=500))
     found = settings_in_force(window)
-    assert not found.confident
+    assert found.gains is None
     assert found.direction is None
     assert math.isfinite(found.explained)

@@ -7,7 +7,7 @@ import pytest
 from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, tuning_cause
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.rules.simc import simc, simc_at_most_ms
+from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()
@@ -46,10 +46,3 @@ def test_a_diagnosis_refuses_what_is_no_number() -> None:
         Diagnosis(Cause.OK, 1.2, {}, "")
     with pytest.raises(ValueError, match="ms is not a number"):
         Diagnosis(Cause.OK, 1.0, {"ms": math.nan}, "")
-
-
-def test_simc_with_ms_limit_feeds_the_guard() -> None:
-    lagging = ProcessModel(ProcessType.INTEGRATING, 0.04, theta_s=5.0)
-    tuning, ms = simc_at_most_ms(lagging, SETTINGS.ms_nominal, SETTINGS.tau_c_max_ratio)
-    assert ms <= SETTINGS.ms_nominal
-    assert tuning.tau_c_s == pytest.approx(5.0)

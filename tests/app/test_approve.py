@@ -14,7 +14,7 @@ from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
 from retuner.commands import run as run_command
-from retuner.commands.approve import Desk
+from retuner.commands.approve import SessionFolder
 from retuner.config import load_config
 from retuner.session.running import Run
 from retuner.session.session import Session
@@ -46,7 +46,7 @@ class Person:
         elif what == "auto":
             session.device.send_mode(auto=True, co=0.0, now_s=sample.t_s)
         elif what == "accept":
-            (waiting,) = Desk(self.folder).shown.waiting.values()
+            (waiting,) = SessionFolder(self.folder).shown.waiting.values()
             self.statuses.append(main(["approve", str(self.folder), waiting[:8], *BY]))
         elif what == "approve":
             asked = session.decisions[-1].digest()[:8]

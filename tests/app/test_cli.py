@@ -160,7 +160,7 @@ def failing(error: BaseException) -> object:
 def test_errors_on_the_way_become_a_line_and_a_status(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, told: str
 ) -> None:
-    monkeypatch.setattr(check_module, "check", failing(error))
+    monkeypatch.setattr(check_module, "read_text", failing(error))
     assert run("check", "x") == (status, "", told)
 
 
@@ -170,7 +170,7 @@ def test_a_defect_of_ours_is_one_line_unless_asked_for(environment: dict[str, st
         import sys
         from retuner.cli import main
         import retuner.commands.check as module
-        module.check = lambda *_, **__: 1 / 0
+        module.read_text = lambda *_, **__: 1 / 0
         sys.exit(main(["check", "x"]))"""
     env = {k: v for k, v in os.environ.items() if k != "RETUNER_TRACEBACK"} | environment
     done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True, check=False, env=env)

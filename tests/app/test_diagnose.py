@@ -193,8 +193,8 @@ def test_records_too_short_for_anything_are_refused(tmp_path, capsys, command):
 
 def test_shared_options_are_read_once_for_both_commands(tmp_path):
     path = loop(tmp_path / "a.csv")
-    assert read_loop(path, RecordOptions()).sp is not None
-    assert controller(RecordOptions()) is None
+    assert read_loop(RecordOptions(file=path)).sp is not None
+    assert controller(RecordOptions(file=path)) is None
     assert renamed("pv=temp, co=out") == {"pv": "temp", "co": "out"}
     with pytest.raises(UserError, match="each role once"):
         renamed("pv=a,pv=b")

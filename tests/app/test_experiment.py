@@ -16,7 +16,7 @@ from retuner.adaptive.experiments.plan import Kind
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.cli import main
-from retuner.commands.experiment_on_demand import OnDemand, plan_for
+from retuner.commands.experiment import RelayOptions, Shape, plan_for
 from retuner.config import load_config
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
@@ -24,14 +24,14 @@ from retuner.drivers.controller.device_process import DeviceOnBus, run_device
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.errors import LedgerError
-from retuner.experiment.bench import Bench, live, simulated
 from retuner.experiment.findings import Question, evaluate
 from retuner.experiment.on_demand import OnDemandExperiment
-from retuner.experiment.runner import Conductor
-from retuner.experiment.settings_writer import GainWriter
+from retuner.experiment.runner import Bench, ExperimentRunner
+from retuner.experiment.settings_writer import SettingsWriter
 from retuner.ledger import Ledger, LedgerReader
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import link_settings, make_plant, virtual_device_settings
+from retuner.session.bench import live, simulated
 from retuner.session.running import nothing
 
 SERVO = Path(__file__).parents[1] / "data" / "servo" / "relay.csv"
@@ -348,9 +348,9 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
     thread = threading.Thread(target=be_device)
     thread.start()
     try:
-        plan = plan_for(config, Kind.RELAY, OnDemand(amplitude=10.0, cycles=2, bias=0.3))
+        plan = plan_for(config, Kind.RELAY, RelayOptions(), Shape(10.0, cycles=2, bias=0.3))
         with live(config, speed) as bench:
-            conductor = Conductor(bench.device, plan, 0.1, bench.device.settings.silent_s, nothing)
+            conductor = ExperimentRunner(bench.device, plan, 0.1, bench.device.settings.silent_s, nothing)
             while not conductor.phase.over:
                 conductor.poll(bench.turn())
     finally:
@@ -391,7 +391,7 @@ class Kept(list[str]):
 
 def test_a_write_on_another_base_than_shown_is_refused(connected: tuple[Bench, PidGains]) -> None:
     (bench, base), kept = connected, Kept()
-    writer = GainWriter(bench, 0.1, kept)
+    writer = SettingsWriter(bench, 0.1, kept)
     reason = writer.write(PidGains(5.0, 1.0), PidGains(base.kp * 2, base.ki))
     assert "another set" in reason
     assert kept == ["refused"]
@@ -401,7 +401,7 @@ def test_a_write_on_another_base_than_shown_is_refused(connected: tuple[Bench, P
 
 def test_a_set_outside_the_box_is_refused_by_the_controller_and_told(connected: tuple[Bench, PidGains]) -> None:
     (bench, base), kept = connected, Kept()
-    writer = GainWriter(bench, 0.1, kept)
+    writer = SettingsWriter(bench, 0.1, kept)
     assert writer.write(PidGains(-5.0, -1.0), base)
     assert kept == ["intent", "refused"]
     assert bench.device.running is not None
@@ -417,7 +417,7 @@ def test_ctrl_c_during_a_write_is_heard_after_its_end(connected: tuple[Bench, Pi
             raise KeyboardInterrupt
         return bench.turn()
 
-    writer = GainWriter(Bench(bench.device, turn), 0.1, kept)
+    writer = SettingsWriter(Bench(bench.device, turn), 0.1, kept)
     with pytest.raises(KeyboardInterrupt):
         writer.write(PidGains(5.0, 1.0), base)
     assert kept == ["intent", "committed"]

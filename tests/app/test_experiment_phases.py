@@ -19,7 +19,7 @@ from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.errors import LedgerError
-from retuner.experiment.runner import RESTORE_SAMPLES, Conductor
+from retuner.experiment.runner import RESTORE_SAMPLES, ExperimentRunner
 from retuner.schedule.gains import PidGains
 
 CHANNELS = itertools.count()
@@ -55,7 +55,7 @@ class Lab:
         self.on_bus = DeviceOnBus(self.device, self.far)
         self.rows: list[Mapping[str, object]] = []
         self.host = CanDevice(self.near, CanDeviceSettings(sample_time_s=DT))
-        self.conductor = Conductor(self.host, plan, DT, self.host.settings.silent_s, record or self._record)
+        self.conductor = ExperimentRunner(self.host, plan, DT, self.host.settings.silent_s, record or self._record)
         self.alive = True
         if not auto:
             self.device.auto = False

@@ -1,18 +1,36 @@
-"""The house keeps its order: imports run one way, pure rooms stay pure, files and functions stay small."""
+"""The house keeps its order: imports run one way, pure folders stay pure, files and functions stay small."""
 
 import ast
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = {"schedule": "schedule", "adaptive": "adaptive", "drivers": "drivers", "app": "src/retuner"}
+TOP = {"schedule": "schedule", "adaptive": "adaptive", "drivers": "drivers", "app": "src/retuner"}
 MAY_IMPORT = {
     "schedule": {"schedule"},
     "adaptive": {"schedule", "adaptive"},
     "drivers": {"schedule", "adaptive", "drivers"},
 }
+# fmt: off
+ORDER = (
+    "schedule",
+    *(f"adaptive.{name}" for name in (
+        "setting", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
+        "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
+    )),
+    *(f"drivers.{name}" for name in (
+        "clock", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
+    )),
+    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "", "ledger",
+    "decision_page", "report", "experiment", "session", "replay", "commands", "cli", "__main__",
+)
+"""Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
+and "" is what `import retuner` gives. A package imports only from itself and from those before it."""
+# fmt: on
+EMPTY = ("adaptive", "drivers")  # what holds packages and nothing else
 PURE = ("schedule", "adaptive")
 # fmt: off
 PURE_MAY_IMPORT = {
@@ -26,12 +44,13 @@ IMPURE_ATTRIBUTES = {
 }
 # fmt: on
 PURE_OF_SYS = {"float_info", "maxsize"}
+MOST_FILES = 15  # in a package, beside its __init__.py
 LONGEST_FILE = 500  # lines: one whole story
 LONGEST_FUNCTION = 30  # lines of code without docstring, comments and blank lines
 
 
-def files(*rooms: str) -> list[Path]:
-    return [path for room in rooms for path in sorted((ROOT / ROOMS[room]).rglob("*.py"))]
+def files(*tops: str) -> list[Path]:
+    return [path for top in tops for path in sorted((ROOT / TOP[top]).rglob("*.py"))]
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
@@ -45,9 +64,52 @@ def imported(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def wrong_way(room: str, source: str) -> list[str]:
-    ours = [name for name in imported(ast.parse(source)) if name.split(".")[0] in {"retuner", *ROOMS}]
-    allowed = MAY_IMPORT[room]
+def modules() -> dict[str, Path]:
+    """Every module of the product, by its name below `retuner.`."""
+    found = {}
+    for top, folder in TOP.items():
+        for path in files(top):
+            inside = path.relative_to(ROOT / folder).with_suffix("").parts
+            parts = inside if top == "app" else (top, *inside)
+            found[".".join(part for part in parts if part != "__init__")] = path
+    return found
+
+
+def package(module: str) -> str:
+    """The package of a module, or the module itself where it stands among packages: the longest name in ORDER."""
+    fitting = [name for name in ORDER if name and (module == name or module.startswith(f"{name}."))]
+    return max(fitting, key=len) if fitting else module
+
+
+def ours(source: str, known: Collection[str]) -> Iterator[str]:
+    """Modules of the product that a source imports, by their names below `retuner.`."""
+    for node in ast.walk(ast.parse(source)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            below = (node.module or "").removeprefix("retuner").removeprefix(".")
+            parts = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [part if part.removeprefix("retuner.") in known else node.module or "" for part in parts]
+            assert below in known or node.module != f"retuner.{below}", f"{node.module}: no such module"
+        yield from (n.removeprefix("retuner").removeprefix(".") for n in names if n.split(".")[0] == "retuner")
+
+
+def out_of_order(module: str, imports: Iterable[str]) -> list[str]:
+    """Imports of a module that come from packages which ORDER does not place before its own."""
+    before = {*EMPTY, *ORDER[: ORDER.index(package(module)) + 1]}
+    return [other for other in imports if package(other) not in before]
+
+
+def cycles(graph: Mapping[str, Collection[str]]) -> set[str]:
+    """Modules that import themselves, by way of others or not; nothing when the graph has no cycle."""
+    left = {module: set(others) - {module} for module, others in graph.items()}
+    while free := {module for module, others in left.items() if not others & left.keys()}:
+        left = {module: others for module, others in left.items() if module not in free}
+    return set(left)
+
+
+def wrong_way(top: str, source: str) -> list[str]:
+    ours = [name for name in imported(ast.parse(source)) if name.split(".")[0] in {"retuner", *TOP}]
+    allowed = MAY_IMPORT[top]
     return [name for name in ours if name.split(".")[0] != "retuner" or [*name.split("."), ""][1] not in allowed]
 
 
@@ -80,29 +142,68 @@ def code_lines(function: ast.AST) -> int:
     return len(lines)
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_imports_run_one_way(room: str) -> None:
-    checked = files(room)
+@pytest.mark.parametrize("top", MAY_IMPORT)
+def test_imports_run_one_way(top: str) -> None:
+    checked = files(top)
     assert len(checked) > 3
-    assert {
-        str(path.relative_to(ROOT)): wrong for path in checked if (wrong := wrong_way(room, path.read_text()))
-    } == {}
+    assert {str(path.relative_to(ROOT)): wrong for path in checked if (wrong := wrong_way(top, path.read_text()))} == {}
 
 
-@pytest.mark.parametrize("room", PURE)
-def test_pure_rooms_touch_no_clock_file_bus_or_chance(room: str) -> None:
-    assert {str(path.relative_to(ROOT)): found for path in files(room) if (found := impure(path.read_text()))} == {}
+def import_graph() -> dict[str, set[str]]:
+    """Which modules each module imports."""
+    known = modules()
+    return {module: set(ours(path.read_text(), known)) for module, path in known.items()}
+
+
+def test_every_package_has_its_place_and_imports_only_what_stands_before_it() -> None:
+    graph = import_graph()
+    assert {module for module in graph if package(module) not in (*ORDER, *EMPTY)} == set()
+    placed = {module: others for module, others in graph.items() if package(module) in ORDER}
+    assert {module: wrong for module, others in placed.items() if (wrong := out_of_order(module, others))} == {}
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    assert cycles(import_graph()) == set()
+
+
+def test_packages_stay_small() -> None:
+    held = Counter(path.parent for path in modules().values() if path.name != "__init__.py")
+    assert {str(path.relative_to(ROOT)): n for path, n in held.items() if n > MOST_FILES} == {}
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("adaptive.signals.sample", "from retuner.adaptive.process.model import ProcessModel"),
+        ("adaptive.rules.rule", "from retuner.adaptive import guard"),
+        ("config.model", "def f():\n    from retuner.session.session import Session"),
+        ("session.session", "import retuner.commands.run"),
+        ("drivers.bus.bus", "from retuner.drivers.host.connection import CanDevice"),
+        ("errors", "from retuner import diagnose"),
+    ],
+)
+def test_the_check_sees_imports_against_the_order(module: str, source: str) -> None:
+    assert out_of_order(module, ours(source, modules()))
+
+
+def test_the_check_sees_cycles() -> None:
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}, "e": set()}) == {"a", "b", "c", "d"}
+
+
+@pytest.mark.parametrize("top", PURE)
+def test_pure_folders_touch_no_clock_file_bus_or_chance(top: str) -> None:
+    assert {str(path.relative_to(ROOT)): found for path in files(top) if (found := impure(path.read_text()))} == {}
 
 
 def test_files_stay_small() -> None:
-    long = {str(p.relative_to(ROOT)): n for p in files(*ROOMS) if (n := len(p.read_text().splitlines())) > LONGEST_FILE}
+    long = {str(p.relative_to(ROOT)): n for p in files(*TOP) if (n := len(p.read_text().splitlines())) > LONGEST_FILE}
     assert long == {}
 
 
 def test_functions_stay_small() -> None:
     long = {
         f"{path.relative_to(ROOT)}:{node.name}": lines
-        for path in files(*ROOMS)
+        for path in files(*TOP)
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (lines := code_lines(node)) > LONGEST_FUNCTION
     }
@@ -110,7 +211,7 @@ def test_functions_stay_small() -> None:
 
 
 @pytest.mark.parametrize(
-    ("room", "source"),
+    ("top", "source"),
     [
         ("schedule", "from retuner.adaptive.signals.sample import LoopSample"),
         ("schedule", "from retuner import adaptive"),
@@ -121,8 +222,8 @@ def test_functions_stay_small() -> None:
         ("drivers", "import retuner"),
     ],
 )
-def test_the_check_sees_imports_that_run_the_wrong_way(room: str, source: str) -> None:
-    assert wrong_way(room, source)
+def test_the_check_sees_imports_that_run_the_wrong_way(top: str, source: str) -> None:
+    assert wrong_way(top, source)
 
 
 @pytest.mark.parametrize(

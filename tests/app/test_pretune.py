@@ -17,7 +17,7 @@ from retuner.cli import main
 from retuner.config.loading import load_config
 from retuner.drivers.controller.device_process import DeviceOnBus
 from retuner.errors import LedgerError
-from retuner.experiment.runner import Conductor
+from retuner.experiment.runner import ExperimentRunner
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -116,14 +116,14 @@ def test_in_advise_the_settings_are_a_proposal_and_nothing_is_written(
 def test_an_aborted_step_is_taken_back_and_the_run_goes_on_without_it(
     loop: Made, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    poll_of = Conductor.poll
+    poll_of = ExperimentRunner.poll
 
-    def poll(self: Conductor, now_s: float) -> None:
+    def poll(self: ExperimentRunner, now_s: float) -> None:
         poll_of(self, now_s)
         if self.phase is Phase.EXCITING and len(self.samples) - self.excited_from == 5:
             self.abort(Cause.FOREIGN, "by the test")
 
-    monkeypatch.setattr(Conductor, "poll", poll)
+    monkeypatch.setattr(ExperimentRunner, "poll", poll)
     status, folder = ran(loop())
     assert status == 0
     assert all(decision["basis"] != "pretune" for decision in json.loads(capsys.readouterr().out)["decisions"])
@@ -176,9 +176,9 @@ def test_a_controller_that_never_comes_back_does_not_begin_a_run(
 @pytest.mark.parametrize("phase", ["resting", "exciting"])
 def test_a_ledger_that_fails_ends_the_step_and_the_loop_is_as_before(phase: str, loop: Made) -> None:
     seen: list[Phase] = []
-    moved = Conductor._move
+    moved = ExperimentRunner._move
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Conductor, "_move", lambda self, what: (moved(self, what), seen.append(self.phase))[0])
+        patch.setattr(ExperimentRunner, "_move", lambda self, what: (moved(self, what), seen.append(self.phase))[0])
 
         def record(kind: str, t_s: float, body: Mapping[str, object]) -> None:
             del kind, t_s
@@ -194,18 +194,18 @@ def test_a_ledger_that_fails_ends_the_step_and_the_loop_is_as_before(phase: str,
 
 def test_ctrl_c_takes_the_step_back_before_it_ends_the_run(loop: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     ended: list[tuple[Phase, Cause | None]] = []
-    poll_of, ended_of = Conductor.poll, Pretuning._ended
+    poll_of, ended_of = ExperimentRunner.poll, Pretuning._ended
 
-    def poll(self: Conductor, now_s: float) -> None:
+    def poll(self: ExperimentRunner, now_s: float) -> None:
         poll_of(self, now_s)
         if self.phase is Phase.EXCITING and len(self.samples) - self.excited_from == 5:
             raise KeyboardInterrupt
 
-    def note_end(self: Pretuning, conductor: Conductor) -> None:
+    def note_end(self: Pretuning, conductor: ExperimentRunner) -> None:
         ended.append((conductor.phase, conductor.cause))
         ended_of(self, conductor)
 
-    monkeypatch.setattr(Conductor, "poll", poll)
+    monkeypatch.setattr(ExperimentRunner, "poll", poll)
     monkeypatch.setattr(Pretuning, "_ended", note_end)
     assert ran(loop())[0] == 130
     assert ended == [(Phase.RESTORED, Cause.INTERRUPTED)]

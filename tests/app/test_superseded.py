@@ -11,7 +11,7 @@ import pytest
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
 from retuner.commands import run as run_command
-from retuner.commands.approve import Desk
+from retuner.commands.approve import SessionFolder
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.running import Run
 
@@ -71,7 +71,7 @@ def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path, capsys:
 
 
 def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None:
-    shown = Desk(copy).shown
+    shown = SessionFolder(copy).shown
     older, newest = shown.proposals
     put_order(copy, order_of(older))
     run_short(tmp_path)
@@ -96,6 +96,6 @@ def test_the_running_session_refuses_it_as_well(
     folder = run_short(tmp_path)
     (order,) = bodies(folder, "order")
     assert order["accepted"] is False
-    assert order["reason"] == REFUSED + list(Desk(folder).shown.proposals)[1][:8]
+    assert order["reason"] == REFUSED + list(SessionFolder(folder).shown.proposals)[1][:8]
     assert main(["replay", str(folder)]) == 0
     assert "identical" in capsys.readouterr().out

@@ -225,3 +225,14 @@ def test_bad_input_is_one_line(capsys: Capture, arguments: list[str], message: s
     assert found.out == ""
     assert found.err.count("\n") == 1
     assert message in found.err
+
+
+def test_settings_as_a_vendor_dials_them(capsys: pytest.CaptureFixture[str]) -> None:
+    """kc 1 on a span of 200 pv units is a band of 50 %; an integral time of 30 s repeats twice a minute."""
+    asked = ["tune", "--type", "fopdt", "--k", "1", "--tau1", "30", "--theta", "15", "--pv-span", "200"]
+    assert main([*asked, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["dialled"] == pytest.approx({"band_pct": 50.0, "repeats_per_min": 2.0})
+    assert main(asked) == 0
+    assert "dialled   proportional band 50 %  2 repeats/min" in capsys.readouterr().out
+    assert main([*asked[:-1], "0"]) == 2
+    assert "--pv-span" in capsys.readouterr().err

@@ -14,7 +14,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.cli import main
-from retuner.commands.what_if import IN_FORCE_SAMPLES, InForce
+from retuner.commands.replay import IN_FORCE_SAMPLES, InForce
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
@@ -148,7 +148,7 @@ def test_recorded_gains_are_those_of_the_region_in_which_they_ran_for_a_while() 
         changes = 0
         for _ in range(n):
             retuner.observe(LoopSample(float(next(times)), sp, sp, 30.0, 1, 0, sp))
-            changes += in_force.take(gains)
+            changes += in_force.adopt(gains)
         return changes
 
     assert run(20.0, LOW, 20) == 0

@@ -8,9 +8,13 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
+from retuner.commands.options import By, Json, Note, Session
 from retuner.config.loading import load_config
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
@@ -20,6 +24,8 @@ from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.outputs import CONFIG
 from retuner.session.recorded_session import believed_rows, ledger_path
+
+app = typer.Typer(add_completion=False)
 
 SHORTEST = SHORT
 """Hexadecimal digits of a hash that a person has to give at least."""
@@ -48,7 +54,7 @@ class Person:
             raise UserError("--by: the system knows no user name here; say who orders it") from None
 
 
-class Desk:
+class SessionFolder:
     """A session's folder as a person sees it who wants to order something.
 
     Raises
@@ -86,59 +92,61 @@ class Desk:
             order = Order(kind, person.name(), now, person.note, digest, decision, region)
         return put_order(self.folder, order)
 
-    def who_takes_it(self) -> str:
+    def who_acts(self) -> str:
         """What happens to an order."""
         if self.running():
             return "the running session takes it at its next sample"
         return f"no session is running here; the next run with --out {self.folder} takes it at its start"
 
 
+@app.command(epilog="Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'")
 def approve(
-    session: Path, digest: str | None, person: Person, *, unlock: str | None, every: bool, as_json: bool
+    session: Session,
+    digest: Annotated[
+        str | None, typer.Argument(metavar="[HASH]", help="Of the proposal, 8 digits or more; without it: list them.")
+    ] = None,
+    by: By = None,
+    note: Note = "",
+    unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Let a locked-out region change again.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False,
+    as_json: Json = False,
 ) -> int:
-    """Order the writing of a proposal, or list the open ones; the exit status.
-
-    0: ordered, or listed. 1: the proposal may not be taken up any more. every : list superseded ones, too.
-
-    Raises
-    ------
-    UserError
-        No such session or proposal, or a hash that is too short or not of one proposal alone.
-    """
-    desk = Desk(session)
+    """Order that a proposal be written, named by its hash, or list the open ones: the newest of each region."""
+    place = SessionFolder(session)
+    person = Person(by, note)
     if every and (unlock or digest) is not None:
         raise UserError("--all: lists proposals; leave it out to approve or unlock one")
     if unlock is not None:
-        return _unlock(desk, unlock, digest, person, as_json=as_json)
+        return _unlock(place, unlock, digest, person, as_json=as_json)
     if digest is None:
-        return _list(desk, every=every, as_json=as_json)
-    full = _full_hash(desk, digest)
-    reason = _closed(desk, full)
+        return _list(place, every=every, as_json=as_json)
+    full = _full_hash(place, digest)
+    reason = _closed(place, full)
     document: dict[str, object] = {
-        "session": str(desk.folder),
+        "session": str(place.folder),
         "approved": None if reason else full,
         "reason": reason or None,
         "file": None,
     }
     if not reason:
-        document["file"] = str(desk.put(OrderKind.APPROVE, person, digest=full))
-    text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {desk.who_takes_it()}"
+        document["file"] = str(place.put(OrderKind.APPROVE, person, digest=full))
+    text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {place.who_acts()}"
     _tell(document, text, as_json=as_json)
     return 1 if reason else 0
 
 
-def _closed(desk: Desk, full: str) -> str:
+def _closed(place: SessionFolder, full: str) -> str:
     """Why what a hash names is not approved; empty when it is."""
-    if full in desk.shown.approved:
+    if full in place.shown.approved:
         return "it was approved before"
-    proposal = desk.shown.proposals.get(full)
+    proposal = place.shown.proposals.get(full)
     if proposal is None:
-        return "" if full in desk.shown.waiting.values() else "this change does not wait for a person"
-    standing = desk.shown.standing(proposal, desk.expires_after_s)
-    return str(standing) if standing is not ProposalStanding.OPEN else superseded(desk.shown.successor(proposal))
+        return "" if full in place.shown.waiting.values() else "this change does not wait for a person"
+    standing = place.shown.standing(proposal, place.expires_after_s)
+    return str(standing) if standing is not ProposalStanding.OPEN else superseded(place.shown.successor(proposal))
 
 
-def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> int:
+def order_back(session: Path, decision: int, person: Person, *, as_json: bool) -> int:
     """Order the way back to the gains before a decision, in its region; the exit status, 0.
 
     Raises
@@ -146,14 +154,14 @@ def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> in
     UserError
         No such session or decision.
     """
-    desk = Desk(session)
-    change = desk.shown.changes.get(decision)
+    place = SessionFolder(session)
+    change = place.shown.changes.get(decision)
     if change is None:
-        most = max(desk.shown.changes, default=0)
+        most = max(place.shown.changes, default=0)
         raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
-    file = desk.put(OrderKind.REVERT, person, decision=decision)
+    file = place.put(OrderKind.REVERT, person, decision=decision)
     document = {
-        "session": str(desk.folder),
+        "session": str(place.folder),
         "decision": decision,
         "region": change.region,
         "gains": gains_dict(change.before),
@@ -161,90 +169,90 @@ def revert(session: Path, decision: int, person: Person, *, as_json: bool) -> in
     }
     _tell(
         document,
-        f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: {desk.who_takes_it()}",
+        f"{change.region} back to {settings_text(change.before)}, as before decision {decision}: {place.who_acts()}",
         as_json=as_json,
     )
     return 0
 
 
-def _unlock(desk: Desk, region: str, digest: str | None, person: Person, *, as_json: bool) -> int:
+def _unlock(place: SessionFolder, region: str, digest: str | None, person: Person, *, as_json: bool) -> int:
     """Order that a locked-out region may change again."""
-    names = [one.name for one in desk.config.schedule.regions]
+    names = [one.name for one in place.config.schedule.regions]
     if digest is not None:
         raise UserError("--unlock: names a region; a hash is approved without it")
     if region not in names:
         raise UserError(f"--unlock {region}: there is no such region; there are {', '.join(names)}")
-    file = desk.put(OrderKind.UNLOCK, person, region=region)
-    document = {"session": str(desk.folder), "unlocked": region, "file": str(file)}
-    _tell(document, f"{region}: {desk.who_takes_it()}", as_json=as_json)
+    file = place.put(OrderKind.UNLOCK, person, region=region)
+    document = {"session": str(place.folder), "unlocked": region, "file": str(file)}
+    _tell(document, f"{region}: {place.who_acts()}", as_json=as_json)
     return 0
 
 
-def _full_hash(desk: Desk, digest: str) -> str:
+def _full_hash(place: SessionFolder, digest: str) -> str:
     """The hash that a person means by its beginning."""
-    known = [*desk.shown.proposals, *desk.shown.tried]
+    known = [*place.shown.proposals, *place.shown.tried]
     if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
         raise UserError(
             f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
-            f"`retuner approve {desk.folder}` lists them"
+            f"`retuner approve {place.folder}` lists them"
         )
     meant = [one for one in known if one.startswith(digest)]
     if len(meant) != 1:
         what = "no proposal begins like this" if not meant else f"{len(meant)} proposals begin like this, give more"
-        raise UserError(f"HASH {digest}: {what}; `retuner approve {desk.folder}` lists them")
+        raise UserError(f"HASH {digest}: {what}; `retuner approve {place.folder}` lists them")
     return meant[0]
 
 
-def _list(desk: Desk, *, every: bool, as_json: bool) -> int:
+def _list(place: SessionFolder, *, every: bool, as_json: bool) -> int:
     """The open proposals, the newest of each region; every : and those that it supersedes."""
-    able = desk.shown.open(desk.expires_after_s)
-    proposals = [one for one in able if not desk.shown.successor(one)]
+    able = place.shown.open(place.expires_after_s)
+    proposals = [one for one in able if not place.shown.successor(one)]
     older = len(able) - len(proposals)
-    waiting = [{"hash": digest, "region": region} for region, digest in desk.shown.waiting.items()]
+    waiting = [{"hash": digest, "region": region} for region, digest in place.shown.waiting.items()]
     document = {
-        "session": str(desk.folder),
-        "time_s": desk.shown.last_s,
+        "session": str(place.folder),
+        "time_s": place.shown.last_s,
         "waiting": waiting,
         "superseded": older,
-        "proposals": [_listed(desk, one) for one in (able if every else proposals)],
+        "proposals": [_listed(place, one) for one in (able if every else proposals)],
     }
-    lines = [_line(desk, one, able) for one in (able if every else proposals)]
+    lines = [_line(place, one, able) for one in (able if every else proposals)]
     lines += [
         f"{one['hash'][:SHORTEST]}  {one['region']}: tried and as promised; approve it to let the region go on"
         for one in waiting
     ]
     hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
     lines.append(
-        f"{desk.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
-        f"{desk.shown.last_s:,.0f} s{hidden}"
+        f"{place.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
+        f"{place.shown.last_s:,.0f} s{hidden}"
     )
     _tell(document, "\n".join(lines), as_json=as_json)
     return 0
 
 
-def _line(desk: Desk, proposal: Proposal, able: Sequence[Proposal]) -> str:
+def _line(place: SessionFolder, proposal: Proposal, able: Sequence[Proposal]) -> str:
     """A proposal in one line; able : all of which some may be older ones of its region."""
-    successor = desk.shown.successor(proposal)
+    successor = place.shown.successor(proposal)
     older = sum(one.region == proposal.region for one in able) - 1
     told = f"superseded by {successor[:SHORTEST]}" if successor else f"supersedes {older} older" if older else ""
     return (
         f"{proposal.digest[:SHORTEST]}  decision {proposal.number}, {proposal.region}: "
         f"{settings_text(proposal.before)} -> {settings_text(proposal.after)}; expires at "
-        f"{proposal.t_s + desk.expires_after_s:,.0f} s{f'; {told}' * bool(told)}"
+        f"{proposal.t_s + place.expires_after_s:,.0f} s{f'; {told}' * bool(told)}"
     )
 
 
-def _listed(desk: Desk, proposal: Proposal) -> dict[str, object]:
+def _listed(place: SessionFolder, proposal: Proposal) -> dict[str, object]:
     """A proposal as plain values."""
     return {
         "hash": proposal.digest,
         "decision": proposal.number,
         "region": proposal.region,
         "t_s": proposal.t_s,
-        "expires_s": proposal.t_s + desk.expires_after_s,
+        "expires_s": proposal.t_s + place.expires_after_s,
         "gains_before": gains_dict(proposal.before),
         "gains_after": gains_dict(proposal.after),
-        "superseded_by": desk.shown.successor(proposal) or None,
+        "superseded_by": place.shown.successor(proposal) or None,
     }
 
 

@@ -2,24 +2,23 @@
 
 import json
 import sys
-from pathlib import Path
 
+import typer
+
+from retuner.commands.options import ConfigFile, Json
 from retuner.config.loading import Finding, UnusableError, parse_config, read_text, usable_here
 from retuner.config.model import Config
 from retuner.errors import ConfigError
 from retuner.schedule.axis import Axis
 
+app = typer.Typer(add_completion=False)
+
 UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 
 
-def check(path: Path, *, as_json: bool) -> int:
-    """Check a configuration file and show the result; the exit status.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be used, one line per problem (with as_json: only when it cannot be read at all).
-    """
+@app.command(epilog="Example: retuner check oven.toml")
+def check(path: ConfigFile, as_json: Json = False) -> int:
+    """Say what is wrong with a configuration: file, line, key, limit; or show it when all is well."""
     try:
         text = read_text(path)
         config = usable_here(parse_config(text), text)
@@ -29,34 +28,10 @@ def check(path: Path, *, as_json: bool) -> int:
         _print_json({"ok": False, "file": str(path), "problems": [_problem(f) for f in unusable.findings]})
         return UNUSABLE
     if as_json:
-        _print_json({"ok": True, "file": str(path), "problems": [], **summary(config)})
+        _print_json({"ok": True, "file": str(path), "problems": [], **config.summary()})
     else:
         sys.stdout.write(f"{path}: ok\n" + "".join(f"  {line}\n" for line in described(config)))
     return 0
-
-
-def summary(config: Config) -> dict[str, object]:
-    """What a configuration says, as JSON values: every setting with its defaults, and the gains of each region."""
-    settings = config.model_dump(mode="json", by_alias=True)
-    where = config.regions()
-    regions = [
-        {
-            "name": region.name,
-            "low": where.span(i)[0],
-            "high": where.span(i)[1],
-            "unit": where.unit,
-            "along": [
-                {"variable": axis.label, "low": axis.span(part)[0], "high": axis.span(part)[1], "unit": axis.unit}
-                for axis, part in zip(where.axes, where.cell(i), strict=True)
-            ],
-            "neighbours": [where.names[other] for other in where.neighbours(i)],
-            "form": region.form,
-            "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
-            "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
-        }
-        for i, (region, gains) in enumerate(zip(config.schedule.regions, config.gains(), strict=True))
-    ]
-    return {**settings, "regions": regions}
 
 
 def described(config: Config) -> list[str]:

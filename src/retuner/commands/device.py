@@ -1,9 +1,11 @@
 """retuner device: the virtual controller as a process of its own on a bus."""
 
 import sys
-from pathlib import Path
+from typing import Annotated
 
-from retuner.commands.run import RunOptions, overridden
+import typer
+
+from retuner.commands.options import Channel, ConfigFile, Interface, on_bus
 from retuner.config import load_config
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
@@ -13,20 +15,23 @@ from retuner.errors import UserError
 from retuner.session.assembly import link_settings, make_plant, virtual_device_settings
 from retuner.stopping import stoppable
 
+app = typer.Typer(add_completion=False)
 
-def device(path: Path, *, interface: str | None, channel: str | None, speed: float, duration_s: float | None) -> int:
-    """Run the virtual device of a configuration until it is stopped; the exit status.
 
-    Raises
-    ------
-    ConfigError, UserError, DeviceError
-        The configuration, an option or the bus cannot be used.
-    """
-    config = overridden(load_config(path), RunOptions(interface, channel))
+@app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")
+def device(
+    path: ConfigFile,
+    interface: Interface = None,
+    channel: Channel = None,
+    speed: Annotated[float, typer.Option(help="How much faster than real time the simulated plant runs.")] = 1.0,
+    duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
+) -> int:
+    """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped."""
+    config = on_bus(load_config(path), interface, channel)
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {speed}: give a positive number, 1 for real time")
-    if duration_s is not None and not 0 < duration_s < float("inf"):
-        raise UserError(f"--duration {duration_s}: give a positive number of seconds, or leave it out")
+    if duration is not None and not 0 < duration < float("inf"):
+        raise UserError(f"--duration {duration}: give a positive number of seconds, or leave it out")
     if config.bus.interface == "virtual":
         raise UserError(
             "bus.interface = virtual reaches no other process: give --interface udp_multicast --channel 239.74.163.2, "
@@ -42,7 +47,7 @@ def device(path: Path, *, interface: str | None, channel: str | None, speed: flo
         sys.stderr.flush()
         try:
             with stoppable():
-                report = run_device(DeviceOnBus(machine, link), clock, until_s=duration_s or float("inf"))
+                report = run_device(DeviceOnBus(machine, link), clock, until_s=duration or float("inf"))
         except KeyboardInterrupt:
             sys.stderr.write(f"{machine.sample} samples\n")
             raise

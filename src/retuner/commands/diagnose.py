@@ -8,6 +8,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from retuner import api
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
@@ -18,14 +21,17 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
+from retuner.commands.options import signed_by
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
-from retuner.commands.tune import described as tuning_lines
 from retuner.decision_page.evidence_words import evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
+from retuner.tuning import tuning_lines
+
+app = typer.Typer(add_completion=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +52,16 @@ class Finding:
     notes: tuple[str, ...]
 
 
-def diagnose(path: Path, options: RecordOptions) -> int:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnoseOptions(RecordOptions):
+    """Say what is behind a loop's behaviour, with evidence, and what to do about it."""
+
+    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force; else read off the record.")] = None
+
+
+@app.command(epilog="Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png")
+@signed_by(DiagnoseOptions)
+def diagnose(options: DiagnoseOptions) -> int:
     """Diagnose and show; the exit status: 0, or 1 when no cause can be named.
 
     Raises
@@ -55,9 +70,9 @@ def diagnose(path: Path, options: RecordOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    recording = read_loop(path, options)
+    recording = read_loop(options)
     require_length(recording)
-    with user_input(str(path)):
+    with user_input(str(options.file)):
         found = _found(recording, gains, options)
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))

@@ -2,17 +2,33 @@
 
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from retuner.api import Identification, identify_record
+from retuner.commands.options import signed_by
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
-from retuner.commands.tune import described as tuning_lines
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import user_input
 from retuner.files import write_whole
+from retuner.tuning import tuning_lines
+
+app = typer.Typer(add_completion=False)
 
 
-def identify(path: Path, options: RecordOptions) -> int:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentifyOptions(RecordOptions):
+    """Find the process behind a record: model, standard deviations, and the settings that follow."""
+
+    open_loop: Annotated[bool, typer.Option("--open-loop", help="A step in manual that begins at rest.")] = False
+
+
+@app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
+@signed_by(IdentifyOptions)
+def identify(options: IdentifyOptions) -> int:
     """Identify and show; the exit status: 0, or 1 when the record does not say enough.
 
     Raises
@@ -21,10 +37,10 @@ def identify(path: Path, options: RecordOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    recording = read_loop(path, options)
+    recording = read_loop(options)
     require_excitation(recording)
     require_length(recording)
-    with user_input(str(path)):
+    with user_input(str(options.file)):
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )

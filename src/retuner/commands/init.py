@@ -3,9 +3,14 @@
 import sys
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from retuner.errors import UserError
 from retuner.files import write_whole
+
+app = typer.Typer(add_completion=False)
 
 
 def starter() -> str:
@@ -13,14 +18,12 @@ def starter() -> str:
     return files("retuner").joinpath("templates", "starter.toml").read_text(encoding="utf-8")
 
 
-def init(path: Path, *, force: bool) -> int:
-    """Write the starter configuration to a path; an existing file is replaced only by force. The exit status.
-
-    Raises
-    ------
-    UserError
-        The file exists, the path is a folder, or its folder does not exist.
-    """
+@app.command(epilog="Example: retuner init oven.toml")
+def init(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")] = Path("retuner.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+) -> int:
+    """Write a commented starter configuration."""
     if path.is_dir():
         raise UserError(f"{path}: is a folder; give the name of a file in it")
     if path.exists() and not force:

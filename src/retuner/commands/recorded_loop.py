@@ -3,7 +3,11 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from retuner.commands.options import Json
 from retuner.drivers.recorded.recording import ROLES, Recording, read_recording, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.schedule.forms import Form, from_form
@@ -15,27 +19,24 @@ FEWEST_SAMPLES = 20
 """Shorter records are refused: a model has four numbers, a load two, and noise must show besides."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordOptions:
-    """The options of both commands; times in seconds, limits in units of co.
+    """A recorded loop and the controller that was in force; times in seconds, limits in units of co."""
 
-    open_loop : the record was made in manual. columns : names of columns as role=name. kc, tau_i_s, tau_d_s, form : the
-    controller in force. co_min, co_max : the limits of co. plot : where to draw. as_json : one JSON document.
-    """
-
-    open_loop: bool = False
-    columns: str = ""
-    kc: float | None = None
-    tau_i_s: float | None = None
-    tau_d_s: float = 0.0
-    form: str = "series"
-    co_min: float | None = None
-    co_max: float | None = None
-    plot: Path | None = None
-    as_json: bool = False
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or Parquet with columns t, sp, pv, co.")]
+    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
+    columns: Annotated[str, typer.Option(help="Other names: t=time,pv=temp,co=out,sp=target.")] = ""
+    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force.")] = None
+    tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
+    tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
+    form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series"
+    co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
+    co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
+    plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the record and what was found.")] = None
+    as_json: Json = False
 
 
-def read_loop(path: Path, options: RecordOptions) -> Recording:
+def read_loop(options: RecordOptions) -> Recording:
     """The record, checked against what the options say of it.
 
     Raises
@@ -46,7 +47,7 @@ def read_loop(path: Path, options: RecordOptions) -> Recording:
     _check_limits(options)
     if options.plot is not None and options.plot.suffix.lower() != ".png":
         raise UserError(f"--plot {options.plot}: give a name that ends in .png")
-    recording = read_recording(path, renamed(options.columns))
+    recording = read_recording(options.file, renamed(options.columns))
     if not options.open_loop:
         require_setpoint(recording)
     _check_range(recording, options)
@@ -109,13 +110,13 @@ def controller(options: RecordOptions) -> PidGains | None:
     if options.form not in set(Form):
         raise UserError(f"--form {options.form}: give one of {', '.join(Form)}")
     if options.kc is None:
-        if options.tau_i_s is not None or options.tau_d_s:
+        if options.tau_i is not None or options.tau_d:
             raise UserError("--tau-i and --tau-d need --kc: give the gain of the controller in force, too")
         return None
     if options.open_loop:
         raise UserError("--open-loop and --kc exclude each other: in manual no controller was in force")
     with user_input("--kc, --tau-i, --tau-d"):
-        return from_form(options.form, options.kc, options.tau_i_s, options.tau_d_s)
+        return from_form(options.form, options.kc, options.tau_i, options.tau_d)
 
 
 def _check_limits(options: RecordOptions) -> None:

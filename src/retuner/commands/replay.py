@@ -2,25 +2,47 @@
 
 import json
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from retuner.adaptive.guard import change_factor
+from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
+from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.commands.options import Json
+from retuner.commands.recorded_loop import renamed
+from retuner.config import Config, load_config
+from retuner.decision_page.explain import one_line
+from retuner.drivers.recorded.frame_log import is_frame_log
+from retuner.drivers.recorded.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
 from retuner.errors import UserError
 from retuner.replay.replaying import Replay, Replayed
+from retuner.schedule.gains import PidGains
+from retuner.session.assembly import make_retuner, schedule_inputs
 from retuner.session.recorded_session import RecordedSession, read_session
 from retuner.session.session_identity import differences
 
+app = typer.Typer(add_completion=False)
 
-def replay(target: Path, *, config: Path | None, columns: str, as_json: bool) -> int:
-    """Replay a session (status 0: byte for byte the same, 1: not), or a log with a configuration (status 0).
 
-    Raises
-    ------
-    UserError, RecordingError
-        The session, log or configuration cannot be used.
-    """
+@app.command(epilog="Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp")
+def replay(
+    target: Annotated[
+        Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")
+    ],
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Say what would have been done on a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
+    ] = None,
+    columns: Annotated[str, typer.Option(help="Other names in a table: t=time,pv=temp,co=out,sp=target.")] = "",
+    as_json: Json = False,
+) -> int:
+    """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
     if config is not None:
-        from retuner.commands.what_if import what_if  # noqa: PLC0415  only one of both ways is gone
-
         return what_if(target, config, columns, as_json=as_json)
     if target.is_file() and target.suffix != ".sqlite":
         raise UserError(f"{target}: is not the folder of a session; to replay a log of another origin give --config")
@@ -67,3 +89,109 @@ def told(session: RecordedSession, result: Replayed) -> list[str]:
     if others:
         lines.append(f"byte identity is claimed for equal versions only; others here: {'; '.join(others)}")
     return lines
+
+
+# replay LOG --config CONFIG: what would have been done on a log from anywhere. Nothing is written anywhere.
+
+IN_FORCE_SAMPLES = 10
+"""Samples after a border within which recorded gains do not count as the new region's: a schedule writes these a few
+samples after the border was crossed."""
+
+
+@dataclass(slots=True)
+class Answer:
+    """What would have been done. changes : times at which the record's own gains changed, s."""
+
+    samples: int = 0
+    decisions: list[Decision] = field(default_factory=list)
+    changes: list[float] = field(default_factory=list)
+
+
+class InForce:
+    """Follows the gains that a record says were in force, so that decisions are about the loop as it was."""
+
+    def __init__(self, retuner: Retuner) -> None:
+        self._retuner = retuner
+        self._region: int | None = None
+        self._stay = 0
+
+    def adopt(self, gains: PidGains | None) -> bool:
+        """Note the gains of a sample that the retuner has seen; whether its table was changed for them."""
+        region = self._retuner.region
+        self._stay = self._stay + 1 if region == self._region else 1
+        self._region = region
+        if gains is None or region is None or self._stay < IN_FORCE_SAMPLES:
+            return False
+        table = self._retuner.table
+        if gains.direction != table.gains[region].direction:
+            raise UserError("the record's gains act against the configured ones; is this the right configuration?")
+        if any(change_factor(gains, known) <= SAME_GAINS for known in table.gains):
+            return False
+        self._retuner.committed(region, gains)
+        return True
+
+
+def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
+    """Run a retuner over a record."""
+    found, in_force = Answer(), InForce(retuner)
+    for sample, gains in recorded:
+        found.samples += 1
+        try:
+            decision = retuner.observe(sample)
+        except ValueError as error:
+            raise UserError(f"sample {found.samples} of the log: {error}") from None
+        if decision is not None:
+            found.decisions.append(decision)
+        if in_force.adopt(gains):
+            found.changes.append(sample.t_s)
+    return found
+
+
+def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int:
+    """Say what would have been done on a log; the exit status, 0.
+
+    Raises
+    ------
+    UserError, RecordingError
+        Log or configuration cannot be used.
+    """
+    if log.is_dir():
+        raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
+    config = load_config(config_file)
+    retuner = make_retuner(config, Mode.ADVISE)
+    found = answer(retuner, recorded_loop(log, columns, config))
+    if as_json:
+        sys.stdout.write(json.dumps(_answered(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
+        return 0
+    for decision in found.decisions:
+        sys.stdout.write(f"{decision.t_s:10,.0f} s  {decision.region}: {one_line(decision)}\n")
+    changed = f", the record's gains changed {len(found.changes)} times" if found.changes else ""
+    counted = f"{len(found.decisions)} decision{'s' * (len(found.decisions) != 1)}"
+    sys.stdout.write(f"{log}: {counted} on {found.samples:,} samples{changed}; nothing was written\n")
+    return 0
+
+
+def recorded_loop(log: Path, columns: str, config: Config) -> Iterator[Recorded]:
+    """The samples of a log, by its suffix."""
+    loop = config.loop
+    facts = LoopFacts(loop.sample_time_s, schedule_inputs(config), loop.co_min_pct, loop.co_max_pct, config.bus.node)
+    if not is_frame_log(log):
+        return table_samples(log, renamed(columns), facts)
+    if columns:
+        raise UserError(f"--columns: names the columns of a table; {log} is a log of bus traffic")
+    return frame_samples(log, facts)
+
+
+def _answered(log: Path, config_file: Path, retuner: Retuner, found: Answer) -> dict[str, object]:
+    """The answer as one JSON document."""
+    table = retuner.table
+    return {
+        "log": str(log),
+        "config": str(config_file),
+        "samples": found.samples,
+        "decisions": [decision.to_dict() for decision in found.decisions],
+        "gains_changed_s": found.changes,
+        "gains": [
+            {"region": name, **gains_dict(gains)} for name, gains in zip(table.regions.names, table.gains, strict=True)
+        ],
+    }

@@ -4,8 +4,12 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
+
+from retuner.commands.options import Json, Session
+from retuner.config.model import Config
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.page import page
 from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
@@ -22,15 +26,17 @@ from retuner.session.outputs import GAINS, REPORT, SUMMARY
 from retuner.session.recorded_session import RecordedSession, read_session, without_place
 from retuner.session.scenario import loads_at
 
+app = typer.Typer(add_completion=False)
 
-def report(session: Path, *, decision: int | None, out: Path | None, as_json: bool) -> int:
-    """Write the report, or one page; the exit status.
 
-    Raises
-    ------
-    UserError, LedgerError
-        The session cannot be read or believed, or has no such decision.
-    """
+@app.command(epilog="Example: retuner report runs/demo; retuner report runs/demo --decision 7 --out page.html")
+def report(
+    session: Session,
+    decision: Annotated[int | None, typer.Option(help="Only the page of this decision, by its number.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where to write it; default in the session's folder.")] = None,
+    as_json: Json = False,
+) -> int:
+    """Make the report of a recorded session again, or the page of one decision: the whole reasoning with pictures."""
     recorded = read_session(session)
     columns = recorded_columns(recorded)
     rows = [row for row in recorded.rows if row.kind == "decision"]
@@ -64,46 +70,55 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     config = recorded.config
     before = config.gain_table()
     names = before.regions.names
-    changes = [
-        row
-        for row in recorded.rows
-        if row.kind == "committed" and row.body.get("why") == "retune" and row.body.get("region") in names
-    ]
+    changes = _changes(recorded, names)
     after = _final_table(recorded, before, changes)
     commits = [(row.clock_s, names.index(row.body["region"])) for row in changes]
-    linearise = make_plant(config).linearise if config.device else None
     summary = _summary(recorded)
-    scores = region_scores(
-        before,
+    scores = scores_of(config, after, commits, columns)
+    steps = config.scenario.steps if config.scenario else []
+    last = recorded.rows[-1]
+    facts = {
+        "session": str(recorded.folder),
+        "ledger": f"{last.seq} rows, head {last.hash}",
+        "retuner": str(recorded.versions.get("retuner", "")),
+    }
+    return ReportData(
+        loop=config.loop.name,
+        unit=config.loop.pv_unit,
+        before=before,
+        after=after,
+        scores=_with_fixed(summary, scores),
+        decisions=[without_place(row.body) for row in rows],
+        run=columns,
+        fixed=None,
+        commits=[t_s for t_s, _ in commits],
+        events=[step.at_s for step in steps if step.at_s <= columns["t"][-1]],
+        facts=facts,
+        stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
+        advice=[words(one, "sentence") for one in parts(summary, "advice")],
+    )
+
+
+def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
+    """The rows of changes of the table's gains."""
+    commits = (row for row in recorded.rows if row.kind == "committed" and row.body.get("why") == "retune")
+    return [row for row in commits if row.body.get("region") in names]
+
+
+def scores_of(
+    config: Config, after: GainTable, commits: list[tuple[float, int]], columns: Columns, fixed: Columns | None = None
+) -> list[RegionScore]:
+    """Each region before and after, from the columns of a trend; fixed : those of the run with fixed gains."""
+    return region_scores(
+        config.gain_table(),
         after,
         commits,
         columns,
-        None,
-        linearise,
+        fixed,
+        make_plant(config).linearise if config.device else None,
         config.loop.sample_time_s,
         config.loop.tau_f_s,
         loads_at(config.scenario, columns["t"]),
-    )
-    steps = config.scenario.steps if config.scenario else []
-    last = recorded.rows[-1]
-    return ReportData(
-        config.loop.name,
-        config.loop.pv_unit,
-        before,
-        after,
-        _with_fixed(summary, scores),
-        [without_place(row.body) for row in rows],
-        columns,
-        None,
-        [t_s for t_s, _ in commits],
-        [step.at_s for step in steps if step.at_s <= columns["t"][-1]],
-        {
-            "session": str(recorded.folder),
-            "ledger": f"{last.seq} rows, head {last.hash}",
-            "retuner": str(recorded.versions.get("retuner", "")),
-        },
-        stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
-        advice=[words(one, "sentence") for one in parts(summary, "advice")],
     )
 
 

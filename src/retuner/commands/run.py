@@ -7,20 +7,24 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
-from retuner.commands.check import summary
+from retuner.commands.options import Channel, ConfigFile, Interface, Json, on_bus, signed_by
+from retuner.commands.report import scores_of
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
-from retuner.files import write_whole
-from retuner.ledger import Ledger
+from retuner.files import write_json, write_whole
+from retuner.ledger import Ledger, Recorder
 from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
 from retuner.report.report import ReportData, render
-from retuner.report.scores import RegionScore, region_scores
+from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
 from retuner.schedule.document import to_toml
 from retuner.session.assembly import make_plant
@@ -35,30 +39,35 @@ from retuner.session.outputs import (
     FreshFolder,
     fresh_folder,
     give_back,
-    write_json,
 )
 from retuner.session.running import Run, nothing, real_time_speed
-from retuner.session.scenario import loads_at
-from retuner.session.session import Recorder, Session
+from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 
+app = typer.Typer(add_completion=False)
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """What the command line adds to the configuration; None leaves the configured value."""
+    """Watch a loop, retune it over CAN, and leave a report."""
 
-    interface: str | None = None
-    channel: str | None = None
-    speed: str = "max"
-    mode: str | None = None
-    out: Path | None = None
-    compare: bool = True
-    as_json: bool = False
-    pretune: bool = False
+    config: ConfigFile
+    interface: Interface = None
+    channel: Channel = None
+    speed: Annotated[
+        str, typer.Option(help="max: simulated time; a number: how much faster than real time the device runs.")
+    ] = "max"
+    mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None
+    out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
+    compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
+    pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
+    as_json: Json = False
 
 
-def run(path: Path, options: RunOptions) -> int:
+@app.command(epilog="Example: retuner run examples/oven.toml --out runs/oven")
+@signed_by(RunOptions)
+def run(options: RunOptions) -> int:
     """Run a configuration; the exit status.
 
     Raises
@@ -66,14 +75,16 @@ def run(path: Path, options: RunOptions) -> int:
     ConfigError, UserError, DeviceError
         The configuration, the options, the folder or the bus cannot be used, one line each.
     """
-    read, text = load_with_text(path)
-    config = overridden(read, options)
+    read, text = load_with_text(options.config)
+    config = on_bus(read, options.interface, options.channel)
+    if options.pretune:
+        config = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
     if options.mode is not None and options.mode not in set(Mode):
         raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
     mode = Mode(options.mode) if options.mode else None
     simulated = config.bus.interface == "virtual"
     if simulated and config.scenario is None:
-        raise UserError(f"{path}: a simulated run needs a [scenario] with its length and steps; add one")
+        raise UserError(f"{options.config}: a simulated run needs a [scenario] with its length and steps; add one")
     if simulated:
         make_plant(config)
     speed = real_time_speed(options.speed, simulated=simulated)
@@ -173,7 +184,7 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
     }
     changes = {place: value for place, value in named.items() if value is not None}
     text, identity = session_identity(job.config, job.text, changes)
-    body = {"config": summary(job.config), "retuner": version("retuner"), **identity, "samples": 0}
+    body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
     try:
         write_whole(job.folder / CONFIG, text)
         ledger.append("session", body, 0.0)
@@ -248,45 +259,40 @@ def _leave(
     """Write everything that the run leaves, and show the result."""
     config, folder = job.config, job.folder
     columns = session.trend.columns()
-    before = config.gain_table()
-    linearise = make_plant(config).linearise if config.device else None
     fixed_columns = fixed.trend.columns() if fixed else None
-    scores = region_scores(
-        before,
-        session.table,
-        session.commits,
-        columns,
-        fixed_columns,
-        linearise,
-        config.loop.sample_time_s,
-        config.loop.tau_f_s,
-        loads_at(config.scenario, columns["t"]),
-    )
+    scores = scores_of(config, session.table, session.commits, columns, fixed_columns)
     trend = write_trend(folder / TREND, session.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(session.table))
-    facts = _facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {})
     data = ReportData(
-        config.loop.name,
-        config.loop.pv_unit,
-        before,
-        session.table,
-        scores,
-        list(session.decisions),
-        columns,
-        fixed_columns,
-        [t for t, _ in session.commits],
-        session.scenario.played,
-        facts,
+        loop=config.loop.name,
+        unit=config.loop.pv_unit,
+        before=config.gain_table(),
+        after=session.table,
+        scores=scores,
+        decisions=list(session.decisions),
+        run=columns,
+        fixed=fixed_columns,
+        commits=[t for t, _ in session.commits],
+        events=session.scenario.played,
+        facts=_facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {}),
         stopped=config.scenario is not None and not session.scenario.finished,
         advice=[one.sentence for one in advice_of(session)],
     )
     write_whole(folder / REPORT, render(data))
+    _show(job, ledger, session, scores, screen, interrupted=interrupted)
+
+
+def _show(
+    job: _Job, ledger: Ledger, session: Session, scores: list[RegionScore], screen: RunScreen, *, interrupted: bool
+) -> None:
+    """The result as a file, and for whoever asked for it."""
+    folder = job.folder
     document = {**result(session, scores, ledger, folder), "interrupted": interrupted}
     write_json(folder / SUMMARY, document)
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
-    screen.table(scores_table(scores, config.loop.pv_unit))
+    screen.table(scores_table(scores, job.config.loop.pv_unit))
     done = f"{counted(len(session.decisions), 'decision')}, {counted(len(session.commits), 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
@@ -329,14 +335,3 @@ def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: 
         "revision": session.table.revision,
         "ledger_head": ledger.head(),
     }
-
-
-def overridden(config: Config, options: RunOptions) -> Config:
-    """The configuration with the bus that the command line names, and its pretune."""
-    named = {"interface": options.interface, "channel": options.channel}
-    if options.pretune:
-        config = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
-    changes = {name: value for name, value in named.items() if value is not None}
-    if not changes:
-        return config
-    return config.model_copy(update={"bus": config.bus.model_copy(update=changes)})

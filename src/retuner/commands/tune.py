@@ -1,26 +1,69 @@
-"""retuner tune: settings for a known process by a tuning rule."""
+"""retuner tune: settings for a known process by a tuning rule, or by every rule that applies in one table."""
 
 import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.explanation import Explanation
+from retuner.commands.options import Json, signed_by
 from retuner.errors import UserError, user_input
-from retuner.tuning import TuneResult
+from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
+from retuner.schedule.forms import proportional_band_pct, repeats_per_min
+from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
 
+app = typer.Typer(add_completion=False)
 
-@dataclass(frozen=True, slots=True)
-class Process:
-    """The process as the options describe it; times in seconds, None where an option was not given."""
+HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "Ms", "GM", "PM", "J", "IAE sp", "IAE load")
 
-    type: str | None
-    k: float | None
-    tau1_s: float
-    tau2_s: float
-    theta_s: float
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TuneOptions:
+    """Settings for a known process by a tuning rule, with their margins."""
+
+    type: Annotated[
+        str | None,
+        typer.Option(help="fopdt, sopdt, integrating, integrating-lag, double-integrating or delay."),
+    ] = None
+    k: Annotated[float | None, typer.Option(help="Steady-state gain; slope gain of integrating types.")] = None
+    tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0
+    tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0
+    theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0
+    rule: Annotated[str, typer.Option(help="Tuning rule; a wrong name shows the list.")] = "simc"
+    kind: Annotated[str | None, typer.Option(help="p, pi or pid; default pi where the rule has it.")] = None
+    form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None
+    tau_c: Annotated[float | None, typer.Option(help="Closed-loop time constant (or lambda), s.")] = None
+    ms: Annotated[float | None, typer.Option(help="Demanded Ms (simc rules, optimal).")] = None
+    gm: Annotated[float | None, typer.Option(help="Demanded gain margin (simc rules).")] = None
+    c: Annotated[float | None, typer.Option(help="c in tau_I = min(tau1, c (tau_c + theta)); default 4.")] = None
+    u0: Annotated[float | None, typer.Option(help="Largest disturbance, co units (simc-smooth).")] = None
+    ymax: Annotated[float | None, typer.Option(help="Deviation allowed, pv units (simc-smooth).")] = None
+    ku: Annotated[float | None, typer.Option(help="Ultimate gain; from the model if left out.")] = None
+    pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None
+    kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None
+    pq: Annotated[float | None, typer.Option(help="Period at quarter decay, s.")] = None
+    pv_span: Annotated[
+        float | None, typer.Option(help="Span of pv: also as proportional band, percent, and repeats per minute.")
+    ] = None
+    everything: Annotated[bool, typer.Option("--all", help="Every rule that applies, in one table.")] = False
+    explain: Annotated[bool, typer.Option("--explain", help="Also formula, numbers put in and source.")] = False
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="PNG", help="Draw closed-loop responses; for rule optimal the Pareto curve J against Ms."),
+    ] = None
+    as_json: Json = False
+
+    @property
+    def wishes(self) -> dict[str, float | None]:
+        """What the rule is to reach, and what it works from beside the process."""
+        names = ("tau_c", "ms", "gm", "c", "u0", "ku", "pu", "kq", "pq")
+        return {"y_max": self.ymax, **{name: getattr(self, name) for name in names}}
 
     def model(self) -> ProcessModel | None:
         """The model, or None when the options describe none.
@@ -31,7 +74,7 @@ class Process:
             Only a part of a model is given, or a value is out of its range.
         """
         if self.type is None:
-            if self.k is not None or any((self.tau1_s, self.tau2_s, self.theta_s)):
+            if self.k is not None or any((self.tau1, self.tau2, self.theta)):
                 raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
             return None
         if self.type not in set(ProcessType):
@@ -39,45 +82,100 @@ class Process:
         if self.k is None:
             raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
         with user_input("retuner tune"):
-            return ProcessModel(ProcessType(self.type), self.k, self.tau1_s, self.tau2_s, self.theta_s)
+            return ProcessModel(ProcessType(self.type), self.k, self.tau1, self.tau2, self.theta)
 
 
-@dataclass(frozen=True, slots=True)
-class TuneOptions:
-    """The command's options beside the process; times in seconds."""
-
-    rule: str
-    kind: str | None
-    form: str | None
-    wishes: dict[str, float | None]
-    explain: bool = False
-    plot: Path | None = None
-    as_json: bool = False
-
-
-def tune(process: Process, options: TuneOptions) -> int:
-    """Work out and show settings; the exit status: 0, or 1 when the loop that follows would not be stable.
+@app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
+@signed_by(TuneOptions)
+def tune(options: TuneOptions) -> int:
+    """Work out and show settings; the exit status: 0, or 1 when no loop that follows would be stable.
 
     Raises
     ------
     UserError
-        An option is out of its range, or the rule has no answer for this process.
+        An option is out of its range, or no rule has an answer for this process.
     """
-    model = process.model()
+    model = options.model()
+    return _by_every_rule(model, options) if options.everything else _by_one_rule(model, options)
+
+
+def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
+    """Settings by the rule that is named."""
     with user_input("retuner tune"):
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
     if options.plot is not None:
-        from retuner.commands.tune_pictures import draw_one  # noqa: PLC0415  matplotlib only when a picture is wanted
-
-        draw_one(model, result, options.plot)
+        _draw_one(model, result, options.plot)
+    dial = dialled(result, options.pv_span) if options.pv_span is not None else {}
     why = result.explanation if options.explain else None
     if options.as_json:
         shown = {"model": model.to_dict() if model else None, **result.to_dict()}
-        shown |= {"explanation": why.to_dict()} if why else {}
+        shown |= ({"dialled": dial} if dial else {}) | ({"explanation": why.to_dict()} if why else {})
         sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join([*described(result), *(explained(why) if why else [])]) + "\n")
+        sys.stdout.write(
+            "\n".join([*tuning_lines(result), *_dial_lines(dial), *(explained(why) if why else [])]) + "\n"
+        )
     return 0 if result.margins is None or result.margins.stable else 1
+
+
+def _by_every_rule(model: ProcessModel | None, options: TuneOptions) -> int:
+    """Settings by all rules, in one table."""
+    if model is None:
+        raise UserError("--all needs the process: give --type, --k, --tau1, --tau2, --theta")
+    with user_input("retuner tune --all"):
+        found = compare_rules(model, kind=options.kind, form=options.form, **options.wishes)
+    if options.plot is not None:
+        _draw(model, found.rows, options.plot)
+    if options.as_json:
+        shown = {"model": model.to_dict(), **found.to_dict(), "plot": str(options.plot) if options.plot else None}
+        sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write("\n".join(table(found)) + "\n")
+    return 0 if any(row.result.margins and row.result.margins.stable for row in found.rows) else 1
+
+
+def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> None:
+    """The responses of one rule, or the Pareto curve for rule optimal."""
+    if model is None:
+        raise UserError("--plot needs the process: give --type, --k, --tau1, --tau2, --theta")
+    if result.margins is None or not result.margins.stable:
+        raise UserError("--plot: the closed loop would be unstable, so there is no response to draw")
+    if result.tuning.rule != "optimal":
+        row = RuleRow(result, performance(model.linear(), result.tuning.gains), None)
+        _draw(model, (row,), path)
+        return
+    from retuner.report.tuning_plots import pareto_png  # noqa: PLC0415  matplotlib only when a picture is wanted
+
+    with user_input("--plot"):
+        picture = pareto_png(model)
+    path.write_bytes(picture)
+
+
+def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
+    """The responses of rules in one figure."""
+    from retuner.report.tuning_plots import responses_png  # noqa: PLC0415  matplotlib only when a picture is wanted
+
+    with user_input("--plot"):
+        picture = responses_png(model, rows)
+    path.write_bytes(picture)
+
+
+def dialled(result: TuneResult, pv_span: float) -> dict[str, float]:
+    """The settings in vendors' units: proportional band in percent of the span of pv, and repeats per minute."""
+    gains = result.tuning.to_dict(result.form)["gains"]
+    assert isinstance(gains, dict)
+    with user_input("--pv-span"):
+        return {
+            "band_pct": proportional_band_pct(gains["kc"], pv_span),
+            "repeats_per_min": repeats_per_min(gains["tau_i"]),
+        }
+
+
+def _dial_lines(dial: dict[str, float]) -> list[str]:
+    """Vendors' units in a line, if they are wanted."""
+    if not dial:
+        return []
+    return [f"  dialled   proportional band {dial['band_pct']:.4g} %  {dial['repeats_per_min']:.4g} repeats/min"]
 
 
 def explained(why: Explanation) -> list[str]:
@@ -89,33 +187,39 @@ def explained(why: Explanation) -> list[str]:
     return [*lines, f"  source    {why.source}", f"  range     {why.valid}"]
 
 
-def number(value: object, unit: str = "") -> str:
-    """A number as people read it; none and infinite have words."""
-    if value is None:
-        return "none"
-    assert isinstance(value, float)
-    return f"{value:.4g}{unit}"
+def table(found: Comparison) -> list[str]:
+    """The comparison in lines."""
+    rows = [HEADINGS, *(_cells(row) for row in found.rows)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
+    lines = []
+    for row in rows:
+        left = [cell.ljust(width) for cell, width in zip(row[:3], widths[:3], strict=True)]
+        right = [cell.rjust(width) for cell, width in zip(row[3:], widths[3:], strict=True)]
+        lines.append("  ".join([*left, *right]).rstrip())
+    return [*lines, *(f"no {rule}: {reason}" for rule, reason in found.left_out)]
 
 
-def described(result: TuneResult) -> list[str]:
-    """Settings, margins and notes in lines."""
-    shown = result.to_dict()
-    gains, parallel, m = shown["gains"], shown["parallel"], result.margins
+def _cells(row: RuleRow) -> tuple[str, ...]:
+    """One row of the table in text."""
+    shown, m = row.result.to_dict(), row.result.margins
+    gains, parallel = shown["gains"], shown["parallel"]
     assert isinstance(gains, dict)
     assert isinstance(parallel, dict)
-    times = f"tau_I {number(gains['tau_i'], ' s')}  tau_D {number(gains['tau_d'], ' s')}"
-    ki, kd = number(parallel["ki"], "/s"), number(parallel["kd"], " s")
-    tau_c = "" if result.tuning.tau_c_s is None else f", tau_c {number(result.tuning.tau_c_s, ' s')}"
-    lines = [
-        f"{result.tuning.rule} {result.kind.upper()}{tau_c}",
-        f"  {result.form:<8}  Kc {number(gains['kc'])}  {times}",
-        f"  parallel  kp {number(parallel['kp'])}  ki {ki}  kd {kd}",
-    ]
-    if m is not None and not m.stable:
-        lines.append("  the closed loop would be UNSTABLE")
-    elif m is not None:
-        lines.append(
-            f"  margins   Ms {m.ms:.3f}  Mt {m.mt:.3f}  GM {m.gm:.3g}  PM {m.pm_deg:.1f} deg  "
-            f"delay margin {m.delay_margin_s:.4g} s"
-        )
-    return [*lines, *(f"  note: {note}" for note in result.tuning.notes)]
+    kc = _short(gains["kc"]) if gains["kc"] else f"Ki {_short(parallel['ki'])}"
+    first = (row.result.tuning.rule, str(row.result.kind), row.result.form, kc, *map(_short, _times(gains)))
+    if m is None or not m.stable:
+        return (*first, "UNSTABLE", "-", "-", "-", "-", "-")
+    robustness = (f"{m.ms:.2f}", _short(m.gm), f"{m.pm_deg:.1f}")
+    return (*first, *robustness, *map(_short, (row.j, row.performance.iae_setpoint, row.performance.iae_load)))
+
+
+def _times(gains: dict[str, float | None]) -> tuple[float | None, float | None]:
+    return gains["tau_i"], gains["tau_d"]
+
+
+def _short(value: object) -> str:
+    """Four digits; none and infinite have words."""
+    if value is None:
+        return "-"
+    assert isinstance(value, float)
+    return "inf" if value == float("inf") else f"{value:.4g}"

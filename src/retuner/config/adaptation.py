@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from typing import Literal
 
-from retuner.config.learning import AdmissionConfig, PatternConfig
-from retuner.config.limits import LimitsConfig
+from retuner.config.learning import AdmissionConfig, LimitsConfig, PatternConfig
 from retuner.config.setting import Many, Problem, Section, setting
 
 

@@ -107,6 +107,29 @@ class Config(Section):
         """The gain table as commissioned: revision 0."""
         return GainTable(self.loop.name, self.regions(), self.gains(), Lookup(self.schedule.lookup))
 
+    def summary(self) -> dict[str, object]:
+        """What it says, as JSON values: every setting with its defaults, and the gains of each region."""
+        settings = self.model_dump(mode="json", by_alias=True)
+        where = self.regions()
+        regions = [
+            {
+                "name": region.name,
+                "low": where.span(i)[0],
+                "high": where.span(i)[1],
+                "unit": where.unit,
+                "along": [
+                    {"variable": axis.label, "low": axis.span(part)[0], "high": axis.span(part)[1], "unit": axis.unit}
+                    for axis, part in zip(where.axes, where.cell(i), strict=True)
+                ],
+                "neighbours": [where.names[other] for other in where.neighbours(i)],
+                "form": region.form,
+                "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
+                "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
+            }
+            for i, (region, gains) in enumerate(zip(self.schedule.regions, self.gains(), strict=True))
+        ]
+        return {**settings, "regions": regions}
+
     def problems(self) -> Iterator[Problem]:
         """What must hold between sections."""
         yield from self._border_problems()

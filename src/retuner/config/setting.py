@@ -4,13 +4,15 @@ A declared setting carries its meaning, unit, range, default and the source of t
 the reference page and a reader of the code see the same.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, create_model, model_validator
 from pydantic_core import PydanticUndefined
 
+from retuner.adaptive.setting import Declared, declared
 from retuner.config.toml_lines import Path
 
 T = TypeVar("T")
@@ -86,3 +88,30 @@ def setting(
         alias=alias,
         json_schema_extra={"unit": unit, "source": source},
     )
+
+
+AnySection = TypeVar("AnySection", bound=Section)
+GREATEST = 1e9
+"""What a setting that is a positive number without a limit may be in the file."""
+
+
+def holding(settings: type) -> Callable[[type[AnySection]], type[AnySection]]:
+    """Give a section the settings of a dataclass that belong into the file: those that are declared with a source."""
+
+    def filled(section: type[AnySection]) -> type[AnySection]:
+        """The section with its settings; statically it stays what it was."""
+        given: Any = {one.name: _field(one) for one in declared(settings) if one.setting.source}
+        return create_model(section.__name__, __base__=section, __doc__=section.__doc__, **given)
+
+    return filled
+
+
+def _field(one: Declared) -> tuple[object, object]:
+    """Type and declaration of a setting in the file."""
+    s = one.setting
+    limits: Any = {"low": s.low, "high": s.high}
+    if s.low == 0 and s.high == math.inf:
+        limits = {"above": 0, "high": GREATEST}
+    default = None if s.absent else one.default
+    field = setting(s.meaning, unit=s.unit, source=s.source, default=default, **limits)
+    return (one.type | None if s.absent else one.type), field

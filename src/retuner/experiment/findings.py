@@ -18,10 +18,9 @@ from retuner.adaptive.rules.registry import rule_named
 from retuner.adaptive.rules.rule import Takes
 from retuner.adaptive.signals.sample import Window
 from retuner.api import Identification, identify_record
-from retuner.commands.tune import described as tuning_lines
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
-from retuner.tuning import TuneResult, tune
+from retuner.tuning import TuneResult, tune, tuning_lines
 
 ULTIMATE = "ultimate"
 """The experiment that exists as a record only: a swing under proportional control."""

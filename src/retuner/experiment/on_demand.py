@@ -12,14 +12,12 @@ import typer
 from retuner.adaptive.experiments.phases import Cause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.commands.check import summary
 from retuner.config import Config
 from retuner.errors import UserError
-from retuner.experiment.bench import Bench
 from retuner.experiment.findings import Findings, Question, described, evaluate
-from retuner.experiment.result import RECORD, Outcome
-from retuner.experiment.runner import Conductor
-from retuner.experiment.settings_writer import GainWriter
+from retuner.experiment.result import RECORD, ExperimentResult
+from retuner.experiment.runner import Bench, ExperimentRunner
+from retuner.experiment.settings_writer import SettingsWriter
 from retuner.experiment.target import p_only
 from retuner.ledger import Ledger
 from retuner.report.console import RunScreen
@@ -65,11 +63,11 @@ class OnDemandExperiment:
         self._config, self._question, self._ledger = config, question, ledger
         self._screen, self._bench = screen, bench
         self._yes, self._as_json = yes, as_json
-        conductor = Conductor(
+        runner = ExperimentRunner(
             bench.device, plan, config.loop.sample_time_s, bench.device.settings.silent_s, self._record, self._on_sample
         )
-        self._conductor = conductor
-        self._outcome = Outcome(config.loop.name, config.loop.pv_unit, folder, conductor)
+        self._runner = runner
+        self._outcome = ExperimentResult(config.loop.name, config.loop.pv_unit, folder, runner)
 
     def run(self) -> int:
         """Conduct, evaluate, offer, leave; the exit status.
@@ -81,12 +79,12 @@ class OnDemandExperiment:
         DeviceError
             Nobody answers, or the wrong controller does.
         """
-        conductor, outcome = self._conductor, self._outcome
-        self._ledger.append("session", {"config": summary(self._config), "retuner": version("retuner")}, 0.0)
-        self._screen.begin(f"{self._config.loop.name}: {conductor.plan.kind}")
+        runner, outcome = self._runner, self._outcome
+        self._ledger.append("session", {"config": self._config.summary(), "retuner": version("retuner")}, 0.0)
+        self._screen.begin(f"{self._config.loop.name}: {runner.plan.kind}")
         self._conduct()
-        if conductor.cause in OPTION_AT_FAULT and not conductor.touched:
-            raise UserError(f"{OPTION_AT_FAULT[conductor.cause]}: {conductor.text}; nothing was changed")
+        if runner.cause in OPTION_AT_FAULT and not runner.touched:
+            raise UserError(f"{OPTION_AT_FAULT[runner.cause]}: {runner.text}; nothing was changed")
         outcome.found = self._evaluate()
         with unstoppable():
             outcome.leave()
@@ -96,67 +94,67 @@ class OnDemandExperiment:
         if forbidden:
             self._screen.say(f"not to be written: {forbidden}")
             outcome.written = forbidden
-        elif conductor.cause is None and usable and self._confirmed():
+        elif runner.cause is None and usable and self._confirmed():
             self._write()
         if self._as_json:
             sys.stdout.write(json.dumps(outcome.to_dict(), indent=2, allow_nan=False) + "\n")
-        if conductor.lost_ledger is not None:
-            raise conductor.lost_ledger
-        if conductor.cause is Cause.INTERRUPTED:
+        if runner.lost_ledger is not None:
+            raise runner.lost_ledger
+        if runner.cause is Cause.INTERRUPTED:
             return INTERRUPTED
-        return 0 if conductor.cause is None and usable and not outcome.written else 1
+        return 0 if runner.cause is None and usable and not outcome.written else 1
 
     def _conduct(self) -> None:
         """Turn by turn until the old state is back; Ctrl-C is an abort like any other."""
-        conductor = self._conductor
-        while not conductor.phase.over:
+        runner = self._runner
+        while not runner.phase.over:
             try:
                 now_s = self._bench.turn()
                 with unstoppable():
-                    conductor.poll(now_s)
+                    runner.poll(now_s)
             except KeyboardInterrupt:
-                if conductor.phase.touched:
+                if runner.phase.touched:
                     self._screen.say("stopping: the old state is being restored")
-                conductor.abort(Cause.INTERRUPTED)
+                runner.abort(Cause.INTERRUPTED)
 
     def _record(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """A row of the ledger; phases are told on the screen."""
         self._ledger.append(kind, body, t_s)
         if body.get("phase") not in {None, "before"}:
             phase = Phase[str(body["phase"]).upper()]
-            if phase is not Phase.RESTORED or self._conductor.touched:
+            if phase is not Phase.RESTORED or self._runner.touched:
                 self._screen.say(f"{t_s:8,.0f} s {phase.value}" + (f" ({body['cause']})" if body.get("cause") else ""))
 
     def _on_sample(self, sample: LoopSample, phase: Phase) -> None:
         """Progress by what the excitation has used of its time."""
-        conductor = self._conductor
-        since = (len(conductor.samples) - conductor.excited_from) * self._config.loop.sample_time_s
-        progress = min(since / conductor.plan.time_s, 1.0) if phase is Phase.EXCITING else float(phase in AFTER)
+        runner = self._runner
+        since = (len(runner.samples) - runner.excited_from) * self._config.loop.sample_time_s
+        progress = min(since / runner.plan.time_s, 1.0) if phase is Phase.EXCITING else float(phase in AFTER)
         self._screen.sample(sample, progress, phase.value)
 
     def _evaluate(self) -> Findings | None:
         """What the record of the excitation says, if there is one."""
-        conductor, asked = self._conductor, self._question
-        rest, before = conductor.rest, conductor.before
-        if rest is None or before is None or len(conductor.excited) < FEWEST_SAMPLES:
+        runner, asked = self._runner, self._question
+        rest, before = runner.rest, runner.before
+        if rest is None or before is None or len(runner.excited) < FEWEST_SAMPLES:
             return None
-        kc = p_only(conductor.plan, before).kp if conductor.plan.kind == Kind.SETPOINT else None
+        kc = p_only(runner.plan, before).kp if runner.plan.kind == Kind.SETPOINT else None
         question = replace(
             asked, kc=kc, hysteresis=rest.hysteresis, rest=(rest.pv, rest.co), from_rest=True, in_force=before.gains
         )
-        return evaluate(Window.of(conductor.excited), question)
+        return evaluate(Window.of(runner.excited), question)
 
     def _tell(self) -> None:
         """The result for a person; what needs one's hand goes to stderr in any case."""
-        conductor, found = self._conductor, self._outcome.found
-        ended = f"aborted: {conductor.text}" if conductor.cause else "done"
+        runner, found = self._runner, self._outcome.found
+        ended = f"aborted: {runner.text}" if runner.cause else "done"
         record = self._outcome.folder / RECORD
-        state = conductor.phase.value if conductor.touched else "nothing was touched"
-        self._screen.say(f"{ended}; {state}; {len(conductor.excited)} samples in {record}")
-        lines = described(found, settings=not conductor.cause) if found else ["too little was recorded to say anything"]
+        state = runner.phase.value if runner.touched else "nothing was touched"
+        self._screen.say(f"{ended}; {state}; {len(runner.excited)} samples in {record}")
+        lines = described(found, settings=not runner.cause) if found else ["too little was recorded to say anything"]
         for line in lines:
             self._screen.say(line)
-        if conductor.phase is Phase.STRANDED:
+        if runner.phase is Phase.STRANDED:
             sys.stderr.write(
                 f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
                 f"bring back by hand: {self._before_text()}\n"
@@ -164,7 +162,7 @@ class OnDemandExperiment:
 
     def _forbidden(self) -> str:
         """Why nobody may write these settings, empty when a person may."""
-        found, before = self._outcome.found, self._conductor.before
+        found, before = self._outcome.found, self._runner.before
         assert found is not None
         assert found.chosen is not None
         assert before is not None
@@ -190,11 +188,11 @@ class OnDemandExperiment:
 
     def _write(self) -> None:
         """Write the chosen settings, on the set that ran when they were shown."""
-        outcome, before = self._outcome, self._conductor.before
+        outcome, before = self._outcome, self._runner.before
         assert outcome.found is not None
         assert outcome.found.chosen is not None
         assert before is not None
-        writer = GainWriter(self._bench, self._config.loop.sample_time_s, self._record)
+        writer = SettingsWriter(self._bench, self._config.loop.sample_time_s, self._record)
         outcome.written = writer.write(outcome.found.chosen.tuning.gains, before.gains)
         if outcome.written:
             self._screen.say(f"NOT written: {outcome.written}")
@@ -205,5 +203,5 @@ class OnDemandExperiment:
 
     def _before_text(self) -> str:
         """The old state in words."""
-        before = self._conductor.before
+        before = self._runner.before
         return before.words if before else "the state of before"

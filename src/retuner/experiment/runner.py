@@ -6,6 +6,7 @@ on the phase, not on the edge that led to it. Everything is told to the recorder
 """
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from retuner.adaptive.experiments.phases import Cause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import (
@@ -33,10 +34,11 @@ from retuner.drivers.device import (
     SamplesLost,
     WriteFailed,
 )
+from retuner.drivers.host.connection import CanDevice
 from retuner.errors import LedgerError
 from retuner.experiment.limits import Following, cannot_begin, out_of_band, out_of_time
 from retuner.experiment.target import Before, Helm, Target, target
-from retuner.session.session import Recorder
+from retuner.ledger import Recorder
 
 FEWEST_PATIENT = 6
 """Samples that a new output, setpoint or mode may take to show at least."""
@@ -57,7 +59,14 @@ def restore_patience_s(sample_time_s: float, silent_s: float) -> float:
     return max(RESTORE_SAMPLES * sample_time_s, RESTORE_SILENCES * silent_s)
 
 
-class Conductor:
+class Bench(NamedTuple):
+    """device : the controller, to be polled after each turn. turn : lets time pass; the time in s."""
+
+    device: CanDevice
+    turn: Callable[[], float]
+
+
+class ExperimentRunner:
     """See the head of this file.
 
     Parameters

@@ -5,17 +5,16 @@ Once begun a write goes to its end: a person's Ctrl-C is heard when the controll
 
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.drivers.device import Event, Reverted, WriteDone, WriteFailed, WriteRefusedError
-from retuner.experiment.bench import Bench
-from retuner.experiment.runner import restore_patience_s
+from retuner.experiment.runner import Bench, restore_patience_s
+from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
-from retuner.session.session import Recorder
 from retuner.stopping import unstoppable
 
 CONFIRM_SAMPLES = 15
 """Samples for which a set that runs is watched: the host confirms it in this time, or the controller takes it back."""
 
 
-class GainWriter:
+class SettingsWriter:
     """Writes one gain set.
 
     Parameters

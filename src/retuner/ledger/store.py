@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 from retuner.errors import LedgerError
 from retuner.files import sync_folder
@@ -15,6 +15,14 @@ from retuner.ledger.canonical import canonical_json
 from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
 from retuner.ledger.lock import WriterLock
 from retuner.ledger.schema import READING_ERRORS, connect
+
+
+class Recorder(Protocol):
+    """Keeps rows for good before it returns: the ledger, seen from a loop under supervision."""
+
+    def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        """Record one row."""
+        ...
 
 
 class LedgerReader:

@@ -77,6 +77,17 @@ def record_png(picture: RecordPicture) -> bytes:
     )
     top = figure.add_subplot(grid[0, 0])
     middle, bottom = (figure.add_subplot(grid[i, 0], sharex=top) for i in (1, 2))
+    _over_time(picture, (top, middle, bottom))
+    _curve(figure.add_subplot(grid[0, 1]), picture.window)
+    _words(figure.add_subplot(grid[1:, 1]), picture.lines)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _over_time(picture: RecordPicture, panels: tuple["Axes", "Axes", "Axes"]) -> None:
+    """pv, co and the remainder, one below the other over one time axis."""
+    top, middle, bottom = panels
     x, unit = time_axis(picture.window.t_s)
     _signals(top, picture, x)
     _output(middle, picture, x)
@@ -88,14 +99,13 @@ def record_png(picture: RecordPicture) -> bytes:
         axes.margins(x=0)
         axes.grid(alpha=0.3)
     bottom.set_xlabel(f"time [{unit}]")
-    _curve(figure.add_subplot(grid[0, 1]), picture.window)
-    words = figure.add_subplot(grid[1:, 1])
-    words.set_axis_off()
-    lines = [part for line in picture.lines for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
-    words.text(0, 0.95, "\n".join(lines[:MOST_LINES]), va="top", fontsize=7.8, family="monospace", linespacing=1.3)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+
+
+def _words(axes: "Axes", text: Sequence[str]) -> None:
+    """Text beside the curves."""
+    axes.set_axis_off()
+    lines = [part for line in text for part in wrap(line, LINE_WIDTH, subsequent_indent="      ") or [""]]
+    axes.text(0, 0.95, "\n".join(lines[:MOST_LINES]), va="top", fontsize=7.8, family="monospace", linespacing=1.3)
 
 
 def _signals(axes: "Axes", picture: RecordPicture, x: FloatArray) -> None:

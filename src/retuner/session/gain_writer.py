@@ -15,9 +15,9 @@ from retuner.adaptive.supervision.decision import Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.device import Device, RunningSet, WriteDone, WriteFailed, WriteRefusedError
+from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
-from retuner.session.ledger_rows import Recorder
 
 SAME_GAINS = 1.00001
 """Gains closer than this factor are one set: float32 on the wire rounds by 1.0000001."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -32,14 +32,6 @@ from retuner.schedule.gains import PidGains
 
 HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
 """Events after which no decision is written for a while."""
-
-
-class Recorder(Protocol):
-    """Keeps rows for good before it returns: the ledger, seen from here."""
-
-    def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        """Record one row."""
-        ...
 
 
 def trouble(event: Event) -> tuple[str, dict[str, object]]:

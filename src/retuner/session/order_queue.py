@@ -10,14 +10,14 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Reversible
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from retuner.adaptive.supervision.decision import Action, Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.errors import LedgerError, one_line
-from retuner.ledger import Row
+from retuner.ledger import Recorder, Row
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
@@ -129,14 +129,6 @@ def _decision(found: Shown, body: Mapping[str, Any]) -> None:
         )
     elif body["action"] == Action.COMMIT:
         found.tried[digest] = region
-
-
-class Recorder(Protocol):
-    """Keeps rows for good before it returns; session.py has the same."""
-
-    def __call__(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        """Record one row."""
-        ...
 
 
 class Waiting(NamedTuple):

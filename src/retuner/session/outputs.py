@@ -5,12 +5,11 @@ A folder that holds an earlier run is moved aside under a number, never written 
 """
 
 import contextlib
-import json
 from pathlib import Path
 from typing import NamedTuple
 
 from retuner.errors import LedgerError, UserError
-from retuner.files import sync_folder, write_whole
+from retuner.files import sync_folder
 from retuner.ledger.lock import WriterLock
 
 LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
@@ -81,8 +80,3 @@ def give_back(fresh: FreshFolder) -> None:
             return
         for path in fresh.made[1:]:
             path.rmdir()
-
-
-def write_json(path: Path, document: object) -> None:
-    """A JSON document as a whole file, readable."""
-    write_whole(path, json.dumps(document, indent=2, allow_nan=False) + "\n")

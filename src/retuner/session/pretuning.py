@@ -17,9 +17,10 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config import Config
 from retuner.drivers.device import Device
 from retuner.errors import UserError, user_input
-from retuner.experiment.runner import Conductor
+from retuner.experiment.runner import ExperimentRunner
 from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
-from retuner.session.ledger_rows import Recorder, feed
+from retuner.ledger import Recorder
+from retuner.session.ledger_rows import feed
 from retuner.stopping import unstoppable
 
 OrderTaker = Callable[[float], Iterable[Decision]]
@@ -84,7 +85,7 @@ class Pretuning:
         DeviceError
             Nobody answers, or the wrong controller does.
         """
-        conductor = Conductor(device, self._plan, self._config.loop.sample_time_s, silent_s, self._note)
+        conductor = ExperimentRunner(device, self._plan, self._config.loop.sample_time_s, silent_s, self._note)
         while not conductor.phase.over:
             try:
                 now_s = turn()
@@ -94,7 +95,7 @@ class Pretuning:
                 conductor.abort(Cause.INTERRUPTED)
         self._ended(conductor)
 
-    def _ended(self, conductor: Conductor) -> None:
+    def _ended(self, conductor: ExperimentRunner) -> None:
         """What the step has come to."""
         if conductor.lost_ledger is not None:
             raise conductor.lost_ledger

@@ -21,12 +21,13 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.host.can_settings import OWNERS
 from retuner.drivers.host.connection import CanDevice
 from retuner.errors import UserError
+from retuner.ledger import Recorder
 from retuner.session.assembly import device_settings, link_settings, make_plant, make_retuner, virtual_device_settings
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
 from retuner.session.pretuning import LOG_PREFIX, Pretuning
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import Recorder, Session
+from retuner.session.session import Session
 from retuner.stopping import unstoppable
 
 POLLS_PER_SAMPLE = 4

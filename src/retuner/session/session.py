@@ -15,13 +15,14 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews
 from retuner.drivers.device import CommandDone, Device, Event, Reverted, WriteDone, WriteFailed
+from retuner.ledger import Recorder
 from retuner.report.trend import Trend
 from retuner.schedule.table import GainTable
 from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
-from retuner.session.ledger_rows import HELD_BY, Recorder, abort_cause, trouble
+from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble
 from retuner.session.scenario import ScenarioPlayer
 
-__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "SAME_GAINS", "Recorder", "Session"]
+__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "SAME_GAINS", "Session"]
 
 DECISIONS_KEPT = 5000
 """Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""

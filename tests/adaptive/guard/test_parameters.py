@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import GuardSettings, change_factor, within_limits
-from retuner.adaptive.guard.settings import RANGES
 from retuner.adaptive.guard.step_size import Parameter, extent, less_of_everything, logs, step_limit, within_factor
+from retuner.adaptive.setting import declared
 from retuner.schedule.gains import PidGains
 
 SETTINGS = GuardSettings()
+RANGES = {one.name: (one.setting.low, one.setting.high) for one in declared(GuardSettings)}
 FACTOR = st.floats(0.01, 100)
 
 

@@ -23,7 +23,6 @@ from retuner.adaptive.guard import (
     change_factor,
     prove,
 )
-from retuner.adaptive.guard.ruling import ACCEPTING
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -217,6 +216,10 @@ REACHED: dict[Ruling, tuple[ChangeRequest, GuardSettings]] = {
     Ruling.TOO_OLD: (replace(request(times(0.6, 0.6)), evidence=Evidence(age_s=3e6)), SETTINGS),
     Ruling.CONTRADICTED: (replace(request(times(0.6, 0.6)), evidence=Evidence(innovation=40.0, gate=20.0)), SETTINGS),
 }
+
+
+ACCEPTING = {Ruling.ACCEPTED, Ruling.URGENT, Ruling.SAFER, Ruling.UNPROVED_STEP, Ruling.UNPROVED_WAY_OUT}
+"""Rulings that let gains through."""
 
 
 @pytest.mark.parametrize("ruling", list(Ruling))

@@ -4,25 +4,18 @@ Both are a device and a turn: let some time pass and say what time it is. The tu
 that of the simulated one not, because device and host share a thread there.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 from retuner.config import Config
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
 from retuner.drivers.host.connection import CanDevice
+from retuner.experiment.runner import Bench
 from retuner.session.assembly import device_settings, link_settings
 from retuner.session.running import POLLS_PER_SAMPLE, virtual_bench
 from retuner.stopping import unstoppable
-
-
-class Bench(NamedTuple):
-    """device : the controller, to be polled after each turn. turn : lets time pass; the time in s."""
-
-    device: CanDevice
-    turn: Callable[[], float]
 
 
 @contextmanager
