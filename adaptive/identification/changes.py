@@ -9,9 +9,11 @@ import numpy as np
 from retuner.adaptive.identification.dynamics import Dynamics
 from retuner.adaptive.identification.slopes import (
     By,
+    LateMode,
     held_by_theta,
     held_slope,
     impulse_slope,
+    late_modes,
     ramp_slope,
     rounded_by_lag,
     rounded_rise,
@@ -33,11 +35,12 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
     """Derivative of the fitted pv by every p[j], shape (n,) each."""
     p, d = at.p, SIZE[misfit.type]
     dynamics = told_apart(dynamics_at(misfit.type, p))
-    found = [at.moved, _by_theta(misfit, at, dynamics)]
+    late = late_modes(dynamics, misfit.record.clock, misfit.input, math.exp(p[THETA]))
+    found = [at.moved, _by_theta(misfit, at, dynamics, late)]
     if misfit.type in LAG:
-        found.append(_by_dynamics(misfit, at, dynamics, By.LAG))
+        found.append(_by_dynamics(misfit, at, dynamics, late, By.LAG))
     if misfit.type in SECOND:
-        found.append(_by_dynamics(misfit, at, dynamics, By.SECOND))
+        found.append(_by_dynamics(misfit, at, dynamics, late, By.SECOND))
     found += [_summed(at, [_load_change(misfit, at, dynamics, j)]) for j in range(misfit.loads)]
     if misfit.rounded:
         lag = math.exp(p[d + misfit.loads])
@@ -62,10 +65,10 @@ def _summed(at: "Projection", changes: list[Change]) -> FloatArray:
     return found
 
 
-def _by_theta(misfit: "Misfit", at: "Projection", dynamics: Dynamics) -> FloatArray:
+def _by_theta(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode]) -> FloatArray:
     """By ln theta."""
     theta = math.exp(at.p[THETA])
-    moved = held_by_theta(dynamics, misfit.record.clock, misfit.input, theta)
+    moved = held_by_theta(dynamics, late, theta)
     return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(at, list(_late_by_theta(misfit, dynamics, theta)))
 
 
@@ -82,9 +85,9 @@ def _late_by_theta(misfit: "Misfit", dynamics: Dynamics, theta: float) -> Iterat
         place += 2
 
 
-def _by_dynamics(misfit: "Misfit", at: "Projection", dynamics: Dynamics, by: By) -> FloatArray:
+def _by_dynamics(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode], by: By) -> FloatArray:
     """By ln T or ln c2."""
-    moved = held_slope(dynamics, misfit.record.clock, misfit.input, math.exp(at.p[THETA]), by)
+    moved = held_slope(dynamics, late, by)
     changes = list(_columns_by_dynamics(misfit, at.p, dynamics, by))
     return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(at, changes)
 

@@ -138,35 +138,45 @@ def rounded_rise(dynamics: Dynamics, since_s: FloatArray, lag_s: float) -> Float
     return np.where(since_s >= 0, sum(found), 0.0)
 
 
-def held_slope(dynamics: Dynamics, clock: Clock, u: FloatArray, theta_s: float, by: By) -> FloatArray:
-    """Derivative of Dynamics.held by a parameter of the process."""
-    found = []
-    for m in mode_slopes(dynamics, by):
-        value, slope, _ = _late(m.s if m.doubled else m.s.real, clock, u, theta_s)
-        found.append(m.summed(m.dw * value + m.w * m.ds * slope))
+@dataclass(frozen=True, slots=True)
+class LateMode:
+    """A mode's response to the held input after the dead time, its derivative by s, and the input as it was read."""
+
+    value: Array
+    slope: Array
+    read: FloatArray
+
+    @classmethod
+    def of(cls, s: complex, clock: Clock, u: FloatArray, theta_s: float) -> "LateMode":
+        """s : rate of the mode. theta_s : the dead time."""
+        rate = s if s.imag else s.real
+        dt: Array = np.asarray(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
+        decay, late = np.exp(-rate * dt), Reading.of(clock, theta_s)
+        x = recursion(decay, _held(rate, dt) * u[:-1])
+        slope = recursion(decay, -dt * decay * x[:-1] + _held_slope(rate, dt) * u[:-1])
+        since: Array = np.asarray(late.since_s)
+        e = np.exp(-rate * since)
+        found = cls(np.zeros_like(x), np.zeros_like(x), np.zeros(len(u)))
+        found.value[late.first :] = x[late.at] * e + u[late.at] * _held(rate, since)
+        found.slope[late.first :] = (slope[late.at] - since * x[late.at]) * e + u[late.at] * _held_slope(rate, since)
+        found.read[late.first :] = u[late.at]
+        return found
+
+
+def late_modes(dynamics: Dynamics, clock: Clock, u: FloatArray, theta_s: float) -> list[LateMode]:
+    """Of every mode that has derivatives (mode_slopes)."""
+    return [LateMode.of(m.s, clock, u, theta_s) for m in mode_slopes(dynamics, By.LAG)]
+
+
+def held_slope(dynamics: Dynamics, late: list[LateMode], by: By) -> FloatArray:
+    """Derivative of Dynamics.held by a parameter of the process. late : of late_modes."""
+    found = [
+        m.summed(m.dw * x.value + m.w * m.ds * x.slope) for m, x in zip(mode_slopes(dynamics, by), late, strict=True)
+    ]
     return np.asarray(sum(found), dtype=np.float64)
 
 
-def held_by_theta(dynamics: Dynamics, clock: Clock, u: FloatArray, theta_s: float) -> FloatArray:
-    """Derivative of Dynamics.held by ln theta."""
-    found = []
-    for m in mode_slopes(dynamics, By.LAG):
-        value, _, read = _late(m.s if m.doubled else m.s.real, clock, u, theta_s)
-        found.append(m.summed(m.w * (m.s * value - read)))
+def held_by_theta(dynamics: Dynamics, late: list[LateMode], theta_s: float) -> FloatArray:
+    """Derivative of Dynamics.held by ln theta. late : of late_modes."""
+    found = [m.summed(m.w * (m.s * x.value - x.read)) for m, x in zip(mode_slopes(dynamics, By.LAG), late, strict=True)]
     return np.asarray(theta_s * sum(found), dtype=np.float64)
-
-
-def _late(s: complex, clock: Clock, u: FloatArray, theta_s: float) -> tuple[Array, Array, FloatArray]:
-    """A mode's response to u after the dead time, its derivative by s, and u as it was read."""
-    dt: Array = np.asarray(clock.dt_s) if clock.dt_s is not None else np.diff(clock.t_s)
-    decay = np.exp(-s * dt)
-    x = recursion(decay, _held(s, dt) * u[:-1])
-    slope = recursion(decay, -dt * decay * x[:-1] + _held_slope(s, dt) * u[:-1])
-    late = Reading.of(clock, theta_s)
-    since: Array = np.asarray(late.since_s)
-    e = np.exp(-s * since)
-    value_out, slope_out, read = np.zeros_like(x), np.zeros_like(x), np.zeros(len(u))
-    value_out[late.first :] = x[late.at] * e + u[late.at] * _held(s, since)
-    slope_out[late.first :] = (slope[late.at] - since * x[late.at]) * e + u[late.at] * _held_slope(s, since)
-    read[late.first :] = u[late.at]
-    return value_out, slope_out, read

@@ -11,8 +11,10 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 """Real or complex, shape (n,): a mode is either."""
 
-BLOCK = 64
+BLOCK = 32
 """Samples that one product of matrices takes at a time."""
+AGO = BLOCK - 1 + np.arange(BLOCK)[:, None] - np.arange(BLOCK)
+"""Place of decay^(i - k) among powers that BLOCK - 1 zeros go before."""
 
 
 def recursion(decay: Array, moved: Array) -> Array:
@@ -31,17 +33,14 @@ def recursion(decay: Array, moved: Array) -> Array:
 def _even_recursion(decay: Array, moved: Array) -> Array:
     """By blocks: within one, a triangle of powers of the decay; from one to the next, what is left of the last."""
     n = len(moved)
-    powers = decay ** np.arange(BLOCK + 1)
+    powers = np.zeros(2 * BLOCK, dtype=decay.dtype)
+    powers[BLOCK - 1 :] = decay ** np.arange(BLOCK + 1)
     padded = np.zeros(-(-n // BLOCK) * BLOCK, dtype=np.result_type(decay, moved))
     padded[:n] = moved
-    inside = padded.reshape(-1, BLOCK) @ np.where(LATER, 0.0, powers[np.where(LATER, 0, AGO)]).T
-    carried, now = [], powers[0] * 0
+    inside = padded.reshape(-1, BLOCK) @ powers[AGO].T
+    carried, now, whole = [], 0.0 * powers[-1].item(), powers[-1].item()
     for last in inside[:, -1].tolist():
         carried.append(now)
-        now = powers[BLOCK] * now + last
-    whole = inside + np.array(carried)[:, None] * powers[1:]
-    return np.concatenate([[0.0], whole.ravel()[:n]])
-
-
-AGO = np.arange(BLOCK)[:, None] - np.arange(BLOCK)
-LATER = AGO < 0
+        now = whole * now + last
+    inside += np.array(carried)[:, None] * powers[BLOCK:]
+    return np.concatenate([[0.0], inside.ravel()[:n]])

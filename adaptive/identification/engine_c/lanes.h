@@ -1,0 +1,345 @@
+/* A problem, the room to work on it, and everything that is run over the record: lanes, columns. */
+
+#ifndef RETUNER_LANES_H
+#define RETUNER_LANES_H
+
+#include "modes.h"
+
+enum { MOST_P = 40, MOST_COLUMNS = 96, MOST_STARTS = 8, MOST_LOADS = 24, MOST_AR = 16, MOST_HARMONICS = 12 };
+enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG };
+static const int SIZE[] = {3, 4, 2, 3}, LAG[] = {2, 2, -1, -1}, SECOND[] = {-1, 3, -1, 2};
+enum { SLOPE, THETA };
+
+static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0; /* structure.py, misfit.py */
+
+/* ---------------------------------------------------------------- problem and workspace */
+
+typedef struct {
+    Py_ssize_t n, rows;
+    const double *t, *pv, *u;
+    double dt, span, sigma, sign;
+    int type, loads, harmonics, ramp, rounded, motion, starts, order;
+    int size, columns, priors;
+    double start[MOST_STARTS], ar[MOST_AR], weight[MOST_COLUMNS];
+} Problem;
+
+/* A step that begins at a time: its lanes from the first sample after it. */
+typedef struct {
+    double at;
+    Py_ssize_t first;
+    double *a, *b, *c;
+} Basis;
+
+typedef struct {
+    Problem p;
+    double theta, gain, c2, c0, rate, tone;
+    Modes modes, load_modes;
+    Interval *steps, *lag_steps, *load_steps, *reads; /* one each for an even clock, one a sample for an uneven one */
+    Py_ssize_t *read_at;
+    Basis basis[2 * MOST_STARTS + MOST_LOADS];
+    double *a, *b, *a1, *b1, *u_read;                  /* the lanes of co's response, and of its derivative by s */
+    double *moved, *column, *rotated, *target, *change; /* column : (columns, n); rotated : (columns, rows) */
+    double *scratch;
+    double peak[MOST_COLUMNS], beta[MOST_COLUMNS], inside[MOST_COLUMNS], c[MOST_COLUMNS];
+    Py_ssize_t peak_at[MOST_COLUMNS];
+    double swing, cost;
+    double *memory;
+} Work;
+
+static int start_columns(const Problem *p) { return 1 + (SECOND[p->type] >= 0) + 2 * p->motion; }
+
+static int open_work(Work *w) {
+    const Problem *p = &w->p;
+    size_t n = (size_t)p->n, rows = (size_t)p->rows, bases = (size_t)(2 * p->starts + p->loads);
+    size_t lanes = p->rounded ? 3 : 2, many = p->dt > 0 ? 1 : n, interval = sizeof(Interval) / sizeof(double);
+    size_t kinds = 4 * many * interval;
+    size_t doubles = kinds + n * lanes * bases + 6 * n + (size_t)p->columns * (n + rows) +
+                     rows * (size_t)(1 + p->size) + 2 * n;
+    w->memory = malloc(doubles * sizeof(double));
+    if (!w->memory)
+        return -1;
+    double *next = w->memory;
+    w->steps = (Interval *)next, w->lag_steps = w->steps + many, w->load_steps = w->lag_steps + many;
+    w->reads = w->load_steps + many;
+    next += kinds;
+    for (size_t j = 0; j < bases; j++, next += lanes * n) {
+        w->basis[j].a = next, w->basis[j].b = next + n;
+        w->basis[j].c = lanes == 3 && j >= 2 * (size_t)p->starts ? next + 2 * n : next;
+    }
+    w->a = next, w->b = next + n, w->a1 = next + 2 * n, w->b1 = next + 3 * n, w->u_read = next + 4 * n;
+    w->moved = next + 5 * n, next += 6 * n;
+    w->column = next, next += (size_t)p->columns * n;
+    w->rotated = next, next += (size_t)p->columns * rows;
+    w->target = next, next += rows;
+    w->change = next, next += rows * (size_t)p->size;
+    w->scratch = next, next += n;
+    w->read_at = (Py_ssize_t *)next;
+    return 0;
+}
+
+/* ---------------------------------------------------------------- lanes over the record */
+
+/* First sample at or after a time. */
+static Py_ssize_t first_at(const Problem *p, double at) {
+    Py_ssize_t low = 0, high = p->n;
+    while (low < high) {
+        Py_ssize_t middle = (low + high) / 2;
+        if (p->t[middle] < at)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+static void intervals(const Problem *p, const Modes *m, Interval *out) {
+    if (p->dt > 0) {
+        out[0] = interval_of(m, p->dt);
+        return;
+    }
+    for (Py_ssize_t i = 0; i + 1 < p->n; i++)
+        out[i] = interval_of(m, p->t[i + 1] - p->t[i]);
+}
+
+/* The lanes of a unit step at basis->at, zero before it. */
+static void run_step(const Problem *p, const Modes *m, const Interval *steps, double *restrict a, double *restrict b,
+                     double at, Py_ssize_t first) {
+    Py_ssize_t stride = p->dt > 0 ? 0 : 1, i = first;
+    memset(a, 0, (size_t)first * sizeof *a), memset(b, 0, (size_t)first * sizeof *b);
+    if (first >= p->n)
+        return;
+    Interval start = interval_of(m, p->t[first] - at);
+    double x = start.v[0], y = start.v[1];
+    if (stride == 0 && !m->pair) { /* two chains that do not wait for each other, or one */
+        double ex = steps->e[0], ey = steps->e[3], vx = steps->v[0], vy = steps->v[1];
+        if (m->count == 1)
+            memset(b + i, 0, (size_t)(p->n - i) * sizeof *b);
+        for (; m->count == 1 && i < p->n; i++) {
+            a[i] = x;
+            x = ex * x + vx;
+        }
+        for (; i < p->n; i++) {
+            a[i] = x, b[i] = y;
+            x = ex * x + vx, y = ey * y + vy;
+        }
+        return;
+    }
+    for (; i < p->n; i++) {
+        const Interval *s = steps + i * stride;
+        a[i] = x, b[i] = y;
+        if (i + 1 == p->n)
+            break;
+        double next = s->e[0] * x + s->e[1] * y + s->v[0];
+        y = s->e[2] * x + s->e[3] * y + s->v[1];
+        x = next;
+    }
+}
+
+/* The lanes of the response to the input at the samples; with the derivative by s if asked. */
+static void run_input(const Work *w, double *restrict a, double *restrict b, double *restrict a1, double *restrict b1,
+                      int slopes) {
+    Py_ssize_t n = w->p.n, stride = w->p.dt > 0 ? 0 : 1;
+    const double *u = w->p.u;
+    double x = 0, y = 0, x1 = 0, y1 = 0;
+    if (stride == 0 && !w->modes.pair) { /* no lane waits for the other */
+        Interval s = w->steps[0];
+        for (Py_ssize_t i = 0; i < n; i++) {
+            a[i] = x, b[i] = y;
+            if (slopes) {
+                a1[i] = x1, b1[i] = y1;
+                x1 = s.e[0] * x1 + (s.e1[0] * x + s.v1[0] * u[i]);
+                y1 = s.e[3] * y1 + (s.e1[3] * y + s.v1[1] * u[i]);
+            }
+            x = s.e[0] * x + s.v[0] * u[i];
+            y = s.e[3] * y + s.v[1] * u[i];
+        }
+        return;
+    }
+    for (Py_ssize_t i = 0; i < n; i++) {
+        const Interval *s = w->steps + (i + 1 < n ? i * stride : 0);
+        a[i] = x, b[i] = y;
+        if (slopes) {
+            a1[i] = x1, b1[i] = y1;
+            double next1 = s->e[0] * x1 + s->e[1] * y1 + (s->e1[0] * x + s->e1[1] * y + s->v1[0] * u[i]);
+            y1 = s->e[2] * x1 + s->e[3] * y1 + (s->e1[2] * x + s->e1[3] * y + s->v1[1] * u[i]);
+            x1 = next1;
+        }
+        double next = s->e[0] * x + s->e[1] * y + s->v[0] * u[i];
+        y = s->e[2] * x + s->e[3] * y + s->v[1] * u[i];
+        x = next;
+    }
+}
+
+/* Where the record is read theta earlier: the sample before, and the interval from it to the reading. */
+static Py_ssize_t reading(Work *w) {
+    const Problem *p = &w->p;
+    if (p->dt > 0) {
+        double late = ceil(w->theta / p->dt - 1e-12);
+        if (!(late < (double)p->n))
+            return p->n;
+        w->reads[0] = interval_of(&w->modes, fmax(late * p->dt - w->theta, 0));
+        return late > 0 ? (Py_ssize_t)late : 0;
+    }
+    Py_ssize_t at = -1, first = p->n;
+    for (Py_ssize_t i = 0; i < p->n; i++) {
+        double when = p->t[i] - w->theta;
+        while (at + 1 < p->n && p->t[at + 1] <= when)
+            at++;
+        w->read_at[i] = at;
+        if (at < 0)
+            continue;
+        first = first < i ? first : i;
+        w->reads[i] = interval_of(&w->modes, fmax(when - p->t[at], 0));
+    }
+    return first;
+}
+
+/* The lanes of the input's response after the dead time, in w->a, b [, a1, b1], and the input read there. */
+static void run_late(Work *w, int slopes) {
+    const Problem *p = &w->p;
+    Py_ssize_t first = reading(w), even = p->dt > 0;
+    run_input(w, w->a, w->b, w->a1, w->b1, slopes);
+    for (Py_ssize_t i = p->n - 1; i >= first; i--) { /* backwards: reads lie before what is written */
+        const Interval *s = even ? w->reads : w->reads + i;
+        Py_ssize_t at = even ? i - first : w->read_at[i];
+        double x = w->a[at], y = w->b[at], u = p->u[at];
+        if (slopes) {
+            double x1 = w->a1[at], y1 = w->b1[at];
+            w->a1[i] = s->e[0] * x1 + s->e[1] * y1 + s->e1[0] * x + s->e1[1] * y + s->v1[0] * u;
+            w->b1[i] = s->e[2] * x1 + s->e[3] * y1 + s->e1[2] * x + s->e1[3] * y + s->v1[1] * u;
+        }
+        w->a[i] = s->e[0] * x + s->e[1] * y + s->v[0] * u;
+        w->b[i] = s->e[2] * x + s->e[3] * y + s->v[1] * u;
+        w->u_read[i] = u;
+    }
+    for (Py_ssize_t i = 0; i < first && i < p->n; i++) {
+        w->a[i] = w->b[i] = w->u_read[i] = 0;
+        if (slopes)
+            w->a1[i] = w->b1[i] = 0;
+    }
+}
+
+static void read_parameters(Work *w, const double *p, double least) {
+    int type = w->p.type, size = SIZE[type], loads = w->p.loads;
+    w->gain = w->p.sign * exp(p[SLOPE]), w->theta = exp(p[THETA]);
+    w->c2 = SECOND[type] >= 0 ? exp(p[SECOND[type]]) : 0;
+    w->c0 = LAG[type] >= 0 ? exp(-p[LAG[type]]) : 0;
+    w->modes = modes_of(w->c2, w->c0, least);
+    w->rate = w->p.rounded ? 1 / exp(p[size + loads]) : 0;
+    w->load_modes = w->p.rounded ? apart_from(w->modes, w->rate) : w->modes;
+    w->tone = w->p.harmonics ? exp(p[w->p.size - 1]) : 0;
+    double most = -log(4 * LEAST_ZETA * LEAST_ZETA);
+    w->swing = type == SOPDT ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
+}
+
+static void put_basis(Work *w, int j, double at, const Modes *m, const Interval *steps, int rounded) {
+    Basis *basis = &w->basis[j];
+    basis->at = at, basis->first = first_at(&w->p, at);
+    run_step(&w->p, m, steps, basis->a, basis->b, at, basis->first);
+    if (rounded) {
+        Modes lag = modes_of(0, w->rate, 0);
+        run_step(&w->p, &lag, w->lag_steps, basis->c, w->scratch, at, basis->first); /* the second lane is not used */
+    }
+}
+
+/* All lanes at the parameters p. */
+static void run_lanes(Work *w, const double *p, double least, int slopes) {
+    const Problem *q = &w->p;
+    read_parameters(w, p, least);
+    intervals(q, &w->modes, w->steps);
+    if (q->rounded) {
+        Modes lag = modes_of(0, w->rate, 0);
+        intervals(q, &lag, w->lag_steps);
+        intervals(q, &w->load_modes, w->load_steps);
+    }
+    for (int j = 0; j < q->starts; j++)
+        put_basis(w, j, q->start[j], &w->modes, w->steps, 0);
+    for (int j = 0; q->motion && j < q->starts; j++)
+        put_basis(w, q->starts + j, q->start[j] + w->theta, &w->modes, w->steps, 0);
+    for (int j = 0; j < q->loads; j++)
+        put_basis(w, 2 * q->starts + j, p[SIZE[q->type] + j], &w->load_modes, q->rounded ? w->load_steps : w->steps,
+                  q->rounded);
+    run_late(w, slopes);
+}
+
+/* ---------------------------------------------------------------- columns */
+
+WIDE static void add_form(const Work *w, const Basis *basis, Form f, double *restrict out) {
+    const double *restrict t = w->p.t, *restrict a = basis->a, *restrict b = basis->b, *restrict c = basis->c;
+    double at = basis->at;
+    if (f.c == 0 && f.xc == 0 && f.xa == 0 && f.xb == 0 && f.x == 0 && f.xx == 0) {
+        for (Py_ssize_t i = basis->first; i < w->p.n; i++)
+            out[i] += f.one + f.a * a[i] + f.b * b[i];
+        return;
+    }
+    for (Py_ssize_t i = basis->first; i < w->p.n; i++) {
+        double x = t[i] - at;
+        out[i] += f.one + f.a * a[i] + f.b * b[i] + f.c * c[i] +
+                  x * (f.x + f.xx * x + f.xa * a[i] + f.xb * b[i] + f.xc * c[i]);
+    }
+}
+
+/* Scaled to a largest value of one. */
+static void make_unit(Work *w, int k) {
+    double *column = w->column + k * w->p.n;
+    Py_ssize_t at = largest(column, w->p.n);
+    double size = fabs(column[at]);
+    w->peak_at[k] = at, w->peak[k] = column[at];
+    if (size > 0)
+        multiply(column, 1 / size, w->p.n);
+}
+
+static void put_form(Work *w, int k, const Basis *basis, Form f) {
+    double *column = w->column + k * w->p.n;
+    memset(column, 0, (size_t)w->p.n * sizeof *column);
+    add_form(w, basis, f, column);
+}
+
+static void put_tones(Work *w, int k) {
+    Py_ssize_t n = w->p.n;
+    int even = w->p.dt > 0, harmonics = w->p.harmonics;
+    double turn_c = cos(w->tone * w->p.dt), turn_s = sin(w->tone * w->p.dt), c = 1, s = 0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        if (!even)
+            c = cos(w->tone * w->p.t[i]), s = sin(w->tone * w->p.t[i]);
+        double ch = c, sh = s;
+        for (int h = 0; h < harmonics; h++) {
+            w->column[(k + 2 * h) * n + i] = ch, w->column[(k + 2 * h + 1) * n + i] = sh;
+            double next = ch * c - sh * s;
+            sh = sh * c + ch * s;
+            ch = next;
+        }
+        double next = c * turn_c - s * turn_s;
+        s = s * turn_c + c * turn_s;
+        c = next;
+    }
+}
+
+static void put_columns(Work *w) {
+    const Problem *p = &w->p;
+    int k = 0;
+    Form step = step_form(&w->modes), impulse = impulse_form(&w->modes), ramp = ramp_form(&w->modes);
+    Form load = p->rounded ? rounded_form(&w->load_modes, w->rate) : step;
+    for (int j = 0; j < p->starts; j++)
+        put_form(w, k, &w->basis[j], step), make_unit(w, k++);
+    for (int j = 0; SECOND[p->type] >= 0 && j < p->starts; j++)
+        put_form(w, k, &w->basis[j], impulse), make_unit(w, k++);
+    for (int j = 0; p->motion && j < p->starts; j++) {
+        const Basis *late = &w->basis[p->starts + j];
+        put_form(w, k, late, step), make_unit(w, k++);
+        put_form(w, k, &w->basis[j], ramp);
+        add_form(w, late, scaled_form(ramp, -1), w->column + k * p->n), make_unit(w, k++);
+    }
+    for (Py_ssize_t i = 0; p->ramp && i < p->n; i++)
+        w->column[k * p->n + i] = p->t[i] / p->span;
+    k += p->ramp;
+    for (int j = 0; j < p->loads; j++)
+        put_form(w, k, &w->basis[2 * p->starts + j], load), make_unit(w, k++);
+    if (p->harmonics)
+        put_tones(w, k);
+    k += 2 * p->harmonics;
+    for (Py_ssize_t i = 0; i < p->n; i++)
+        w->column[k * p->n + i] = 1;
+}
+
+#endif

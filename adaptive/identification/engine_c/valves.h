@@ -1,0 +1,180 @@
+/* Sticking valves: their positions, the coarse scan, and the costs round a fit (rival_fits.py). */
+
+#ifndef RETUNER_VALVES_H
+#define RETUNER_VALVES_H
+
+#include "misfit.h"
+
+/* ---------------------------------------------------------------- sticking valves */
+
+enum { FAMILY, STICK, JUMP, START, VALVE };
+
+/* Position of a valve for the output co, Kano et al. (2004) or He et al. (2007), counted from its first value;
+ * returns its largest distance from there. */
+static double position(const double *valve, const double *co, Py_ssize_t n, double *out) {
+    double f_static = (valve[STICK] + valve[JUMP]) / 2, f_kinetic = (valve[STICK] - valve[JUMP]) / 2;
+    double begun = co[0] + valve[START] * f_static, y = begun, left = -valve[START] * f_static, travel = 0;
+    int direction = 0, moving = 0;
+    out[0] = 0;
+    for (Py_ssize_t i = 1; i < n; i++) {
+        double u = co[i], change = u - co[i - 1], push = left + u - co[i - 1];
+        if (valve[FAMILY] == 0) {
+            moving = moving && change * direction > 0;
+            if (!moving && fabs(u - y) > f_static)
+                moving = 1, direction = u > y ? 1 : -1;
+            y = moving ? u - direction * f_kinetic : y;
+        } else if (push > f_static || -push > f_static) {
+            left = copysign(f_kinetic, push);
+            y += push - left;
+        } else
+            left = push;
+        out[i] = y - begun;
+        travel = fmax(travel, fabs(out[i]));
+    }
+    return travel;
+}
+
+/* valves : (valve_count, VALVE). q : (lag_count, 3, rows) orthonormal basis of bias, start and trend, y : (lag_count,
+ * rows) pv free of it, on the rows first, first + stride, ... left, gain : (valve_count, lag_count, theta_count). */
+typedef struct {
+    const double *valves, *co, *lags, *thetas, *q, *y;
+    Py_ssize_t valve_count, lag_count, theta_count, first, stride, rows;
+    double *left, *gain;
+} Scan;
+
+/* How the kept rows are read at a node: from which sample (-1: before the record), and the step from it. */
+typedef struct {
+    Py_ssize_t *at;
+    double *e, *v;
+} Reading;
+
+static void scan_readings(Work *w, const Scan *s, const Reading *reads, double *decay, double *rise) {
+    const Problem *p = &w->p;
+    Py_ssize_t many = p->dt > 0 ? 1 : p->n, even = p->dt > 0;
+    for (Py_ssize_t l = 0; l < s->lag_count; l++) {
+        w->modes = modes_of(0, 1 / s->lags[l], 0);
+        intervals(p, &w->modes, w->steps);
+        for (Py_ssize_t i = 0; i < p->n; i++) {
+            const Interval *step = w->steps + (i < many - !even ? i : 0);
+            decay[l * p->n + i] = step->e[0], rise[l * p->n + i] = step->v[0];
+        }
+        for (Py_ssize_t k = 0; k < s->theta_count; k++) {
+            const Reading *r = reads + l * s->theta_count + k;
+            w->theta = s->thetas[k];
+            Py_ssize_t begun = reading(w);
+            for (Py_ssize_t i = 0; i < s->rows; i++) {
+                Py_ssize_t row = s->first + i * s->stride;
+                const Interval *step = w->reads + (even ? 0 : row);
+                r->at[i] = row < begun ? -1 : even ? row - begun : w->read_at[row];
+                r->e[i] = row < begun ? 0 : step->e[0], r->v[i] = row < begun ? 0 : step->v[0];
+            }
+        }
+    }
+}
+
+/* One node: what a valve's output leaves of pv, with the gain that is best. */
+static void scan_node(const Scan *s, Py_ssize_t lag, const Reading *r, const double *x, const double *u, double *column,
+                      double *left, double *gain) {
+    const double *y = s->y + lag * s->rows;
+    for (Py_ssize_t i = 0; i < s->rows; i++) {
+        Py_ssize_t at = r->at[i] < 0 ? 0 : r->at[i];
+        column[i] = r->e[i] * x[at] + r->v[i] * u[at];
+    }
+    double whole = dot(column, column, s->rows);
+    for (int k = 0; k < 3; k++) {
+        const double *q = s->q + (lag * 3 + k) * s->rows;
+        add(column, -dot(q, column, s->rows), q, s->rows);
+    }
+    double size = dot(column, column, s->rows);
+    *gain = size > NOTHING_NEW * whole ? dot(y, column, s->rows) / size : 0;
+    *left = dot(y, y, s->rows) - *gain * *gain * size;
+}
+
+static int scan(Work *w, const Scan *s) {
+    Py_ssize_t n = w->p.n, nodes = s->lag_count * s->theta_count, lags = s->lag_count;
+    size_t doubles = (size_t)(3 * lags * n + n + s->rows + 2 * nodes * s->rows);
+    double *memory = malloc(doubles * sizeof *memory + (size_t)(nodes * s->rows) * sizeof(Py_ssize_t)), *next = memory;
+    Reading *reads = malloc((size_t)nodes * sizeof *reads);
+    if (!memory || !reads) {
+        free(memory), free(reads);
+        return -1;
+    }
+    double *decay = next, *rise = next + lags * n, *x = next + 2 * lags * n, *u = x + lags * n, *column = u + n;
+    next = column + s->rows;
+    for (Py_ssize_t k = 0; k < nodes; k++, next += 2 * s->rows)
+        reads[k].e = next, reads[k].v = next + s->rows;
+    for (Py_ssize_t k = 0; k < nodes; k++)
+        reads[k].at = (Py_ssize_t *)next + k * s->rows;
+    scan_readings(w, s, reads, decay, rise);
+    for (Py_ssize_t j = 0; j < s->valve_count; j++) {
+        double travel = position(s->valves + j * VALVE, s->co, n, u);
+        for (Py_ssize_t l = 0; travel > 0 && l < lags; l++) {
+            const double *e = decay + l * n, *v = rise + l * n;
+            double *out = x + l * n, now = 0;
+            for (Py_ssize_t i = 0; i < n; i++) {
+                out[i] = now;
+                now = e[i] * now + v[i] * u[i];
+            }
+        }
+        for (Py_ssize_t k = 0; k < nodes; k++) {
+            s->left[j * nodes + k] = INFINITY, s->gain[j * nodes + k] = 0;
+            if (travel > 0)
+                scan_node(s, k / s->theta_count, reads + k, x + k / s->theta_count * n, u, column,
+                          s->left + j * nodes + k, s->gain + j * nodes + k);
+        }
+    }
+    free(memory), free(reads);
+    return 0;
+}
+
+/* What the first `count` vectors of a basis leave of y. */
+static void leave(const double *q, int count, double *y, Py_ssize_t n) {
+    for (int k = 0; k < count; k++)
+        add(y, -dot(q + k * n, y, n), q + k * n, n);
+}
+
+/* The columns at p as an orthonormal basis in w->rotated, (count, n), without those that say nothing; the count. */
+static int plain_basis(Work *w, const double *p) {
+    const Problem *q = &w->p;
+    size_t bytes = (size_t)q->n * sizeof(double);
+    double most = 0, *a = w->rotated;
+    int kept = 0;
+    run_lanes(w, p, LEAST_DISCRIMINANT, 0);
+    put_columns(w);
+    memcpy(a, w->column, (size_t)q->columns * bytes);
+    decompose(a, q->n, q->columns, w->beta);
+    for (int k = 0; k < q->columns; k++)
+        most = fmax(most, fabs(a[k * q->n + k]));
+    for (int k = 0; k < q->columns; k++)
+        if (fabs(a[k * q->n + k]) > USEFUL * most)
+            memmove(w->column + kept++ * q->n, w->column + k * q->n, bytes);
+    decompose(w->column, q->n, kept, w->beta);
+    put_basis_vectors(w->column, q->n, kept, w->beta, a);
+    return kept;
+}
+
+/* Misfit with each valve where lags and dead time are held, the gain free; neither whitened nor with priors. */
+static void valve_costs(Work *w, const double *p, const double *valves, Py_ssize_t many, const double *co, double *input,
+                        double *out) {
+    Problem *q = &w->p;
+    Py_ssize_t n = q->n;
+    int kept = plain_basis(w, p);
+    double lane[2], *y = w->target;
+    memcpy(y, q->pv, (size_t)n * sizeof *y);
+    leave(w->rotated, kept, y, n);
+    double all = dot(y, y, n);
+    q->u = input;
+    on_lanes(&w->modes, w->modes.w, lane);
+    for (Py_ssize_t j = 0; j < many; j++) {
+        position(valves + j * VALVE, co, n, input);
+        run_late(w, 0);
+        for (Py_ssize_t i = 0; i < n; i++)
+            w->moved[i] = w->gain * (lane[0] * w->a[i] + lane[1] * w->b[i]);
+        double whole = dot(w->moved, w->moved, n);
+        leave(w->rotated, kept, w->moved, n);
+        double size = dot(w->moved, w->moved, n), along = dot(w->moved, y, n);
+        out[j] = size > NOTHING_NEW * whole ? all - along * along / size : all;
+    }
+}
+
+#endif
