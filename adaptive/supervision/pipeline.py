@@ -1,342 +1,374 @@
-"""What a completed response leads to, a line a stage; each stage may end it with its reason.
+"""What a completed response leads to, a stage at a time; each may end it with its reason.
 
-    response -> admission -> swing? -> learning -> hidden cause? -> tuning? -> proposal -> proof -> outcome
-
-Pure functions over one `ResponseRecord`: everything that the outcome depends on is in it. The Retuner keeps what was
-learned.
+The stages stand in STAGES, in the order of docs/how-it-works.md. They are functions over one Findings: everything that
+the result depends on is in its Question, so another process may work it out. The Retuner keeps what was learned.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, swing_cause, swings
-from retuner.adaptive.diagnosis.second_opinion import (
-    SWINGING,
-    TOWARDS_SAFETY,
-    Excitation,
-    calm_before,
-    is_clear,
-    is_safer_and_known,
-    on_top,
-    runs_away,
-    thinned,
-    unconfirmed,
-)
-from retuner.adaptive.diagnosis.swing_checks import (
-    FOREIGN_SWINGS,
-    at_own_crossover,
-    not_seen,
-    swings_anyway,
-    touches_limits,
-)
+from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import Belief
 from retuner.adaptive.region_model.update import ANEW, Learned, Surprise, learn, predicted
-from retuner.adaptive.supervision.admission import Admission, Ground, admit, inside_region
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.supervision.admission import Ground, admit, inside_region
+from retuner.adaptive.supervision.causes import (
+    FOREIGN,
+    SWINGING,
+    clear_case,
+    doubt_of,
+    foreign_swing,
+    hidden,
+    is_sure,
+    looked_at_lately,
+    not_as_modelled,
+    swings_between_limits,
+)
 from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
-from retuner.adaptive.supervision.on_trial import may_follow, posterior_of, promise_of
 from retuner.adaptive.supervision.pipeline_types import Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
-from retuner.adaptive.supervision.proposal_without_model import without_model
+from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.schedule.table import Lookup
-
-FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
-"""Causes that leave nothing in a record from which the process could be learned."""
-
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.trial import Trial
+from retuner.schedule.table import GainTable, Lookup
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
 
 
 def decide(question: Question) -> StageResult:
-    """The answer to a question: a pure function, so another process may work it out.
-
-    What is asked of it beyond the pipeline is what entering the answer needs and what costs time: the promise of gains
-    that may be written, and what the record says of both sets of a trial under which it was taken.
-    """
-    record, trial, settings = question.record, question.trial, question.settings
-    result = answer(record, settings)
-    promise, posterior = None, None
-    if result.verdict is not None and result.verdict.accepted and may_follow(trial, settings.trial):
-        promise = promise_of(result, record.table, record.region, record.at, record.response, settings)
-    if trial.phase is TrialPhase.TRIAL and result.code != Ground.SATURATED.name.lower():
-        posterior = posterior_of(record, result.learned, trial, settings)
-    return replace(result, promise=promise, posterior=posterior)
+    """The answer to a question: a pure function of plain values."""
+    found = Findings(question)
+    for stage in STAGES:
+        if found.end is None or stage.always:
+            stage.run(found)
+    return found.result()
 
 
-def answer(case: ResponseRecord, settings: RetunerSettings) -> StageResult:
-    """The pipeline."""
-    if case.table.lookup == Lookup.INTERPOLATED:
-        settings = replace(settings, swing=replace(settings.swing, same_gains=False))
-    admission = _admission(case, settings)
-    if not admission.admitted:
-        return StageResult(
-            admission.ground.name.lower(),
-            admission.sentence,
-            diagnosis=admission.diagnosis(),
-            numbers=admission.numbers,
-        )
-    cause, standing = _swing(case, settings)
-    if cause is not None:
-        return StageResult(str(cause.cause), cause.reason, diagnosis=cause, standing=standing)
-    waiting = thinned(case.response, case.excitation, settings.swing)
+def admission(found: Findings) -> None:
+    """May this response teach its region? The gains of an interpolated table move with it; the fit allows it."""
+    record, rules = found.record, found.settings.admission
+    if record.table.lookup is Lookup.INTERPOLATED:
+        rules = replace(rules, changes_most=len(record.samples))
+    inside = inside_region(record.table.regions, record.region)
+    admitted = admit(record.window, record.samples, record.response, rules, inside)
+    if not admitted.admitted:
+        found.diagnosis, found.numbers = admitted.diagnosis(), admitted.numbers
+        found.stop(admitted.ground.name.lower(), admitted.sentence)
+
+
+def swing(found: Findings) -> None:
+    """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
+    foreign, standing = foreign_swing(found.record, found.settings)
+    if foreign is not None:
+        found.explained_otherwise(foreign, standing)
+
+
+def repetition(found: Findings) -> None:
+    """Was the same looked at a short while ago, without the tuning being named?"""
+    waiting = looked_at_lately(found.record, found.settings)
     if waiting is not None:
-        counted = case.excitation.with_response(case.response)
-        return StageResult("waiting", waiting.reason, diagnosis=waiting, excitation=counted)
-    return _learned(case, settings)
+        found.diagnosis = waiting
+        found.excitation = found.record.excitation.with_response(found.record.response)
+        found.stop("waiting", waiting.reason)
 
 
-def _swing(case: ResponseRecord, settings: RetunerSettings) -> tuple[Diagnosis | None, Standing | None]:
-    """Why the loop swings on without a setpoint step, where that is none of tuning."""
-    again = goes_on(case.response, case.standing, settings.swing) or on_top(
-        case.samples, case.response, case.standing, settings.swing
-    )
-    if again is not None:
-        return again, case.standing
-    if not swings(case.response, settings.swing):
-        return None, None
-    cause, standing = swing_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
-    return (None, None) if _held_up(case, cause, settings) else (cause, standing)
-
-
-def _held_up(case: ResponseRecord, cause: Diagnosis | None, settings: RetunerSettings) -> bool:
-    """Whether a swing taken for one from outside is held up by the output's limits: then the model decides."""
-    if cause is None or cause.cause not in FOREIGN_SWINGS:
-        return False
-    return touches_limits(case.samples, case.response, settings.limit_swing)
-
-
-def _learned(case: ResponseRecord, settings: RetunerSettings) -> StageResult:
-    """Learning, unless something else hides under the response; then what is known decides."""
+def identification(found: Findings) -> None:
+    """The record is taken into what is known of the region, or of its neighbours where nothing is."""
+    record, settings = found.record, found.settings
     try:
-        known = case.beliefs.get(case.region) or _lent(case, settings)
-        learned = learn(known, case.window, case.in_force, settings.tracker, settings.fit, case.at)
+        known = record.beliefs.get(record.region) or _from_neighbours(record, settings)
+        learned = learn(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
-        return StageResult("fit_failed", f"the fit failed: {error}")
-    left = learned.estimate.unexplained(float(np.ptp(case.window.pv)))
-    if left > settings.swing.unexplained:
-        hidden, standing = hidden_cause(case.samples, case.response, case.in_force, settings.swing, settings.diagnosis)
-        if hidden is not None and not _held_up(case, hidden, settings):
-            return StageResult(str(hidden.cause), hidden.reason, learned, diagnosis=hidden, standing=standing)
+        found.stop("fit_failed", f"the fit failed: {error}")
+        return
+    found.learned = learned
+    found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
+
+
+def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Belief | None:
+    """What the neighbours' models say of a region without a record."""
+    now, sign = float(record.window.t_s[-1]), record.in_force.direction
+    regions = record.table.regions
+    return borrowed(record.beliefs, record.region, regions, now, sign, settings.borrowing, settings.tracker)
+
+
+def hidden_cause(found: Findings) -> None:
+    """Does something else hide under the response, which its model leaves open?"""
+    foreign, standing = hidden(found)
+    if foreign is not None:
+        found.explained_otherwise(foreign, standing)
+
+
+def region_model(found: Findings) -> None:
+    """What is known of the region now, what it rests on, and what tuning would follow from it."""
+    record, settings, learned = found.record, found.settings, _learned(found)
+    found.excitation_now = record.excitation.with_response(record.response)
     if learned.belief is None:
-        counted = case.excitation.with_response(case.response)
-        return _without_model(case, learned, left, learned.estimate.reason, counted, settings)
-    return _weighed(case, learned, _known_of_limit_swing(case, settings) or learned.belief, left, settings)
+        return
+    found.in_use = found.belief = _known_of_limit_swing(record, settings) or learned.belief
+    found.rested_on = _rested_on(record, learned.surprise)
+    found.clear = clear_case(found, learned)
+    now = found.rested_on.with_response(record.response, clear=found.clear)
+    if learned.surprise == Surprise.ODD:
+        now = replace(now, rival=int(found.clear))
+    found.excitation = found.excitation_now = now
+    found.tuning = _tuning(record, found.in_use, settings)
 
 
-def _known_of_limit_swing(case: ResponseRecord, settings: RetunerSettings) -> Belief | None:
+def _rested_on(record: ResponseRecord, surprise: Surprise) -> Excitation:
+    """What the model rested on before this response."""
+    if surprise == Surprise.CHANGED:
+        return record.excitation.of_rival()
+    return Excitation() if surprise in ANEW else record.excitation
+
+
+def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> Belief | None:
     """What was known, of a loop that swings between the output's limits as was known that it would; else None.
 
     Such a swing shows one frequency, through a nonlinearity. Taken in record by record, it led away from a process
     that its setpoint steps had shown well.
     """
-    before = case.beliefs.get(case.region)
-    if before is None or not before.identifiable:
+    before = record.beliefs.get(record.region)
+    if before is None or not before.identifiable or not swings_between_limits(record, settings):
         return None
-    if not touches_limits(case.samples, case.response, settings.limit_swing):
-        return None
-    log = predicted(before, float(case.window.t_s[-1]), settings.tracker)
-    return before if propose(before, log, case.in_force, settings).diagnosis.cause in SWINGING else None
+    return before if _tuning(record, before, settings).diagnosis.cause in SWINGING else None
 
 
-def _lent(case: ResponseRecord, settings: RetunerSettings) -> Belief | None:
-    """What the neighbours' models say of a region without a record."""
-    now, sign = float(case.window.t_s[-1]), case.in_force.direction
-    return borrowed(case.beliefs, case.region, case.table.regions, now, sign, settings.borrowing, settings.tracker)
+def _tuning(record: ResponseRecord, model: Belief, settings: RetunerSettings) -> RobustProposal:
+    """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
+    log = predicted(model, float(record.window.t_s[-1]), settings.tracker)
+    return propose(model, log, record.in_force, settings)
 
 
-def _weighed(
-    case: ResponseRecord, learned: Learned, belief: Belief, left: float, settings: RetunerSettings
-) -> StageResult:
-    """What is known decides; before gains change, a case that is not clear is put to the whole diagnosis."""
-    known = _rested_on(case.excitation, learned.surprise)
-    clear = is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing)
-    excitation = known.with_response(case.response, clear=clear)
-    if learned.surprise == Surprise.ODD:
-        excitation = replace(excitation, rival=int(clear))
-    log = predicted(belief, float(case.window.t_s[-1]), settings.tracker)
-    wanted = propose(belief, log, case.in_force, settings)
-    if not wanted.ready:
-        unsettled = _without_model(case, learned, left, belief.reason, excitation, settings)
-        return replace(unsettled, belief=belief, excitation=unsettled.excitation or excitation)
-    outcome = _tuned(case, learned, belief, wanted, settings)
-    if outcome.verdict is None or not outcome.verdict.accepted:
-        return replace(outcome, belief=belief, excitation=excitation)
-    doubt = _not_seen(case, outcome, settings)
-    if doubt is not None:  # a model that is this record's own was not known before: what was known then stays
-        swings_by_it = outcome.diagnosis is not None and outcome.diagnosis.cause in SWINGING
-        refuted = learned.surprise not in ANEW and swings_by_it
-        return StageResult("unconfirmed", doubt.reason, learned, None, doubt, outcome.proposal, forget=refuted)
-    if clear or _is_sure(case, outcome.verdict, learned, belief, known, settings):
-        return replace(outcome, belief=belief, excitation=excitation)
-    earlier = _was_known(case, learned, known, settings)
-    if earlier is not None:
-        return replace(earlier, belief=belief, excitation=excitation)
-    return _asked(case, learned, belief, outcome, excitation, settings)
-
-
-def _asked(
-    case: ResponseRecord,
-    learned: Learned,
-    belief: Belief,
-    outcome: StageResult,
-    excitation: Excitation,
-    settings: RetunerSettings,
-) -> StageResult:
-    """A change that the whole diagnosis has to confirm."""
-    wanted_for = outcome.diagnosis.cause if outcome.diagnosis else None
-    doubt, excitation = unconfirmed(
-        case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis, wanted_for
-    )
-    if doubt is None:
-        return replace(outcome, belief=belief, excitation=excitation)
-    taken = None if doubt.cause in FOREIGN else belief
-    if taken is None and learned.surprise in ANEW:  # what was known before stays, and what that rested on
-        counted = case.excitation.with_response(case.response)
-        excitation = replace(counted, asked=counted.loads)
-    return StageResult("unconfirmed", doubt.reason, learned, taken, doubt, outcome.proposal, excitation=excitation)
-
-
-def _rested_on(excitation: Excitation, surprise: Surprise) -> Excitation:
-    """What the model rested on before this response."""
-    if surprise == Surprise.CHANGED:
-        return excitation.of_rival()
-    return Excitation() if surprise in ANEW else excitation
-
-
-def _is_sure(
-    case: ResponseRecord,
-    verdict: Verdict,
-    learned: Learned,
-    belief: Belief,
-    known: Excitation,
-    settings: RetunerSettings,
-) -> bool:
-    """Whether a change by a response that is not clear needs no confirmation (see diagnosis/confirmation.py).
-
-    known : what the model rested on before it: to agree with loads that were never confirmed proves nothing.
-    """
-    swing = settings.swing
-    seen = (case.samples, case.response)
-    if runs_away(*seen, learned.estimate.explained, swing):
-        return True
-    calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
-    if is_safer_and_known(verdict.ruling, agrees, known, calm, len(case.response.peaks)):
-        return True
-    model = belief.log.model().seen_by_controller(settings.sample_time_s)
-    return (
-        verdict.ruling in TOWARDS_SAFETY
-        and touches_limits(case.samples, case.response, settings.limit_swing)
-        and at_own_crossover(case.response, model, case.in_force, settings.limit_swing)
-    )
-
-
-def _not_seen(case: ResponseRecord, outcome: StageResult, settings: RetunerSettings) -> Diagnosis | None:
-    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
-    found, allowed, swing = outcome.diagnosis, outcome.verdict.allowed if outcome.verdict else (), settings.swing
-    if found is None or not allowed:
-        return None
-    if any(sample.limited for sample in case.samples if sample.t_s >= case.response.t_start_s):
-        return None
-    reason = swings_anyway(case.response, swing) if found.cause == Cause.SLUGGISH else ""
-    if found.cause in SWINGING:
-        model = allowed[0].model.seen_by_controller(settings.sample_time_s)
-        reason = not_seen(case.response, model, case.in_force, settings.setpoint_weight, settings.filter_s, swing)
-    return Diagnosis(Cause.UNKNOWN, 0.5, found.evidence, reason) if reason else None
-
-
-def _was_known(
-    case: ResponseRecord, learned: Learned, known: Excitation, settings: RetunerSettings
-) -> StageResult | None:
-    """The change that was known to be due before this response, by a clear case with which it agrees; None when none.
-
-    known : what the earlier model rests on.
-    """
-    before = case.beliefs.get(case.region)
-    if before is None or not known.clear or learned.surprise != Surprise.AGREES:
-        return None
-    wanted = propose(before, predicted(before, float(case.window.t_s[-1]), settings.tracker), case.in_force, settings)
-    if not before.identifiable:
-        return None
-    outcome = _tuned(case, learned, before, wanted, settings)
-    return outcome if outcome.verdict is not None and outcome.verdict.accepted else None
-
-
-def _tuned(
-    case: ResponseRecord, learned: Learned, belief: Belief, wanted: RobustProposal, settings: RetunerSettings
-) -> StageResult:
-    """Whether the tuning is the cause, what the rule would give, and the proof."""
-    tuning, diagnosis = wanted.tuning, wanted.diagnosis
-    if not diagnosis.retune:
-        return StageResult(str(diagnosis.cause), diagnosis.reason, learned, diagnosis=diagnosis)
-    beliefs, now = {**case.beliefs, case.region: belief}, float(case.window.t_s[-1])
-    tables = (case.table, case.commissioned)
-    damping = case.response.damping
-    asked = change_request(tuning, case.region, tables, beliefs, learned, now, settings, damping)
-    verdict = prove(asked, settings.guard)
-    return StageResult(
-        verdict.ruling.name.lower(),
-        diagnosis.reason if verdict.accepted else verdict.sentence,
-        learned,
-        diagnosis=diagnosis,
-        proposal=tuning,
-        basis=Basis.MODEL,
-        verdict=verdict,
-    )
-
-
-def _without_model(
-    case: ResponseRecord, learned: Learned, left: float, why: str, excitation: Excitation, settings: RetunerSettings
-) -> StageResult:
-    """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it.
-
-    excitation : of what is known, with this response.
-    """
-    found = without_model(
-        case.response, case.window, case.in_force, None, settings.without_model, settings.locks_of(case.region)
-    )
-    reason = f"{why}; {found.sentence}"
-    silent = learned.surprise == Surprise.SILENT and not case.response.sp_changed  # noise has peaks as well
-    if found.tuning is None or silent:
-        return StageResult(NOT_KNOWN, reason, learned, numbers=found.numbers)
-    stored = case.table.stored_for(case.region, found.tuning.gains, *case.at)
+def without_a_model(found: Findings) -> None:
+    """Not identifiable: a small step by the rules that need no model, where nothing but the tuning can be behind it."""
+    if found.tuning is not None and found.tuning.ready:
+        return
+    record, learned = found.record, _learned(found)
+    why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
+    locks = found.settings.locks_of(record.region)
+    proposed = without_model(record.response, record.window, record.in_force, None, found.settings.without_model, locks)
+    reason, found.numbers = f"{why}; {proposed.sentence}", proposed.numbers
+    silent = learned.surprise == Surprise.SILENT and not record.response.sp_changed  # noise has peaks as well
+    if proposed.tuning is None or silent:
+        found.stop(NOT_KNOWN, reason)
+        return
+    stored = record.table.stored_for(record.region, proposed.tuning.gains, *record.at)
     if stored is None:
-        return StageResult(
-            NOT_KNOWN,
-            f"{reason}; beside its neighbours' no set of this region puts that in force",
-            learned,
-            numbers=found.numbers,
-        )
-    tuning = replace(found.tuning, gains=stored)
-    if not is_clear(case.samples, case.response, left, len(learned.estimate.load_times_s), settings.swing):
-        doubt, excitation = unconfirmed(
-            case.samples, case.response, case.in_force, excitation, settings.swing, settings.diagnosis
-        )
+        found.stop(NOT_KNOWN, f"{reason}; beside its neighbours' no set of this region puts that in force")
+        return
+    found.proposal = replace(proposed.tuning, gains=stored)
+    _small_step(found, proposed, learned, reason)
+
+
+def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: str) -> None:
+    """Whether the step without a model is made."""
+    record, excitation = found.record, found.excitation_now
+    if not clear_case(found, learned):
+        doubt, excitation = doubt_of(found)
         if doubt is not None:
-            return StageResult("unconfirmed", doubt.reason, learned, None, doubt, tuning, excitation=excitation)
-    tables = (case.table, case.commissioned)
-    verdict = prove(unproved_request(tuning, case.region, tables, settings, case.response.damping), settings.guard)
-    return StageResult(
-        verdict.code,
-        reason if verdict.accepted else verdict.sentence,
-        learned,
-        proposal=tuning,
-        basis=found.basis,
-        verdict=verdict,
-        excitation=excitation,
-        numbers=found.numbers,
+            found.excitation, found.numbers = excitation, {}
+            found.doubted(doubt)
+            return
+    found.excitation, found.basis = excitation, proposed.basis
+    assert found.proposal is not None
+    tables, damping = (record.table, record.commissioned), record.response.damping
+    request = unproved_request(found.proposal, record.region, tables, found.settings, damping)
+    found.verdict = prove(request, found.settings.guard)
+    found.stop(found.verdict.code, reason if found.verdict.accepted else found.verdict.sentence)
+
+
+def cause(found: Findings) -> None:
+    """Is the tuning in force the cause?"""
+    found.diagnosis = _wanted(found).diagnosis
+    if not found.diagnosis.retune:
+        found.stop(str(found.diagnosis.cause), found.diagnosis.reason)
+
+
+def proof(found: Findings) -> None:
+    """May the region have the gains that the rule gives?"""
+    wanted = _wanted(found)
+    found.verdict = _proved(found, _in_use(found), wanted)
+    found.proposal, found.basis = wanted.tuning, Basis.MODEL
+    if not found.verdict.accepted:
+        found.stop(found.verdict.ruling.name.lower(), found.verdict.sentence)
+
+
+def _proved(found: Findings, model: Belief, wanted: RobustProposal) -> Verdict:
+    """The guard's word on what the rule gives for a model."""
+    record, now = found.record, float(found.record.window.t_s[-1])
+    beliefs = {**record.beliefs, record.region: model}
+    tables, damping = (record.table, record.commissioned), record.response.damping
+    request = change_request(wanted.tuning, record.region, tables, beliefs, found.learned, now, found.settings, damping)
+    return prove(request, found.settings.guard)
+
+
+def refutation(found: Findings) -> None:
+    """Does the loop itself refute the model: is what it says of the swing not to be seen?"""
+    doubt = not_as_modelled(found)
+    if doubt is None:
+        return
+    swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
+    found.forget = _learned(found).surprise not in ANEW and swings_by_it
+    found.belief = found.excitation = None  # the record's own model was not known before: what was known then stays
+    found.doubted(doubt)
+
+
+def confirmation(found: Findings) -> None:
+    """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
+    learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
+    assert verdict is not None
+    if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
+        doubt, found.excitation = doubt_of(found, wanted.diagnosis.cause)
+        if doubt is not None:
+            _not_confirmed(found, doubt)
+            return
+    assert found.verdict is not None
+    assert found.diagnosis is not None
+    found.stop(found.verdict.ruling.name.lower(), found.diagnosis.reason)
+
+
+def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
+    """The change is not made; a record of something else is not kept either."""
+    if doubt.cause in FOREIGN:
+        found.belief = None
+        if _learned(found).surprise in ANEW:  # what was known before stays, and what that rested on
+            counted = found.record.excitation.with_response(found.record.response)
+            found.excitation = replace(counted, asked=counted.loads)
+    found.doubted(doubt)
+
+
+def _was_known(found: Findings) -> bool:
+    """Whether the change was known to be due before this response, by a clear case with which it agrees: then that is
+    the change.
+    """
+    before = found.record.beliefs.get(found.record.region)
+    if before is None or not found.rested_on.clear or _learned(found).surprise != Surprise.AGREES:
+        return False
+    wanted = _tuning(found.record, before, found.settings)
+    if not before.identifiable or not wanted.diagnosis.retune:
+        return False
+    verdict = _proved(found, before, wanted)
+    if verdict.accepted:
+        found.diagnosis, found.proposal, found.verdict = wanted.diagnosis, wanted.tuning, verdict
+    return verdict.accepted
+
+
+def expectation(found: Findings) -> None:
+    """What the proved gains promise, where they may be written at all."""
+    record, verdict, settings = found.record, found.verdict, found.settings
+    if verdict is not None and verdict.accepted and _may_follow(found.question.trial, settings):
+        found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+
+
+def _may_follow(trial: Trial, settings: RetunerSettings) -> bool:
+    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
+    last_one = trial.kept + 1 >= settings.trial.responses
+    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
+
+
+def promise_of(
+    verdict: Verdict | None,
+    table: GainTable,
+    region: int,
+    at: tuple[float, float],
+    response: Response | None,
+    settings: RetunerSettings,
+) -> Promise | None:
+    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
+
+    at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
+    """
+    if verdict is None or verdict.gains is None:
+        return None
+    in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
+    if verdict.allowed:
+        promised = promise(
+            verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+        )
+        return replace(promised, decay_seen=decay_seen(response))
+    return promise_without_model(response, in_force, new) if response else None
+
+
+def check_after_trial(found: Findings) -> None:
+    """What the record of a trial says of the tried set and of the one before."""
+    trial = found.question.trial
+    if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
+        found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
+
+
+def posterior_of(
+    case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
+) -> PosteriorCheck | None:
+    """None where the record shows nothing of the process, or leaves more than noise unexplained."""
+    if learned is None or trial.old is None or not learned.estimate.plausible:
+        return None
+    estimate = learned.estimate
+    if (
+        learned.surprise == Surprise.SILENT
+        or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
+    ):
+        return None
+    old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
+    allowed = believed(estimate.plausible, settings.guard.believed)
+    found = check_posterior(
+        allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
     )
+    return replace(found, settled=estimate.identifiable)
 
 
-def _admission(case: ResponseRecord, settings: RetunerSettings) -> Admission:
-    """Whether the response may teach its region. The gains of an interpolated table move with it; the fit allows it."""
-    rules = settings.admission
-    if case.table.lookup == Lookup.INTERPOLATED:
-        rules = replace(rules, changes_most=len(case.samples))
-    return admit(case.window, case.samples, case.response, rules, inside_region(case.table.regions, case.region))
+def _learned(found: Findings) -> Learned:
+    """What the record taught, after the stage of identification."""
+    assert found.learned is not None
+    return found.learned
+
+
+def _in_use(found: Findings) -> Belief:
+    """The model that decides, after the stage without a model."""
+    assert found.in_use is not None
+    return found.in_use
+
+
+def _wanted(found: Findings) -> RobustProposal:
+    """What follows from the model that decides, after the stage without a model."""
+    assert found.tuning is not None
+    return found.tuning
+
+
+class Stage(NamedTuple):
+    """name : as in docs/how-it-works.md. run : what it does. always : also when an earlier one has decided."""
+
+    name: str
+    run: Callable[[Findings], None]
+    always: bool = False
+
+
+STAGES = (
+    Stage("admission", admission),
+    Stage("swing", swing),
+    Stage("repetition", repetition),
+    Stage("identification", identification),
+    Stage("hidden cause", hidden_cause),
+    Stage("region model", region_model),
+    Stage("without a model", without_a_model),
+    Stage("cause", cause),
+    Stage("proof", proof),
+    Stage("refutation", refutation),
+    Stage("confirmation", confirmation),
+    Stage("expectation", expectation, always=True),
+    Stage("check after a trial", check_after_trial, always=True),
+)
+"""In their order: what else may be behind the response comes before the tuning, and a proof before any change."""

@@ -17,8 +17,7 @@ from retuner.adaptive.region_model.update import learn, predicted
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.guard_request import change_request
-from retuner.adaptive.supervision.on_trial import promise_of
-from retuner.adaptive.supervision.pipeline import NOT_KNOWN
+from retuner.adaptive.supervision.pipeline import NOT_KNOWN, promise_of
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.proposal_from_model import propose
 from retuner.adaptive.supervision.retuner import Retuner
@@ -43,7 +42,7 @@ def pretune(retuner: Retuner, region: int, window: Window) -> Decision:
     verdict, mode = outcome.verdict, retuner.settings.mode_of(region)
     if verdict is None or verdict.gains is None or mode == Mode.OFF:
         return retuner.ordered(region, outcome)
-    promised = promise_of(outcome, retuner.table, region, retuner.scheduled, None, retuner.settings)
+    promised = promise_of(verdict, retuner.table, region, retuner.scheduled, None, retuner.settings)
     if mode == Mode.ADVISE:
         advised = retuner.ordered(region, outcome)
         return replace(advised, action=Action.ADVISE, gains_after=verdict.gains, promise=promised)

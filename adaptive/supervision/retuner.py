@@ -19,19 +19,20 @@ At which sample it is entered is the caller's choice and stands in the decision:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import NamedTuple
 
+from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.region_model.region_model import Belief
-from retuner.adaptive.region_model.update import predicted
+from retuner.adaptive.region_model.update import ANEW, predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode
-from retuner.adaptive.supervision.on_trial import held, promise_of, promised_wrongly, restoring, seen_of
-from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.pipeline import decide, promise_of
 from retuner.adaptive.supervision.pipeline_types import (
     LEFT,
     PASSED_OVER,
@@ -43,11 +44,16 @@ from retuner.adaptive.supervision.pipeline_types import (
 from retuner.adaptive.supervision.response_finder import Completed, FinderState, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.judge import Judgement, TrialFinding
-from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding
+from retuner.adaptive.trial.phase import UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
+from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
+
+OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
+"""Causes behind a response for which the gains on trial are not to blame."""
+NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
 
 
 class RetunerState(NamedTuple):
@@ -416,7 +422,7 @@ class Retuner:
         promised = outcome.promise
         if accepted and promised is None:
             at = question.record.at if question else self._finder.scheduled
-            promised = promise_of(outcome, self.table, region, at, response, self.settings)
+            promised = promise_of(outcome.verdict, self.table, region, at, response, self.settings)
         made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
         if question is None or question.sample_number == self.sample_number:
             return made
@@ -463,3 +469,60 @@ class Retuner:
             judgement=judgement,
             trial=str(self.trials.phase(region)),
         )
+
+
+def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
+    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
+    what its own record says of the tried set and of the one before.
+    """
+    found, window = outcome.diagnosis, case.window
+    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
+    recent = islice(reversed(case.samples), len(window.t_s))
+    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
+    outside = outcome.reason if blameless else ""
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior)
+
+
+def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
+    """The outcome with the reason why nothing may be changed now, when something was accepted."""
+    if outcome.verdict is None or not outcome.verdict.accepted:
+        return outcome
+    words = str(trial.phase)
+    if trial.phase == TrialPhase.COOLING:
+        words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
+    elif trial.phase == TrialPhase.LOCKED:
+        words += f" after {trial.undos} changes that had to be undone; a person must unlock the region"
+    elif trial.phase == TrialPhase.IDLE:
+        words = "the change of another region is on its way"
+    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")
+
+
+def promised_wrongly(trial: Trial, decision: Decision) -> bool:
+    """Whether the models behind a change that is given up are not to be believed any more.
+
+    decision : on the response that ended it; it may have put another model in their place.
+    """
+    by_models = trial.promise is not None and trial.promise.models > 0
+    return trial.cause in UNDOS and by_models and decision.surprise not in ANEW
+
+
+def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
+    """The decision that goes with taking a set back. also : other regions that are restored with this one."""
+    cause = trial.cause
+    assert cause is not None  # of a trial that is being restored
+    judged = decision.judgement.reason if decision.judgement else ""
+    reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
+    if promised_wrongly(trial, decision):
+        reason += "; what was known of this process had promised otherwise, and is forgotten"
+    return replace(
+        decision,
+        region=region,
+        action=Action.RESTORE,
+        code=f"undo_{cause.name.lower()}",
+        reason=reason,
+        numbers={**decision.numbers, "undos": float(trial.undos)},
+        gains_before=trial.new or decision.gains_before,
+        gains_after=trial.old,
+        promise=trial.promise,
+        trial=str(trial.phase),
+    )

@@ -8,10 +8,14 @@ import pytest
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.guard import Ruling
 from retuner.adaptive.region_model.update import Surprise
 from retuner.adaptive.supervision import pipeline
-from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.pipeline_types import Question, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.trial import Trial
+from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)
 BEFORE = Excitation(setpoints=0, loads=3, asked=0, clear=0, rival=1)
@@ -23,32 +27,38 @@ def weighed(
     monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False, ready: bool = True
 ) -> StageResult:
     """The pipeline's last stages on one response, with what comes before them given."""
-    verdict: Any = SimpleNamespace(accepted=True, ruling=None, allowed=())
-    found = StageResult("accepted", "", diagnosis=Diagnosis(Cause.AGGRESSIVE, 0.9, {}, ""), verdict=verdict)
+    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=())
+    cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
-        "is_clear": lambda *_: clear,
+        "clear_case": lambda *_: clear,
         "predicted": lambda *_: None,
-        "_tuned": lambda *_: found,
-        "propose": lambda *_: SimpleNamespace(ready=ready),
-        "_not_seen": lambda *_: None,
-        "_is_sure": lambda *_: False,
-        "_was_known": lambda *_: None,
-        "_without_model": lambda *_: StageResult("not_identifiable", ""),
-        "unconfirmed": lambda _s, _r, _g, e, *_: (Diagnosis(doubt, 0.9, {}, "") if doubt else None, e),
+        "propose": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
+        "_proved": lambda *_: verdict,
+        "not_as_modelled": lambda *_: None,
+        "is_sure": lambda *_: False,
+        "_was_known": lambda *_: False,
+        "without_model": lambda *_: SimpleNamespace(sentence="", numbers={}, tuning=None),
+        "doubt_of": lambda found, *_: (Diagnosis(doubt, 0.9, {}, "") if doubt else None, found.excitation_now),
     }
     for name, value in given.items():
         monkeypatch.setattr(pipeline, name, value)
-    case: Any = SimpleNamespace(
+    record: Any = SimpleNamespace(
         excitation=BEFORE,
         samples=[],
         in_force=None,
         beliefs={},
         region=0,
+        table=SimpleNamespace(lookup=Lookup.HARD),
         response=SimpleNamespace(sp_changed=clear, peaks=()),
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
-    learned: Any = SimpleNamespace(surprise=surprise, estimate=SimpleNamespace(load_times_s=()))
-    return pipeline._weighed(case, learned, NEW, 1.0, SETTINGS)
+    learned: Any = SimpleNamespace(belief=NEW, surprise=surprise, estimate=SimpleNamespace(load_times_s=()))
+    found = Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0)
+    names = [stage.name for stage in pipeline.STAGES]
+    for stage in pipeline.STAGES[names.index("region model") : names.index("expectation")]:
+        if found.end is None:
+            stage.run(found)
+    return found.result()
 
 
 def test_a_rival_that_takes_over_brings_what_it_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:

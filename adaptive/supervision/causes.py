@@ -1,0 +1,149 @@
+"""Where the pipeline asks the diagnosis: what else than the tuning is behind a response, and whether a change is sure.
+
+A swing without a setpoint step is put to its rivals before anything is learned of it; a record that its model leaves
+open, after; and a change that follows from a case that is not clear, before the gains change.
+"""
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, swing_cause, swings
+from retuner.adaptive.diagnosis.second_opinion import (
+    SWINGING,
+    TOWARDS_SAFETY,
+    Excitation,
+    calm_before,
+    is_clear,
+    is_safer_and_known,
+    on_top,
+    runs_away,
+    thinned,
+    unconfirmed,
+)
+from retuner.adaptive.diagnosis.swing_checks import (
+    FOREIGN_SWINGS,
+    at_own_crossover,
+    not_seen,
+    swings_anyway,
+    touches_limits,
+)
+from retuner.adaptive.guard import Verdict
+from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.update import Learned, Surprise
+from retuner.adaptive.supervision.findings import Findings
+from retuner.adaptive.supervision.pipeline_types import ResponseRecord
+from retuner.adaptive.supervision.settings import RetunerSettings
+
+__all__ = [
+    "FOREIGN",
+    "SWINGING",
+    "TOWARDS_SAFETY",
+    "clear_case",
+    "doubt_of",
+    "foreign_swing",
+    "hidden",
+    "is_sure",
+    "looked_at_lately",
+    "not_as_modelled",
+    "swings_between_limits",
+]
+
+FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
+"""Causes that leave nothing in a record from which the process could be learned."""
+
+
+def foreign_swing(record: ResponseRecord, settings: RetunerSettings) -> tuple[Diagnosis | None, Standing | None]:
+    """Why the loop swings on without a setpoint step, where that is none of tuning; what is remembered of it."""
+    again = goes_on(record.response, record.standing, settings.swing) or on_top(
+        record.samples, record.response, record.standing, settings.swing
+    )
+    if again is not None:
+        return again, record.standing
+    if not swings(record.response, settings.swing):
+        return None, None
+    cause, standing = swing_cause(record.samples, record.response, record.in_force, settings.swing, settings.diagnosis)
+    return (None, None) if _held_up(record, cause, settings) else (cause, standing)
+
+
+def looked_at_lately(record: ResponseRecord, settings: RetunerSettings) -> Diagnosis | None:
+    """Why the response need not be looked at: the diagnosis did not name the tuning a short while ago."""
+    return thinned(record.response, record.excitation, settings.swing)
+
+
+def hidden(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
+    """What hides under a response that its own model leaves open; what is remembered of it."""
+    record, settings = found.record, found.settings
+    if found.unexplained <= settings.swing.unexplained:
+        return None, None
+    cause, standing = hidden_cause(record.samples, record.response, record.in_force, settings.swing, settings.diagnosis)
+    return (None, None) if _held_up(record, cause, settings) else (cause, standing)
+
+
+def _held_up(record: ResponseRecord, cause: Diagnosis | None, settings: RetunerSettings) -> bool:
+    """Whether a swing taken for one from outside is held up by the output's limits: then the model decides."""
+    if cause is None or cause.cause not in FOREIGN_SWINGS:
+        return False
+    return swings_between_limits(record, settings)
+
+
+def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether the output goes from limit to limit."""
+    return touches_limits(record.samples, record.response, settings.limit_swing)
+
+
+def clear_case(found: Findings, learned: Learned) -> bool:
+    """Whether the response is the loop's own doing beyond doubt."""
+    record, loads = found.record, len(learned.estimate.load_times_s)
+    return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
+
+
+def not_as_modelled(found: Findings) -> Diagnosis | None:
+    """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
+    record, cause, settings = found.record, found.diagnosis, found.settings
+    allowed = found.verdict.allowed if found.verdict else ()
+    if cause is None or not allowed:
+        return None
+    if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
+        return None
+    reason = swings_anyway(record.response, settings.swing) if cause.cause == Cause.SLUGGISH else ""
+    if cause.cause in SWINGING:
+        model = allowed[0].model.seen_by_controller(settings.sample_time_s)
+        reason = not_seen(
+            record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing
+        )
+    return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: Belief) -> bool:
+    """Whether a change by a response that is not clear needs no confirmation (see diagnosis/second_opinion.py).
+
+    To agree with loads that were never confirmed proves nothing, so it counts what the model rested on before.
+    """
+    record, settings = found.record, found.settings
+    swing, seen = settings.swing, (record.samples, record.response)
+    if runs_away(*seen, learned.estimate.explained, swing):
+        return True
+    calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
+    if is_safer_and_known(verdict.ruling, agrees, found.rested_on, calm, len(record.response.peaks)):
+        return True
+    process = model.log.model().seen_by_controller(settings.sample_time_s)
+    return (
+        verdict.ruling in TOWARDS_SAFETY
+        and swings_between_limits(record, settings)
+        and at_own_crossover(record.response, process, record.in_force, settings.limit_swing)
+    )
+
+
+def doubt_of(found: Findings, wanted_for: Cause | None = None) -> tuple[Diagnosis | None, Excitation]:
+    """Why the whole diagnosis does not confirm a change, None when it does; what the model rests on by then.
+
+    wanted_for : cause for which the gains would be changed, None where no model named one.
+    """
+    record, settings = found.record, found.settings
+    return unconfirmed(
+        record.samples,
+        record.response,
+        record.in_force,
+        found.excitation_now,
+        settings.swing,
+        settings.diagnosis,
+        wanted_for,
+    )
