@@ -68,7 +68,8 @@ Derivative action pays when tau2 > theta; the settings carry a note.
 
 In Python, `adaptive/rules/slow_oscillation.py`: a level loop that swings slowly needs Kc tau_I larger by
 f = 0.1 (P0/tau_I0)^2 (plant record: P0 51 min, tau_I0 1 min, f = 260). Only for P0 > 3 tau_I and a weakly damped,
-sine-like swing. `adaptive/rules/visual.py`: what an oscillation on the trend says without algebra.
+sine-like swing. `adaptive/rules/visual.py`: what an oscillation on the trend says without algebra;
+`retuner diagnose` and the page of a decision say it beside their evidence.
 
 ## Formulas and sources
 """

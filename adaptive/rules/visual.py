@@ -13,6 +13,8 @@ They say which way to go, not how far; between P/2 and P the slides are silent a
 import math
 from enum import StrEnum
 
+from retuner.schedule.gains import PidGains
+
 HALF_PERIOD, PERIOD = 0.5, 1.0
 """Limits of tau_I over the oscillation period."""
 POLLS_PER_TIME_CONSTANT = 10.0
@@ -86,3 +88,32 @@ def _share(time_constant_s: float, share: float) -> float:
     if not 0 < time_constant_s < math.inf:
         raise ValueError(f"time constant = {time_constant_s} s must be positive and finite")
     return share * time_constant_s
+
+
+def oscillation_by_eye(period_s: float, gains: PidGains | None, *, integrating: bool, tuning: bool) -> list[str]:
+    """What an experienced eye says of an oscillation: where to begin, and how to find out where it comes from.
+
+    Parameters
+    ----------
+    period_s : of the oscillation. gains : in force, None where not known. integrating : the process has no level of
+        its own. tuning : whether the tuning may be the cause; where it is not, changing it is no beginning.
+    """
+    lines = []
+    if tuning and gains is not None and gains.kp:
+        tau_i_s = gains.kp / gains.ki if gains.ki else None
+        shown = "no integral action" if tau_i_s is None else f"tau_I {tau_i_s:.3g} s"
+        advice = oscillating_loop(period_s, tau_i_s, integrating=integrating)
+        lines.append(f"{shown} under a period of {period_s:.3g} s: {advice}")
+    stops, goes_on = (cause_by_manual(stops_in_manual=answer) for answer in (True, False))
+    return [*lines, f"in manual it stops where {stops} is the cause, and goes on where it is {goes_on}"]
+
+
+def sampling_by_eye(time_constant_s: float, sample_time_s: float) -> list[str]:
+    """What is wrong with how often a process of this time constant is looked at; nothing where it is often enough."""
+    most = longest_poll_s(time_constant_s)
+    if sample_time_s <= most:
+        return []
+    return [
+        f"sampled every {sample_time_s:.3g} s: a time constant of {time_constant_s:.3g} s wants at most {most:.3g} s, "
+        f"and a filter of the measurement below {longest_filter_s(time_constant_s):.3g} s"
+    ]

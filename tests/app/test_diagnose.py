@@ -25,6 +25,7 @@ HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 PNG = b"\x89PNG\r\n\x1a\n"
 Capture = pytest.CaptureFixture[str]
 KEYS = {
+    "by_eye",
     "cause",
     "confidence",
     "retune",

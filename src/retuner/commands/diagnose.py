@@ -14,16 +14,17 @@ import typer
 
 from retuner import api
 from retuner.adaptive.controller_settings.read_off import SettingsInForce, settings_in_force
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.diagnosis.enough_data import shortcomings
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.visual import oscillation_by_eye, sampling_by_eye
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
 from retuner.commands.options import signed_by
 from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
-from retuner.decision_page.evidence_words import evidence_lines
+from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
@@ -120,6 +121,7 @@ def document(found: Finding) -> dict[str, object]:
         "model": estimate.get("model"),
         "std": estimate.get("std"),
         "notes": list(found.notes),
+        "by_eye": _by_eye(found),
     }
 
 
@@ -149,7 +151,21 @@ def described(found: Finding) -> list[str]:
         lines += ["settings that would cure it:", *tuning_lines(found.result.settings)]
     elif not told.retune:
         lines.append("no change of settings")
+    lines += [f"by eye: {line}" for line in _by_eye(found)]
     return [*lines, "evidence", *evidence_lines(found.evidence)]
+
+
+def _by_eye(found: Finding) -> list[str]:
+    """What the visual rules say of the trend."""
+    model, cause, lines = _model(found.result), found.result.diagnosis.cause, []
+    period_s = found.evidence.get("period_s", 0.0)
+    if period_s > 0 and found.evidence.get("regularity", 0.0) > REGULAR:
+        integrating = model is not None and model.linear().integrators > 0
+        may_be_tuning = cause in {*TUNING_CAUSES, Cause.UNKNOWN}
+        lines += oscillation_by_eye(period_s, found.gains, integrating=integrating, tuning=may_be_tuning)
+    if model is not None and model.tau1_s:
+        lines += sampling_by_eye(model.tau1_s, found.window.sample_time_s)
+    return lines
 
 
 def _controller_lines(found: Finding) -> list[str]:

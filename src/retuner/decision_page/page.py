@@ -4,11 +4,13 @@ The page tells what stands in the decision's document; only curves and margins a
 it. A section for which there is nothing is left out.
 """
 
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Surprise
 from retuner.adaptive.rules.explanation import explanation
 from retuner.adaptive.rules.registry import RULES, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
+from retuner.adaptive.rules.visual import oscillation_by_eye
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.evidence_words import evidence_table
 from retuner.decision_page.explain import process_text, settings_text
@@ -34,6 +36,8 @@ BASES = {
 """What a proposal rests on, in words."""
 FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
 """Groups of evidence that are shown at once; the others unfold."""
+SWINGS = 0.25
+"""Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""
 LARGE = 1e4
 """Numbers from here on are written out in full."""
 SAME = 1e-6
@@ -156,7 +160,19 @@ def _cause(view: DecisionView) -> str:
     heads = ("evidence", "value", "how to read it")
     shown = text_table(heads, first) if first else ""
     more = f"<details><summary>{len(rest)} more numbers</summary>{text_table(heads, rest)}</details>" if rest else ""
-    return f"{lead}{shown}{more}"
+    eye = paragraph(f"By eye: {'; '.join(seen)}.", "muted") if (seen := _by_eye(view)) else ""
+    return f"{lead}{eye}{shown}{more}"
+
+
+def _by_eye(view: DecisionView) -> list[str]:
+    """What the visual rules say of a response that swings on."""
+    period_s, damping = number(view.response, "period_s"), number(view.response, "damping")
+    if not period_s or damping is None or damping < SWINGS or period_s < 0:
+        return []
+    integrating = view.model is not None and view.model.linear().integrators > 0
+    cause = words(part(view.document, "diagnosis"), "cause")
+    tuning = cause in {*TUNING_CAUSES, Cause.UNKNOWN}
+    return oscillation_by_eye(period_s, view.before, integrating=integrating, tuning=tuning)
 
 
 def _proposal(view: DecisionView) -> str:

@@ -17,6 +17,8 @@ from retuner.adaptive.rules.visual import (
     longest_filter_s,
     longest_poll_s,
     oscillating_loop,
+    oscillation_by_eye,
+    sampling_by_eye,
 )
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult, tune
@@ -160,3 +162,19 @@ def test_visual_rules() -> None:
         oscillating_loop(-1.0, 1.0)
     with pytest.raises(ValueError, match="positive"):
         longest_poll_s(0.0)
+
+
+def test_what_an_eye_says_of_an_oscillation_names_its_numbers() -> None:
+    first, last = oscillation_by_eye(10.0, PidGains(2.0, 0.5), integrating=False, tuning=True)
+    assert first == "tau_I 4 s under a period of 10 s: lengthen the integral time"
+    assert (
+        last == "in manual it stops where the tuning is the cause, and goes on where it is something outside the loop"
+    )
+    assert oscillation_by_eye(10.0, PidGains(2.0, 0.5), integrating=False, tuning=False) == [last]
+    assert oscillation_by_eye(10.0, None, integrating=False, tuning=True) == [last]
+    assert "no integral action" in oscillation_by_eye(10.0, PidGains(2.0, 0.0), integrating=False, tuning=True)[0]
+
+
+def test_what_an_eye_says_of_sampling() -> None:
+    assert sampling_by_eye(50.0, 5.0) == []
+    assert sampling_by_eye(50.0, 6.0)[0].endswith("wants at most 5 s, and a filter of the measurement below 10 s")

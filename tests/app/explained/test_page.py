@@ -64,7 +64,8 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
     [
         (COMMIT, ["Written to the controller: Kc from 2.4 to 1.5 (x 0.625), tau_I from 150 to 250 s (x 1.67).",
                   "the loop overshot by 53% of the first peak, damping 0.45", "62% of the way, in the logarithms",
-                  "Ms 2.88 before, Ms 1.65 after; at worst, on the models still allowed, Ms 2.03"], ["Advised"]),
+                  "Ms 2.88 before, Ms 1.65 after; at worst, on the models still allowed, Ms 2.03",
+                  "By eye: tau_I 150 s under a period of 190 s: the rule does not say"], ["Advised"]),
         (ADVISED, ["Advised, not written: Kc from 2.4 to 1.5"], ["Written"]),
         (REFUSED, ["Refused: not robust on every model.", "Nothing was changed.", "at worst unstable"], ["Written"]),
         (RESTORED, ["The settings from before were put back", "The loop answers worse than was promised."],
