@@ -134,6 +134,11 @@ class CanDevice:
         return self._requests.write.busy
 
     @property
+    def write_seq(self) -> int | None:
+        """Number of the set that is being written; None when none is."""
+        return self._requests.write.seq
+
+    @property
     def epoch(self) -> int | None:
         """Boot epoch of the device, as read-back has proved it."""
         return self._belief.epoch
@@ -289,6 +294,8 @@ class CanDevice:
         epoch = self._belief.epoch if self.phase is ConnectPhase.CONNECTED else None
         due, events = self._requests.due(now_s, epoch)
         self._events += events
+        if self.write_seq is not None:
+            self._joiner.ordered = self.write_seq
         for frame in due:
             self._send(frame)
 
@@ -304,7 +311,7 @@ class CanDevice:
         if self._joiner.arrivals.state is Stream.INVALID and not back:
             raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
         try:
-            seq = self._joiner.ordered = self._requests.begin_write(gains, running, epoch)
+            seq = self._requests.begin_write(gains, running, epoch)
         except WriteRefusedError as error:
             raise WriteRefusedError(f"{self._where}: {error}") from error
         self._send_due(now_s)
