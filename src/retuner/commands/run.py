@@ -228,6 +228,7 @@ TOLD = {
     "restart": ("epoch",),
     "lost": ("samples",),
     "command": ("command", "reason"),
+    "worker": ("reason",),
     "unknown": ("reason",),
     "foreign": ("gains",),
     "dropped": ("reason",),

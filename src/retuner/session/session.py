@@ -17,6 +17,7 @@ from retuner.drivers.bus.link_faults import HOLDING, FaultNews
 from retuner.drivers.device import CommandDone, Device, Event, Reverted, WriteDone, WriteFailed
 from retuner.report.trend import Trend
 from retuner.schedule.table import GainTable
+from retuner.session.decisions import DecideHere, Decider
 from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
 from retuner.session.ledger_rows import HELD_BY, Recorder, abort_cause, trouble
 from retuner.session.scenario import ScenarioPlayer
@@ -43,7 +44,7 @@ class Session:
     Parameters
     ----------
     device : the controller. retuner : watches it. scenario : what to do to it. record : keeps rows for good.
-    on_sample : told of every sample (progress).
+    on_sample : told of every sample (progress). decider : where decisions are made; None for here, at once.
     """
 
     def __init__(
@@ -53,8 +54,10 @@ class Session:
         scenario: ScenarioPlayer,
         record: Recorder,
         on_sample: Callable[[LoopSample], None] | None = None,
+        decider: Decider | None = None,
     ) -> None:
         self.device = device
+        self.decider = decider or DecideHere()
         self.retuner = retuner
         self.scenario = scenario
         self.trend = Trend(two=retuner.table.regions.second is not None)
@@ -148,16 +151,42 @@ class Session:
                 self.device.send_setpoint(step.sp, now_s)
             if step.load is not None:
                 self.device.send_load(step.load, now_s)
-        decision = self.retuner.observe(sample)
+        decision = self._look(sample)
         if self.retuner.region is not None and self.device.running is not None:
             self.trend.add(sample, self.retuner.region, self.device.running.gains)
         if self._on_sample is not None:
             self._on_sample(sample)
         if decision is not None:
             self._decided(decision)
+        self._enter_answer()
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
+
+    def _look(self, sample: LoopSample) -> Decision | None:
+        """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
+        step = self.retuner.step(sample)
+        if step.question is None:
+            return step.decision
+        self.decider.ask(step.question)
+        answer = self.decider.answer(self.retuner.sample_number)
+        if answer is not None:  # with what ended a trial at this sample, if anything did: see Retuner.enter
+            return self.retuner.enter(step.question, answer.result, self.retuner.sample_number)
+        region = self.table.regions.names[step.question.record.region]
+        self._record("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
+        return step.decision
+
+    def _enter_answer(self) -> None:
+        """Enter the answer to the open question, if it has come: recorded first, for a replay enters it here too."""
+        question = self.retuner.open_question
+        answer = self.decider.answer(self.retuner.sample_number) if question is not None else None
+        if question is None or answer is None:
+            return
+        body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
+        self._record("answer", self.writer.t_s, body)
+        if answer.trouble:
+            self._record("worker", self.writer.t_s, {"reason": answer.trouble})
+        self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
         """Record a decision; what it wants written waits for the wire."""
