@@ -31,6 +31,11 @@ class LeaseKeeper:
         self._asked_s: float | None = None  # when the oldest request without an answer was sent
         self._since_s = float("-inf")  # from when on the lease in force is counted, on the safe side
 
+    @property
+    def asked(self) -> bool:
+        """Whether a request is on its way that nobody has answered yet."""
+        return self._asked_s is not None and not self._ending
+
     def forget(self) -> None:
         """The device has restarted, was out of reach, or says that nobody holds it: ask at once."""
         self.held = False

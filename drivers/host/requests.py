@@ -303,7 +303,7 @@ class HostRequests:
             number = self.sequence.after(self.write.seq)
             self.sequence.note(number)
             self.write.renumber(number)
-        frames += self.write.due(now_s, owned=self.lease.held)
+        frames += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)
         events: list[Event] = []
         unknown = self.write.unknown()
         if unknown is not None:

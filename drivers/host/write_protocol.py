@@ -204,14 +204,18 @@ class WriteProtocol:
         """Number of the set that is being written."""
         return self._order.seq if self._order is not None and self.busy else None
 
-    def due(self, now_s: float, *, owned: bool) -> list[Frame]:
+    def due(self, now_s: float, *, owned: bool, asked: bool = False) -> list[Frame]:
         """Frames to send now: those of a phase just entered, or again after its time-out.
 
-        owned : whether this host holds the lease at now_s. Without it no gain and no commit is sent for the first time.
+        owned : whether this host holds the lease at now_s; no commit is sent without it. asked : a request for it is
+        ahead of these frames, so gains may be staged on the strength of it, once.
         """
         if self._order is None or not self.busy:
             return []
-        self._look_at_lease(owned=owned)
+        if self.phase is WritePhase.CLAIMING and (owned or (asked and self._claims == 0)):
+            self._move(WriteInput.OWNED)
+        elif not owned and self._unsent(now_s) and self._may_begin_anew:
+            self._move(WriteInput.LAPSED)
         if self._deadline_s is not None:
             if now_s < self._deadline_s:
                 return []
@@ -220,12 +224,11 @@ class WriteProtocol:
         self._tries += 1
         return self._actions()[self.phase](self._order)
 
-    def _look_at_lease(self, *, owned: bool) -> None:
-        """Go on once the lease is there; a commit that is not sent yet goes back for it."""
-        if self.phase is WritePhase.CLAIMING and owned:
-            self._move(WriteInput.OWNED)
-        elif not owned and self._may_begin_anew:
-            self._move(WriteInput.LAPSED)
+    def _unsent(self, now_s: float) -> bool:
+        """Whether a commit is to be sent now, or gains again: not without the lease."""
+        if self.phase is WritePhase.COMMITTING:
+            return self._tries == 0
+        return self.phase is WritePhase.STAGING and self._deadline_s is not None and now_s >= self._deadline_s
 
     @property
     def _may_begin_anew(self) -> bool:

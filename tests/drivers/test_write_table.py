@@ -86,13 +86,18 @@ class Driven:
         self.t += TIMEOUT_S
         self.protocol.due(self.t, owned=self.owned)
 
+    def lapse(self) -> None:
+        """The lease has run out when the next frames are due; of a commit that was sent, no time-out yet."""
+        later = TIMEOUT_S if self.protocol.phase is P.STAGING else 0.0
+        self.protocol.due(self.t + later, owned=False)
+
     def happen(self, event: WriteInput) -> None:
         """What the outside has to do for it."""
         protocol = self.protocol
         {
             W.BEGIN: lambda: protocol.begin(ORDER),
             W.OWNED: lambda: protocol.due(self.t, owned=True),
-            W.LAPSED: lambda: protocol.due(self.t, owned=False),
+            W.LAPSED: self.lapse,
             W.STAGED_RIGHT: self.right,
             W.STAGED_WRONG: lambda: protocol.on_staged(WRONG),
             W.ACCEPTED: lambda: protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.OK, 7)),

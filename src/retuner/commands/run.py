@@ -226,7 +226,7 @@ TOLD = {
     "refused": ("region", "reason"),
     "link": ("state", "reason"),
     "restart": ("epoch",),
-    "lost": ("samples",),
+    "lost": ("count",),
     "command": ("command", "reason"),
     "worker": ("reason",),
     "unknown": ("reason",),

@@ -21,8 +21,8 @@ from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.session.decisions import LATE, LOST, Answer, without_decision
 from retuner.session.worker_process import receive, send
 
-NICE = 5
-"""How much the worker gives way: beside two programs that keep two cores busy it still gets a fifth of one."""
+NICE = 3
+"""How much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one."""
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """What numpy's libraries of linear algebra look at: their threads would take the loop's core."""
 END_S = 2.0

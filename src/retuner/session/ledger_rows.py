@@ -63,7 +63,7 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
         case DeviceConflict():
             return "conflict", {"node": event.node}
         case SamplesLost():
-            return "lost", {"samples": event.count}
+            return "lost", {"count": event.count}  # "samples" is the place of every row
         case CommandFailed():
             return "command", {"command": event.command, "reason": event.reason}
         case _:
