@@ -210,6 +210,10 @@ class GainWriter:
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
             return
         self.commits.append((self.t_s, write.region))
+        self._tell_trial(write, stored)
+
+    def _tell_trial(self, write: Wanted, stored: PidGains) -> None:
+        """Record that a change is on trial from now on, if it is."""
         trial = self.retuner.desk.trial(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
             row = {

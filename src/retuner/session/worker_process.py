@@ -12,7 +12,7 @@ import signal
 import struct
 import sys
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 LENGTH = struct.Struct("<Q")
 """Before each message: its length in bytes."""
@@ -20,7 +20,7 @@ MOST_EXPENDABLE = "1000"
 """What the kernel is told when memory runs out: end this process first, not the loop's."""
 
 
-def send(pipe: BinaryIO, message: object) -> None:
+def send(pipe: IO[bytes], message: object) -> None:
     """Put a message on a pipe.
 
     Raises
@@ -33,7 +33,7 @@ def send(pipe: BinaryIO, message: object) -> None:
     pipe.flush()
 
 
-def receive(pipe: BinaryIO) -> object:
+def receive(pipe: IO[bytes]) -> object:
     """Take the next message from a pipe.
 
     Raises
