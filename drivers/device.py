@@ -210,7 +210,8 @@ class Device(Protocol):
         ...
 
     def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
-        """Start the two-phase write of a gain set; WriteDone or WriteFailed with the returned sequence number follows.
+        """Start the two-phase write of a gain set; WriteDone or WriteFailed follows, with the returned sequence number
+        or, when the lease ran out meanwhile and was taken again, with a later one.
 
         back : it is the way back to a verified set, which bad telemetry does not close: the write has its own checks.
 

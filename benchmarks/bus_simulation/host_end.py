@@ -124,10 +124,18 @@ class HostEnd:
         try:
             for event in self.device.poll(self.now_s):
                 self._event(event)
+            self._note_number()
             if self.order is None and not self.calm and self._random() < self._eager:
                 self.begin(self._choose())
         except (CrashError, DeviceError):
             self.die()
+
+    def _note_number(self) -> None:
+        """A write whose lease ran out goes on under another number."""
+        seq = self.device.write_seq if self.device is not None else None
+        if self.order is not None and seq not in {None, self.order.seq}:
+            self.order = self.order._replace(seq=seq)
+            self.truth.ordered(self.order)
 
     def die(self) -> None:
         """The process is gone, whatever it was about."""

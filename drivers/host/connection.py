@@ -32,6 +32,7 @@ from retuner.drivers.host.write_protocol import WritePhase
 from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
 from retuner.drivers.protocol.frames import PROTOCOL_VERSION, Identity
+from retuner.drivers.state_machine import StateMachine
 from retuner.drivers.telemetry.sample_assembly import SampleJoiner
 from retuner.drivers.telemetry.telemetry_quality import Stream
 from retuner.schedule.gains import PidGains
@@ -95,6 +96,25 @@ class ConnectPhase(Enum):
     CONNECTED = "connected"
 
 
+class ConnectInput(Enum):
+    """What can happen to it."""
+
+    IDENTIFIED = "the right device has said who it is"
+    RUNNING_READ = "the running set is read back"
+    LOST = "nothing heard for too long, or the bus is gone"
+
+
+P, C = ConnectPhase, ConnectInput
+CONNECTION: dict[tuple[ConnectPhase, ConnectInput], ConnectPhase] = {
+    (P.SEARCHING, C.IDENTIFIED): P.READING,
+    (P.READING, C.RUNNING_READ): P.CONNECTED,
+    (P.READING, C.LOST): P.SEARCHING,
+    (P.CONNECTED, C.RUNNING_READ): P.CONNECTED,
+    (P.CONNECTED, C.LOST): P.SEARCHING,
+}
+"""Everything that is not here leaves the phase as it is: an answer that comes twice, or late."""
+
+
 class CanDevice:
     """A controller on CAN: device.Device says what its methods promise.
 
@@ -106,7 +126,7 @@ class CanDevice:
 
     def __init__(self, link: FramePort, settings: CanDeviceSettings) -> None:
         self.link, self.settings = link, settings
-        self.phase = ConnectPhase.SEARCHING
+        self.machine = StateMachine(CONNECTION, ConnectPhase.SEARCHING)
         self.foreign_commands = 0  # frames to this node from another host
         self.refused_frames = 0
         self._codec = Codec(settings.node)
@@ -117,6 +137,11 @@ class CanDevice:
         self._contact = Contact(settings.silent_s, settings.connect_s)
         self._sample_s = self._ask_s = float("-inf")
         self._events: list[Event] = []
+
+    @property
+    def phase(self) -> ConnectPhase:
+        """How far the connection is."""
+        return self.machine.phase
 
     @property
     def connected(self) -> bool:
@@ -132,6 +157,11 @@ class CanDevice:
     def writing(self) -> bool:
         """Whether a write is under way or its result unknown."""
         return self._requests.write.busy
+
+    @property
+    def write_seq(self) -> int | None:
+        """Number of the set that is being written; None when none is."""
+        return self._requests.write.seq
 
     @property
     def epoch(self) -> int | None:
@@ -211,7 +241,7 @@ class CanDevice:
             return
         wrong = mismatch(identity, self.settings.sample_time_s)
         if not wrong:
-            self.phase = ConnectPhase.READING
+            self.machine.take(ConnectInput.IDENTIFIED)
             self._ask_s = now_s
         elif not self._contact.made:
             raise DeviceMismatchError(f"{self._where}: {wrong}")
@@ -236,8 +266,9 @@ class CanDevice:
             gap = self._joiner.restart_after(self._belief.boot_sample, now_s - self._sample_s)
             self._requests.on_restart()
             self._events.append(DeviceRestarted(self._belief.epoch or 0, running, gap))
-        if self.phase is ConnectPhase.READING:
-            self.phase, self._contact.made = ConnectPhase.CONNECTED, True
+        before = self.phase
+        if self.machine.take(ConnectInput.RUNNING_READ) and before is ConnectPhase.READING:
+            self._contact.made = True
             self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))
         outcome = self._requests.on_running(running)
         if outcome is not None:
@@ -260,7 +291,7 @@ class CanDevice:
         if self.phase is ConnectPhase.CONNECTED:
             state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
             self._events.append(LinkChanged(state, reason))
-        self.phase = ConnectPhase.SEARCHING
+        self.machine.take(ConnectInput.LOST)
         self._belief.doubt()
         self._joiner.forget()
         self._requests.lease.forget()
@@ -289,6 +320,8 @@ class CanDevice:
         epoch = self._belief.epoch if self.phase is ConnectPhase.CONNECTED else None
         due, events = self._requests.due(now_s, epoch)
         self._events += events
+        if self.write_seq is not None:
+            self._joiner.ordered = self.write_seq
         for frame in due:
             self._send(frame)
 
@@ -304,7 +337,7 @@ class CanDevice:
         if self._joiner.arrivals.state is Stream.INVALID and not back:
             raise WriteRefusedError(f"{self._where}: too many of the latest telemetry frames were wrong; wait")
         try:
-            seq = self._joiner.ordered = self._requests.begin_write(gains, running, epoch)
+            seq = self._requests.begin_write(gains, running, epoch)
         except WriteRefusedError as error:
             raise WriteRefusedError(f"{self._where}: {error}") from error
         self._send_due(now_s)

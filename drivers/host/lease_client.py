@@ -27,21 +27,29 @@ class LeaseKeeper:
         self._samples, self._length_s, self._timeout_s = samples, length_s, timeout_s
         self._counter = 0
         self._ending = False
-        self._next_s = self._asked_s = float("-inf")
+        self._next_s = float("-inf")
+        self._asked_s: float | None = None  # when the oldest request without an answer was sent
+        self._since_s = float("-inf")  # from when on the lease in force is counted, on the safe side
+
+    @property
+    def asked(self) -> bool:
+        """Whether a request is on its way that nobody has answered yet."""
+        return self._asked_s is not None and not self._ending
 
     def forget(self) -> None:
-        """The device has restarted or was out of reach: ask at once."""
+        """The device has restarted, was out of reach, or says that nobody holds it: ask at once."""
         self.held = False
+        self._asked_s = None
         self._next_s = float("-inf")
 
     def due(self, now_s: float, epoch: int | None) -> list[Lease]:
         """The request to send now, if any; epoch is the device's, None while unknown."""
-        if self.held and now_s - self._asked_s > self._length_s:
+        if self.held and now_s - self._since_s >= self._length_s:
             self.held = False
         if epoch is None or now_s < self._next_s:
             return []
         self._counter = (self._counter + 1) % COUNTER_WRAP
-        self._asked_s = now_s
+        self._asked_s = now_s if self._asked_s is None else self._asked_s
         self._next_s = float("inf") if self._ending else now_s + self._timeout_s
         return [Lease(self.owner, epoch, 0 if self._ending else self._samples, self._counter)]
 
@@ -58,7 +66,9 @@ class LeaseKeeper:
         if ack.reason == Reason.STALE:
             self._counter = (self._counter + COUNTER_LEAP) % COUNTER_WRAP
             return None
-        self._next_s = self._asked_s + self._length_s * PROLONG_AT
+        if self._asked_s is not None:
+            self._since_s, self._asked_s = self._asked_s, None
+        self._next_s = self._since_s + self._length_s * PROLONG_AT
         before, self.held = self.other, ack.reason == Reason.OK
         self.other = None if self.held or not ack.latest else ack.latest
         if self.other == before:

@@ -274,9 +274,14 @@ class HostRequests:
         if ack.kind in GAIN_KINDS:
             self.sequence.note(ack.latest)
             self.write.on_ack(ack)
+            self._notice_owner(ack)
             return None
         if ack.kind == Kind.LEASE:
-            return self.lease.on_ack(ack)
+            news = self.lease.on_ack(ack)
+            if self.lease.other is not None:
+                self.write.on_other_owner(self.lease.other)
+            return news
+        self._notice_owner(ack)
         event = self.commands.on_ack(ack)
         if ack.kind != Kind.CONFIRM or event is None:
             return event
@@ -286,9 +291,19 @@ class HostRequests:
         self.probation.end()
         return None
 
+    def _notice_owner(self, ack: Ack) -> None:
+        """A refusal that tells what this host's clock does not: the lease has run out. It is taken again at once."""
+        if ack.reason == Reason.NOT_OWNER and self.lease.held:
+            self.lease.forget()
+
     def due(self, now_s: float, lease_epoch: int | None) -> tuple[list[Frame], list[Event]]:
         """Frames to send now, the lease's first, and what came to nothing; without lease_epoch none is asked for."""
-        frames: list[Frame] = [*self.lease.due(now_s, lease_epoch), *self.write.due(now_s)]
+        frames: list[Frame] = [*self.lease.due(now_s, lease_epoch)]
+        if self.write.used_up and self.write.seq is not None and self.lease.held:
+            number = self.sequence.after(self.write.seq)
+            self.sequence.note(number)
+            self.write.renumber(number)
+        frames += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)
         events: list[Event] = []
         unknown = self.write.unknown()
         if unknown is not None:

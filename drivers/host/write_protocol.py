@@ -1,17 +1,19 @@
 """The two-phase write of a gain set, host side, as a state machine without bus or clock.
 
-    IDLE -> STAGING -> COMMITTING -> READING -> IDLE          the good way
-    any trouble -> FENCING -> READING -> IDLE                 every other way
+    IDLE -> CLAIMING -> STAGING -> COMMITTING -> READING -> IDLE      the good way
+    any trouble -> FENCING -> READING -> IDLE                         every other way
 
-STAGING sends the gains and reads them back as they stand in the device; it may be repeated, for nothing runs yet.
-COMMITTING sends one commit and never repeats it. A refusal, a lost acknowledge, a restart: all lead to FENCING, which
-burns the sequence number in the device, so that no late copy of the commit can take effect afterwards. READING then
-asks what runs, and only that answer decides between done and failed. While the device is silent, FENCING and READING go
-on asking and the result is unknown, and said to be.
+CLAIMING waits until this host holds the lease, by now's time and not by that of an earlier look; a host that was busy
+for long has lost it without knowing, takes it again, and stages anew under another number. STAGING sends the gains
+and reads them back as they stand in the device; it may be repeated, for nothing runs yet. COMMITTING sends one commit
+and never repeats it. A refusal, a lost acknowledge, a restart: all lead to FENCING, which burns the sequence number
+in the device, so that no late copy of the commit can take effect afterwards. READING then asks what runs, and only
+that answer decides between done and failed. While the device is silent, FENCING and READING go on asking and the
+result is unknown, and said to be.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed, WriteUnknown
@@ -33,6 +35,7 @@ from retuner.drivers.protocol.frames import (
     newer,
     reason_text,
 )
+from retuner.drivers.state_machine import StateMachine
 from retuner.schedule.gains import PidGains
 
 
@@ -40,6 +43,7 @@ class WritePhase(Enum):
     """Where a write stands."""
 
     IDLE = "idle"
+    CLAIMING = "claiming"
     STAGING = "staging"
     COMMITTING = "committing"
     FENCING = "fencing"
@@ -50,6 +54,8 @@ class WriteInput(Enum):
     """What can happen to it."""
 
     BEGIN = "begin"
+    OWNED = "this host holds the lease"
+    LAPSED = "the lease ran out, and with it what was staged"
     STAGED_RIGHT = "staged page read back right"
     STAGED_WRONG = "staged page read back wrong"
     ACCEPTED = "commit acknowledged"
@@ -63,13 +69,20 @@ class WriteInput(Enum):
 
 P, W = WritePhase, WriteInput
 TRANSITIONS: dict[tuple[WritePhase, WriteInput], WritePhase] = {
-    (P.IDLE, W.BEGIN): P.STAGING,
+    (P.IDLE, W.BEGIN): P.CLAIMING,
+    (P.CLAIMING, W.OWNED): P.STAGING,
+    (P.CLAIMING, W.REFUSED): P.FENCING,
+    (P.CLAIMING, W.TIMEOUT): P.CLAIMING,
+    (P.CLAIMING, W.EXHAUSTED): P.FENCING,
+    (P.CLAIMING, W.RESTARTED): P.FENCING,
+    (P.STAGING, W.LAPSED): P.CLAIMING,
     (P.STAGING, W.STAGED_RIGHT): P.COMMITTING,
     (P.STAGING, W.STAGED_WRONG): P.STAGING,
     (P.STAGING, W.TIMEOUT): P.STAGING,
     (P.STAGING, W.EXHAUSTED): P.FENCING,
     (P.STAGING, W.REFUSED): P.FENCING,
     (P.STAGING, W.RESTARTED): P.FENCING,
+    (P.COMMITTING, W.LAPSED): P.CLAIMING,
     (P.COMMITTING, W.ACCEPTED): P.READING,
     (P.COMMITTING, W.REFUSED): P.FENCING,
     (P.COMMITTING, W.EXHAUSTED): P.FENCING,
@@ -84,7 +97,10 @@ TRANSITIONS: dict[tuple[WritePhase, WriteInput], WritePhase] = {
 """Everything that is not here leaves the phase as it is: a late or foreign answer."""
 
 SEQUENCES = 1 << 16
-TRIES = {P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
+TRIES = {P.CLAIMING: 4, P.STAGING: 4, P.COMMITTING: 1}  # the others try for ever: they establish what runs
+CLAIMS = 4  # times that one write may begin anew because its lease has run out
+NEEDS_ANEW = (Reason.NOT_OWNER, Reason.STALE)
+"""Refusals of staging after a lease that ran out: nobody's now, or its number has been used up by what was dropped."""
 UNKNOWN_AFTER = 3  # tries of FENCING or READING without an answer after which the result is said to be unknown
 
 
@@ -155,7 +171,14 @@ class WriteProtocol:
         self._nonce: int | None = None
         self._staged_right = False
         self._deadline_s: float | None = None
-        self.phase = WritePhase.IDLE
+        self._claims = 0
+        self.used_up = False  # the device has dropped what was staged, and takes its number no more: see renumber
+        self.machine = StateMachine(TRANSITIONS, WritePhase.IDLE)
+
+    @property
+    def phase(self) -> WritePhase:
+        """Where the write stands."""
+        return self.machine.phase
 
     @property
     def busy(self) -> bool:
@@ -167,12 +190,32 @@ class WriteProtocol:
         self._order, self._why = order, "no answer to the commit"
         self._told_unknown = self._staged_right = False
         self._nonce = None
+        self._claims = 0
+        self.used_up = False
         self._move(WriteInput.BEGIN)
 
-    def due(self, now_s: float) -> list[Frame]:
-        """Frames to send now: those of a phase just entered, or again after its time-out."""
+    def renumber(self, seq: int) -> None:
+        """Go on under another number: no commit of the one that is used up has been sent."""
+        if self._order is not None:
+            self._order, self.used_up = replace(self._order, seq=seq), False
+
+    @property
+    def seq(self) -> int | None:
+        """Number of the set that is being written."""
+        return self._order.seq if self._order is not None and self.busy else None
+
+    def due(self, now_s: float, *, owned: bool, asked: bool = False) -> list[Frame]:
+        """Frames to send now: those of a phase just entered, or again after its time-out.
+
+        owned : whether this host holds the lease at now_s; no commit is sent without it. asked : a request for it is
+        ahead of these frames, so gains may be staged on the strength of it, once.
+        """
         if self._order is None or not self.busy:
             return []
+        if self.phase is WritePhase.CLAIMING and (owned or (asked and self._claims == 0)):
+            self._move(WriteInput.OWNED)
+        elif not owned and self._unsent(now_s) and self._may_begin_anew:
+            self._move(WriteInput.LAPSED)
         if self._deadline_s is not None:
             if now_s < self._deadline_s:
                 return []
@@ -181,9 +224,22 @@ class WriteProtocol:
         self._tries += 1
         return self._actions()[self.phase](self._order)
 
+    def _unsent(self, now_s: float) -> bool:
+        """Whether a commit is to be sent now, or gains again: not without the lease."""
+        if self.phase is WritePhase.COMMITTING:
+            return self._tries == 0
+        return self.phase is WritePhase.STAGING and self._deadline_s is not None and now_s >= self._deadline_s
+
+    @property
+    def _may_begin_anew(self) -> bool:
+        """Whether nothing has been sent yet that could make the set run, and this has not happened too often."""
+        unsent = self.phase is WritePhase.COMMITTING and self._tries == 0
+        return self._claims < CLAIMS and (unsent or self.phase in {WritePhase.STAGING, WritePhase.CLAIMING})
+
     def _actions(self) -> dict[WritePhase, Callable[[WriteOrder], list[Frame]]]:
         """What each phase sends."""
         return {
+            WritePhase.CLAIMING: lambda _: [],
             WritePhase.STAGING: self._stage,
             WritePhase.COMMITTING: lambda order: order.commit(self._nonce),
             WritePhase.FENCING: lambda order: [Abort(order.seq)],
@@ -200,7 +256,9 @@ class WriteProtocol:
         if self._tries < TRIES.get(self.phase, self._tries + 1):
             self._move(WriteInput.TIMEOUT)
             return
-        if self.phase is WritePhase.STAGING:
+        if self.phase is WritePhase.CLAIMING:
+            self._why = "the device did not give the lease"
+        elif self.phase is WritePhase.STAGING:
             self._why = "the staged gains could not be read back"
         self._move(WriteInput.EXHAUSTED)
 
@@ -222,9 +280,17 @@ class WriteProtocol:
         elif ack.kind == Kind.COMMIT and ack.reason == Reason.OK:
             self._why = "it ran, but gave way before it could be read back"
             self._move(WriteInput.ACCEPTED)
+        elif ack.kind == Kind.STAGE and ack.reason in NEEDS_ANEW and self._may_begin_anew:
+            self._move(WriteInput.LAPSED)
         elif ack.kind in {Kind.COMMIT, Kind.STAGE}:
             if self.phase in {WritePhase.STAGING, WritePhase.COMMITTING}:
                 self._why = f"the device refused it: {reason_text(ack)}"
+            self._move(WriteInput.REFUSED)
+
+    def on_other_owner(self, owner: int) -> None:
+        """The lease is another host's."""
+        if self.phase is WritePhase.CLAIMING:
+            self._why = f"host {owner} holds the lease"
             self._move(WriteInput.REFUSED)
 
     def on_staged(self, page: ReadBack) -> None:
@@ -269,13 +335,12 @@ class WriteProtocol:
 
     def _move(self, event: WriteInput) -> None:
         """Go where the table says."""
-        old = self.phase
-        new = TRANSITIONS.get((old, event))
-        if new is None:
+        if not self.machine.take(event) or event is WriteInput.TIMEOUT:
             return
-        self.phase = new
-        if event is WriteInput.TIMEOUT:
-            return
+        if event is WriteInput.LAPSED:
+            self._claims += 1
+            self.used_up = True
+            self._staged_right, self._nonce = False, None
         if event is not WriteInput.STAGED_WRONG:
             self._tries = 0
             self._deadline_s = None

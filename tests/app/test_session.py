@@ -7,7 +7,7 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.retuner import Retuner, Step
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.config.bench import ScenarioConfig
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews, LinkFault
@@ -111,13 +111,13 @@ class DecidingRetuner(Retuner):
 
     wish: PidGains | None = None
 
-    def observe(self, sample: LoopSample) -> Decision | None:
-        found = super().observe(sample)
+    def step(self, sample: LoopSample) -> Step:
+        found = super().step(sample)
         if self.wish is None or self.region is None:
             return found
         wish, self.wish = self.wish, None
         name = self.table.regions.names[self.region]
-        return Decision(
+        wished = Decision(
             1,
             sample.t_s,
             "loop",
@@ -129,6 +129,7 @@ class DecidingRetuner(Retuner):
             self.table.gains_of(self.region),
             wish,
         )
+        return Step(wished)
 
 
 class Stage:

@@ -112,6 +112,7 @@ class World:
             if isinstance(event, (WriteDone, WriteFailed)):
                 self.ended.append(event)
                 self._check_outcome(event)
+        self._note_number()
         if not calm and not self.host.writing and self.rng.random() < 0.2:
             self._order(2.0 * t)
         for message in self.out.arrived():
@@ -128,6 +129,12 @@ class World:
         self.asked += 1
         self.newest = self.host._requests.write._order.gains
         self.ordered[self.host._belief.epoch, seq] = self.newest
+
+    def _note_number(self) -> None:
+        """A write that lost its lease goes on under another number."""
+        write = self.host._requests.write
+        if self.host.write_seq is not None:
+            self.ordered[write._order.epoch, self.host.write_seq] = write._order.gains
 
     def _note_running(self) -> None:
         now = (self.device.epoch, *self.device.running)

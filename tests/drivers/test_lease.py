@@ -173,7 +173,7 @@ def test_a_write_that_loses_the_lease_half_way_ends_on_the_old_set(bench) -> Non
     take_lease(bench.device, owner=OTHER)
     (failed,) = [e for e in bench.run(20) if isinstance(e, WriteFailed)]
     assert failed.seq == seq
-    assert "not owner" in failed.reason
+    assert failed.reason == f"host {OTHER} holds the lease"
     assert bench.device.running.gains == bench.FIRST
 
 

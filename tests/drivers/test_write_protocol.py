@@ -39,30 +39,30 @@ def test_the_table_leads_from_everywhere_to_idle_and_to_idle_only_by_a_read_back
 
 def test_a_commit_is_sent_once_and_only_after_the_right_read_back() -> None:
     protocol = started()
-    frames = protocol.due(0.0)
+    frames = protocol.due(0.0, owned=True)
     assert [type(f) for f in frames] == [Stage, Stage, Stage, Read]
-    assert protocol.due(1.0) == []
+    assert protocol.due(1.0, owned=True) == []
     protocol.on_staged(ReadBack(Page.STAGED, 7, OLD, RIGHT))
     protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, 1))
     protocol.on_staged(ReadBack(Page.STAGED, 8, NEW, RIGHT))
     assert protocol.phase is WritePhase.STAGING
-    assert len(protocol.due(6.0)) == 4
+    assert len(protocol.due(6.0, owned=True)) == 4
     protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, RIGHT))
-    assert protocol.due(7.0) == ORDER.commit()
-    assert protocol.due(8.0) == []
-    assert protocol.due(13.0) == [Abort(7)]
+    assert protocol.due(7.0, owned=True) == ORDER.commit()
+    assert protocol.due(8.0, owned=True) == []
+    assert protocol.due(13.0, owned=True) == [Abort(7)]
 
 
 def test_only_the_read_back_decides() -> None:
     for running, outcome in ((NEW_SET, WriteDone), (OLD_SET, WriteFailed)):
         protocol = started()
-        protocol.due(0.0)
+        protocol.due(0.0, owned=True)
         protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, RIGHT))
-        protocol.due(2.0)
+        protocol.due(2.0, owned=True)
         assert protocol.on_running(NEW_SET) is None
         protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.OK, 7))
         assert protocol.on_running(OLD_SET) is None  # the answer to a question asked before the acknowledge
-        assert [type(f) for f in protocol.due(4.0)] == [Read]
+        assert [type(f) for f in protocol.due(4.0, owned=True)] == [Read]
         assert isinstance(protocol.on_running(running), outcome)
         assert not protocol.busy
 
@@ -71,7 +71,7 @@ def test_a_silent_device_is_asked_for_ever_and_called_unknown_once() -> None:
     protocol = started()
     unknown = []
     for t in range(0, 600, 2):
-        protocol.due(float(t))
+        protocol.due(float(t), owned=True)
         unknown.append(protocol.unknown())
     assert protocol.phase is WritePhase.FENCING
     assert sum(u is not None for u in unknown) == 1
@@ -96,7 +96,7 @@ INPUTS = st.one_of(
 def test_no_order_of_events_sends_a_second_commit_or_ends_without_a_read_back(events: list) -> None:
     protocol, t, commits = started(), 0.0, 0
     for event in events:
-        commits += sum(isinstance(f, Commit) for f in protocol.due(t))
+        commits += sum(isinstance(f, Commit) for f in protocol.due(t, owned=True))
         t += TIMEOUT_S if event == "wait" else 0.5
         before, outcome = protocol.phase, None
         if isinstance(event, Ack):

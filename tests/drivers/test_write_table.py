@@ -23,17 +23,19 @@ TIMEOUT_S = 6.0
 P, W = WritePhase, WriteInput
 
 EXPECTED = """
-             IDLE       STAGING     COMMITTING  FENCING     READING
-BEGIN        STAGING    -           -           -           -
-STAGED_RIGHT .          COMMITTING  .           .           .
-STAGED_WRONG .          STAGING     .           .           .
-ACCEPTED     .          .           READING     .           .
-REFUSED      .          FENCING     FENCING     .           .
-TIMEOUT      .          STAGING     -           FENCING     READING
-EXHAUSTED    .          FENCING     FENCING     -           -
-RESTARTED    .          FENCING     FENCING     FENCING     FENCING
-FENCED       .          .           .           READING     .
-RUNNING_READ .          .           .           .           IDLE
+             IDLE       CLAIMING    STAGING     COMMITTING  FENCING     READING
+BEGIN        CLAIMING   -           -           -           -           -
+OWNED        .          STAGING     -           -           -           -
+LAPSED       .          .           CLAIMING    CLAIMING    .           .
+STAGED_RIGHT .          .           COMMITTING  .           .           .
+STAGED_WRONG .          .           STAGING     .           .           .
+ACCEPTED     .          .           .           READING     .           .
+REFUSED      .          FENCING     FENCING     FENCING     .           .
+TIMEOUT      .          CLAIMING    STAGING     -           FENCING     READING
+EXHAUSTED    .          FENCING     FENCING     FENCING     -           -
+RESTARTED    .          FENCING     FENCING     FENCING     FENCING     FENCING
+FENCED       .          .           .           .           READING     .
+RUNNING_READ .          .           .           .           .           IDLE
 """
 """Where each event leads; . is "stays", - is what cannot happen in that phase."""
 
@@ -47,23 +49,29 @@ def expected() -> dict[tuple[WritePhase, WriteInput], str]:
 class Driven:
     """A protocol that is taken to a phase, and to which an event happens, through what it offers the outside."""
 
-    def __init__(self, phase: WritePhase) -> None:
+    def __init__(self, phase: WritePhase, *, sent: bool = True) -> None:
         self.protocol = WriteProtocol(PageReader(), TIMEOUT_S)
         self.t = 0.0
+        self.owned = True
         if phase is P.IDLE:
             return
         self.protocol.begin(ORDER)
+        if phase is P.CLAIMING:
+            self.owned = False
         self.send()
+        if phase is P.CLAIMING:
+            return
         for until, step in ((P.STAGING, self.right), (P.COMMITTING, self.refused), (P.FENCING, self.fenced)):
             if phase is until:
                 break
             step()
-            self.send()
+            if sent:
+                self.send()
         assert self.protocol.phase is phase
 
     def send(self) -> list:
         self.t += 0.5
-        return self.protocol.due(self.t)
+        return self.protocol.due(self.t, owned=self.owned)
 
     def right(self) -> None:
         self.protocol.on_staged(RIGHT)
@@ -76,13 +84,20 @@ class Driven:
 
     def pass_time(self) -> None:
         self.t += TIMEOUT_S
-        self.protocol.due(self.t)
+        self.protocol.due(self.t, owned=self.owned)
+
+    def lapse(self) -> None:
+        """The lease has run out when the next frames are due; of a commit that was sent, no time-out yet."""
+        later = TIMEOUT_S if self.protocol.phase is P.STAGING else 0.0
+        self.protocol.due(self.t + later, owned=False)
 
     def happen(self, event: WriteInput) -> None:
         """What the outside has to do for it."""
         protocol = self.protocol
         {
             W.BEGIN: lambda: protocol.begin(ORDER),
+            W.OWNED: lambda: protocol.due(self.t, owned=True),
+            W.LAPSED: self.lapse,
             W.STAGED_RIGHT: self.right,
             W.STAGED_WRONG: lambda: protocol.on_staged(WRONG),
             W.ACCEPTED: lambda: protocol.on_ack(Ack(Kind.COMMIT, 7, Reason.OK, 7)),
@@ -111,7 +126,7 @@ class Driven:
 )
 def test_every_event_in_every_phase(phase: WritePhase, event: WriteInput) -> None:
     to = expected()[phase, event]
-    driven = Driven(phase)
+    driven = Driven(phase, sent=event is not W.LAPSED or phase is not P.COMMITTING)
     driven.happen(event)
     assert driven.protocol.phase is (phase if to == "." else P[to])
 
@@ -119,6 +134,22 @@ def test_every_event_in_every_phase(phase: WritePhase, event: WriteInput) -> Non
 def test_the_codes_table_has_no_other_ways() -> None:
     ways = {key: P[to] for key, to in expected().items() if to not in {".", "-"}}
     assert ways == TRANSITIONS
+
+
+def test_a_commit_that_was_sent_is_never_followed_by_another_whatever_the_lease_does() -> None:
+    driven = Driven(P.COMMITTING)
+    driven.happen(W.LAPSED)
+    assert driven.protocol.phase is P.COMMITTING
+    driven.protocol.on_ack(Ack(Kind.STAGE, 7, Reason.NOT_OWNER, 7))
+    assert driven.protocol.phase is P.FENCING
+
+
+def test_a_lease_that_runs_out_again_and_again_ends_the_write() -> None:
+    driven = Driven(P.STAGING)
+    for _ in range(20):
+        driven.protocol.on_ack(Ack(Kind.STAGE, 7, Reason.NOT_OWNER, 7))
+        driven.send()
+    assert driven.protocol.phase is P.FENCING
 
 
 ABORTS = [W.REFUSED, W.EXHAUSTED, W.RESTARTED]
@@ -154,13 +185,13 @@ def test_with_a_key_the_commit_waits_for_the_challenge_in_either_order() -> None
     for first_page in (True, False):
         protocol = WriteProtocol(PageReader(), TIMEOUT_S)
         protocol.begin(order)
-        assert [type(f) for f in protocol.due(0.0)][-2:] == [Read, Read]
+        assert [type(f) for f in protocol.due(0.0, owned=True)][-2:] == [Read, Read]
         steps = [lambda p=protocol: p.on_staged(RIGHT), lambda p=protocol: p.on_challenge(Challenge(0, 1, 99))]
         for step in steps if first_page else reversed(steps):
             assert protocol.phase is P.STAGING
             step()
         assert protocol.phase is P.COMMITTING
-        assert protocol.due(1.0) == order.commit(99)
+        assert protocol.due(1.0, owned=True) == order.commit(99)
         assert len(order.commit(99)) == 3
 
 
@@ -168,6 +199,6 @@ def test_a_challenge_of_a_device_without_a_key_is_a_refusal() -> None:
     order = WriteOrder(node=1, epoch=3, seq=7, base=6, gains=NEW, key=bytes(16))
     protocol = WriteProtocol(PageReader(), TIMEOUT_S)
     protocol.begin(order)
-    protocol.due(0.0)
+    protocol.due(0.0, owned=True)
     protocol.on_challenge(Challenge(0, 0, 99))
     assert protocol.phase is P.FENCING

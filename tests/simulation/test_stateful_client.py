@@ -112,6 +112,9 @@ class ClientMachine(RuleBasedStateMachine):
                 self.order = None
             elif isinstance(event, DeviceRestarted | RunningChanged | Reverted):
                 t.reported_is_what_ran(self.truth, event.running, asked)
+        if self.order is not None and self.host.write_seq not in {None, self.order.seq}:  # under another number
+            self.order = self.order._replace(seq=self.host.write_seq)
+            self.truth.ordered(self.order)
 
     @rule(first=st.integers(0, 6), count=st.integers(1, 9))
     def to_device(self, first: int, count: int) -> None:

@@ -90,6 +90,22 @@ class AdaptationConfig(Section):
         default=86400.0,
         source="a day: every shift sees it",
     )
+    decision_deadline_s: float = setting(
+        "On a real bus: machine's time that a decision may take; past it the loop stays as it is, and that is said",
+        unit="s",
+        low=1,
+        high=1e5,
+        default=300.0,
+        source="a hundred times a decision's usual time",
+    )
+    decision_delay_samples: int = setting(
+        "In simulated time: samples after which a decision is entered; 0 at the sample that raised it",
+        unit="samples",
+        low=0,
+        high=100000,
+        default=0,
+        source="time stands still there while a decision is made",
+    )
     trial_responses: int = setting(
         "Responses that must keep a change's promise before it has passed its trial",
         unit="responses",

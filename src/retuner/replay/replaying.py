@@ -11,8 +11,11 @@ it did then; and it says the time of the last one, so a log that lacks frames is
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice, takewhile
 
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
+from retuner.adaptive.supervision.pipeline import decide
 from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.recorded.bus_log_samples import Overhearing
 from retuner.drivers.recorded.frame_log import read_frames
@@ -126,10 +129,22 @@ class Replay:
                 return
             self._result.samples += 1
             self._t_s = joined.sample.t_s
-            self._decided(self._retuner.observe(joined.sample))
+            self._decided(self._look(joined.sample))
             self._rows_here()
             if not self._result.identical:
                 return
+
+    def _look(self, sample: LoopSample) -> Decision | None:
+        """Take a sample as the session did: a question was answered at once, unless a row here says that it was not."""
+        step = self._retuner.step(sample)
+        waits = any(row.kind == "question" for row in self._rows_of(self._result.samples))
+        if step.question is None or waits:
+            return step.decision
+        return self._retuner.enter(step.question, decide(step.question), self._retuner.sample_number)
+
+    def _rows_of(self, samples: int) -> Iterator[Row]:
+        """Rows of a place that have not been taken yet."""
+        return takewhile(lambda row: row.body.get("samples") == samples, islice(self._rows, self._next, None))
 
     def _decided(self, decision: Decision | None) -> None:
         """A decision was made again."""

@@ -8,13 +8,14 @@ While a set is being taken back the table has the verified one already, so no wa
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from enum import Enum, StrEnum
 
 from retuner.adaptive.guard import change_factor
 from retuner.adaptive.supervision.decision import Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.device import Device, RunningSet, WriteDone, WriteFailed, WriteRefusedError
+from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -33,12 +34,67 @@ HOLD_SAMPLES = 30
 """Samples without trouble on the link before a decision is written again; what was decided meanwhile is dropped."""
 
 
+BACK = "the gains before are being restored"
+
+
 class Why(StrEnum):
     """What asked for a write."""
 
     RESTORE = "restore"
     RETUNE = "retune"
     SCHEDULE = "schedule"
+
+    @property
+    def begin(self) -> "WriterInput":
+        """What beginning such a write is to the writer."""
+        return {Why.RESTORE: WriterInput.RESTORE, Why.RETUNE: WriterInput.CHANGE, Why.SCHEDULE: WriterInput.FOLLOW}[
+            self
+        ]
+
+
+class WriterPhase(Enum):
+    """What is being written, and whether a decision waits for the wire."""
+
+    IDLE = "nothing to write"
+    ASKED = "a decision waits for the wire"
+    FOLLOWING = "the schedule's set is being written"
+    FOLLOWING_ASKED = "the schedule's set is being written, and a decision waits"
+    CHANGING = "a decision's set is being written"
+    RESTORING = "the verified set is being written"
+
+
+class WriterInput(Enum):
+    """What can happen to it."""
+
+    ASK = "a decision wants its gains written"
+    DROP = "the decision that waited is not written"
+    FOLLOW = "begin to write the schedule's set"
+    CHANGE = "begin to write the decision's set"
+    RESTORE = "begin to write the verified set"
+    DONE = "the controller runs the set, as read back"
+    FAILED = "the write did not come about"
+
+
+P, W = WriterPhase, WriterInput
+WRITING: dict[tuple[WriterPhase, WriterInput], WriterPhase] = {
+    (P.IDLE, W.ASK): P.ASKED,
+    (P.IDLE, W.FOLLOW): P.FOLLOWING,
+    (P.IDLE, W.RESTORE): P.RESTORING,
+    (P.ASKED, W.DROP): P.IDLE,
+    (P.ASKED, W.CHANGE): P.CHANGING,
+    (P.FOLLOWING, W.ASK): P.FOLLOWING_ASKED,
+    (P.FOLLOWING, W.DONE): P.IDLE,
+    (P.FOLLOWING, W.FAILED): P.IDLE,
+    (P.FOLLOWING_ASKED, W.DONE): P.ASKED,
+    (P.FOLLOWING_ASKED, W.FAILED): P.ASKED,
+    (P.CHANGING, W.DONE): P.IDLE,
+    (P.CHANGING, W.FAILED): P.IDLE,
+    (P.RESTORING, W.DONE): P.IDLE,
+    (P.RESTORING, W.FAILED): P.IDLE,
+}
+"""What is not here cannot be: a decision that asks while another one waits or is written is dropped, and told."""
+
+OPEN = frozenset({P.FOLLOWING, P.FOLLOWING_ASKED, P.CHANGING, P.RESTORING})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,30 +121,31 @@ class GainWriter:
         self.commits: list[tuple[float, int]] = []
         self.frozen = False  # begin nothing any more but the way back
         self.t_s = 0.0
+        self.machine = StateMachine(WRITING, WriterPhase.IDLE)
         self._record = record
         self._under_way: Wanted | None = None
         self._pending: Wanted | None = None
         self._retry_at_s = self._hold_until_s = 0.0
         self._restore_at_s = float("-inf")
         self._refusals = 0  # of the verified set, in a row
-        self._put_back = False  # the verified set was written since there is something to take back
+        self._newest: Why | None = None  # of the writes that came about
         self._holding = ""
 
     @property
     def open(self) -> bool:
         """Whether a write has not come to its end."""
-        return self._under_way is not None
+        return self.machine.phase in OPEN
 
     @property
     def free(self) -> bool:
         """Whether what is asked for now would be begun at once: nothing under way, waiting, held or being restored."""
         sound = self.t_s >= self._hold_until_s and not self.frozen and self.device.connected
-        return sound and not self.open and self._pending is None and not self.restoring
+        return sound and self.machine.phase is WriterPhase.IDLE and not self.restoring
 
     @property
     def ready(self) -> bool:
         """Whether a decision could be written now: none waits, the wire is free, the link has been sound."""
-        return self._pending is None and not self.open and not self.frozen and self.t_s >= self._hold_until_s
+        return self.machine.phase is WriterPhase.IDLE and not self.frozen and self.t_s >= self._hold_until_s
 
     @property
     def restoring(self) -> bool:
@@ -104,10 +161,12 @@ class GainWriter:
             return
         region = self.retuner.table.regions.names.index(decision.region)
         wanted = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after)
-        if self._pending is not None or (self._under_way is not None and self._under_way.why == Why.RETUNE):
-            self._dropped(wanted, "another change is on its way")
-        else:
+        if self.machine.take(WriterInput.ASK):
             self._pending = wanted
+        elif self.machine.phase is WriterPhase.RESTORING:
+            self._dropped(wanted, BACK)
+        else:
+            self._dropped(wanted, "another change is on its way")
 
     def hold(self, reason: str) -> None:
         """Write no decision for a while."""
@@ -130,7 +189,7 @@ class GainWriter:
     def done(self, event: WriteDone) -> None:
         """The controller runs the set, as read back; only now does the table change."""
         write, self._under_way = self._under_way, None
-        if write is None:
+        if not self.machine.take(WriterInput.DONE) or write is None:
             return
         body = {
             "why": write.why,
@@ -144,13 +203,17 @@ class GainWriter:
         if write.why == Why.RETUNE and mixed:
             body["stored"] = gains_dict(stored)
         self._record("committed", self.t_s, body)
-        self._put_back = write.why == Why.RESTORE
+        self._newest = write.why
         if write.why != Why.RETUNE:
             return
         before = self.retuner.table
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
             return
         self.commits.append((self.t_s, write.region))
+        self._tell_trial(write, stored)
+
+    def _tell_trial(self, write: Wanted, stored: PidGains) -> None:
+        """Record that a change is on trial from now on, if it is."""
         trial = self.retuner.trials.of(write.region)
         if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
             row = {
@@ -168,7 +231,7 @@ class GainWriter:
         That may be the tried set, in a region that the loop has come to and the schedule could not write for.
         """
         write, self._under_way = self._under_way, None
-        if write is None:
+        if not self.machine.take(WriterInput.FAILED) or write is None:
             return None
         wanted = self._in_table()
         known = wanted is not None and change_factor(event.running.gains, wanted) <= self._tolerance
@@ -195,9 +258,15 @@ class GainWriter:
         try:
             self.device.begin_write(wanted.gains, now_s, back=wanted.why == Why.RESTORE)
         except WriteRefusedError as error:
+            if wanted.why == Why.RETUNE:
+                self._pending = None
+                self.machine.take(WriterInput.DROP)
             self._give_up(wanted, str(error), now_s)
             return
+        self.machine.take(wanted.why.begin)
         self._under_way = wanted
+        if wanted.why == Why.RETUNE:
+            self._pending = None
 
     def _to_restore(self, running: RunningSet, now_s: float) -> Wanted | None:
         """The verified set, unless it runs: then this is the proof of it.
@@ -205,11 +274,13 @@ class GainWriter:
         It has run before, so it needs no probation; but the controller must hold it for confirmed, for else it may go
         back to the tried set, which was confirmed when the trial began.
         """
-        self._drop("the gains before are being restored")
+        self._drop(BACK)
         region, gains = self.retuner.region, self._in_table()
         if region is None or gains is None:
             return None
-        near = self._tolerance if self._put_back else SAME_GAINS  # a tried set may lie within the schedule's step
+        near = (
+            self._tolerance if self._newest == Why.RESTORE else SAME_GAINS
+        )  # a tried set may lie within the schedule's step
         if change_factor(running.gains, gains) <= near:
             if self.device.confirm(now_s):
                 self._restored(running)
@@ -244,8 +315,7 @@ class GainWriter:
             if self._given_up(self._pending):
                 self._drop("it was given up before it could be written")
             elif self._pending.region == region and not held and not self.frozen:
-                wanted, self._pending = self._pending, None
-                return self._here(wanted)
+                return self._here(self._pending)
             else:
                 self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
         if self.t_s < self._retry_at_s:
@@ -270,7 +340,7 @@ class GainWriter:
     def _drop(self, reason: str) -> None:
         """A decision that waited for the wire is not written."""
         pending, self._pending = self._pending, None
-        if pending is not None:
+        if pending is not None and self.machine.take(WriterInput.DROP):
             self._dropped(pending, reason)
 
     def _dropped(self, wanted: Wanted, reason: str) -> None:

@@ -10,6 +10,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, gains_dict
 from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal
+from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pretune import pretune
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
@@ -29,6 +30,7 @@ from retuner.drivers.device import (
     WriteUnknown,
 )
 from retuner.schedule.gains import PidGains
+from retuner.session.decisions import Answer, without_decision
 
 HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
 """Events after which no decision is written for a while."""
@@ -53,7 +55,7 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
         case DeviceConflict():
             return "conflict", {"node": event.node}
         case SamplesLost():
-            return "lost", {"samples": event.count}
+            return "lost", {"count": event.count}  # "samples" is the place of every row
         case CommandFailed():
             return "command", {"command": event.command, "reason": event.reason}
         case _:
@@ -107,6 +109,8 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
             return retuner.abort(TrialEvent[str(body["cause"]).upper()])
         case "restored", _:
             retuner.restored()
+        case "answer", _:
+            return _answer(retuner, body)
         case "pretune", _:
             return pretune(retuner, retuner.table.index(str(body["region"])), record_of(body["record"]))
         case "order", _:
@@ -114,6 +118,16 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
         case _:
             pass
     return None
+
+
+def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
+    """The answer to the open question, worked out again; or the sentence that was entered in place of one."""
+    question = retuner.open_question
+    if question is None or question.sample_number != body["asked"]:
+        raise ValueError(f"it answers a question of sample {body['asked']}, which is not open")
+    trouble = str(body["reason"])
+    answer = without_decision(str(body["code"]), trouble) if trouble else Answer(decide(question))
+    return retuner.enter(question, answer.result, retuner.sample_number)
 
 
 def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:

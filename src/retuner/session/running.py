@@ -23,6 +23,8 @@ from retuner.drivers.host.connection import CanDevice
 from retuner.errors import UserError
 from retuner.ledger import Recorder
 from retuner.session.assembly import device_settings, link_settings, make_plant, make_retuner, virtual_device_settings
+from retuner.session.decision_worker import DecideInWorker
+from retuner.session.decisions import DecideHere, Decider
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
 from retuner.session.pretuning import LOG_PREFIX, Pretuning
@@ -151,7 +153,7 @@ class Run:
         """The host's session on a virtual bench."""
         first = self._pretune_simulated if self._pretuning else None
         with virtual_bench(self.config, self._log, first) as (near, clock, turn):
-            session = self._session(near)
+            session = self._session(near, DecideHere(self.config.adaptation.decision_delay_samples))
 
             def turn_and_tell() -> None:
                 turn()
@@ -174,8 +176,12 @@ class Run:
             with CanLink(link_settings(self.config, speed), clock, _before(self._log)) as link:
                 pause_s = self.config.loop.sample_time_s / POLLS_PER_SAMPLE
                 self._pretune(link, clock, lambda: link.wait_until(clock.now_s() + pause_s), speed)
-        with CanLink(link_settings(self.config, speed), clock, self._log) as link:
-            session = self._session(link, speed)
+        deadline_s = self.config.adaptation.decision_deadline_s
+        with (
+            DecideInWorker(deadline_s) as worker,
+            CanLink(link_settings(self.config, speed), clock, self._log) as link,
+        ):
+            session = self._session(link, worker, speed)
 
             def once() -> None:
                 with unstoppable():
@@ -215,11 +221,11 @@ class Run:
         finally:
             device.release(clock.now_s())
 
-    def _session(self, link: CanLink, speed: float = 1.0) -> Session:
+    def _session(self, link: CanLink, decider: Decider, speed: float = 1.0) -> Session:
         """The host's side on an open link."""
         device = CanDevice(link, device_settings(self.config, speed))
         retuner = make_retuner(self.config, self.mode)
-        session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled)
+        session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled, decider)
         if self._folder is not None:
             session.orders = OrderDesk(
                 OrderBox(self._folder),

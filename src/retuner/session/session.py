@@ -8,6 +8,7 @@ taken back first, for as long as patience lasts and the link holds.
 import math
 from collections import deque
 from collections.abc import Callable, Iterable
+from enum import Enum
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
@@ -15,9 +16,11 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews
 from retuner.drivers.device import CommandDone, Device, Event, Reverted, WriteDone, WriteFailed
+from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.report.trend import Trend
 from retuner.schedule.table import GainTable
+from retuner.session.decisions import DecideHere, Decider
 from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
 from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble
 from retuner.session.scenario import ScenarioPlayer
@@ -32,6 +35,40 @@ END_PATIENCE_SAMPLES = 200
 """Sample times that the end of a session waits for an open write and for the verified set to run again."""
 
 
+class SessionPhase(Enum):
+    """How a session stands."""
+
+    WATCHING = "watching"
+    ENDING = "ending: an undecided change is taken back"
+    FAILING = "ending after a defect: no sample is looked at any more"
+    SETTLED = "over: nothing is open"
+    LEFT_OPEN = "over: patience has ended before the verified set was known to run"
+
+
+class SessionInput(Enum):
+    """What can happen to it."""
+
+    PLAYED = "the scenario is over"
+    STOPPED = "somebody ends it"
+    FROZEN = "rows cannot be recorded any more"
+    FAILED = "a defect"
+    CLOSED = "no write is open and no set is to be restored"
+    IMPATIENT = "patience is over"
+
+
+P, S = SessionPhase, SessionInput
+COURSE: dict[tuple[SessionPhase, SessionInput], SessionPhase] = {
+    (P.WATCHING, S.PLAYED): P.ENDING,
+    (P.WATCHING, S.STOPPED): P.ENDING,
+    (P.WATCHING, S.FROZEN): P.ENDING,
+    (P.WATCHING, S.FAILED): P.FAILING,
+    (P.ENDING, S.FAILED): P.FAILING,
+    **{(phase, S.CLOSED): P.SETTLED for phase in (P.ENDING, P.FAILING)},
+    **{(phase, S.IMPATIENT): P.LEFT_OPEN for phase in (P.ENDING, P.FAILING)},
+}
+"""Everything that is not here leaves the phase as it is: the first reason to end counts."""
+
+
 def no_orders(t_s: float) -> Iterable[Decision]:
     """Nobody orders anything."""
     del t_s
@@ -44,7 +81,7 @@ class Session:
     Parameters
     ----------
     device : the controller. retuner : watches it. scenario : what to do to it. record : keeps rows for good.
-    on_sample : told of every sample (progress).
+    on_sample : told of every sample (progress). decider : where decisions are made; None for here, at once.
     """
 
     def __init__(
@@ -54,8 +91,10 @@ class Session:
         scenario: ScenarioPlayer,
         record: Recorder,
         on_sample: Callable[[LoopSample], None] | None = None,
+        decider: Decider | None = None,
     ) -> None:
         self.device = device
+        self.decider = decider or DecideHere()
         self.retuner = retuner
         self.scenario = scenario
         self.trend = Trend(two=retuner.table.regions.second is not None)
@@ -66,12 +105,11 @@ class Session:
         self.frozen = ""
         self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
-        self._stopping = ""
         self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
-        self._broken = False
         self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
-        self._ends_at_s: float | None = None  # when patience is over, once the end has begun
-        self._over = False
+        self._ends_at_s = math.inf  # when patience is over, once the end has begun
+        self.machine = StateMachine(COURSE, SessionPhase.WATCHING)
+        self.ended_by = ""  # why it was ended, if somebody or something did
         self.left_open = ""  # what the session could not bring to its end, in a sentence
 
     @property
@@ -87,8 +125,12 @@ class Session:
     @property
     def finished(self) -> bool:
         """Whether the end has begun and neither a write is open nor a set to be restored, or patience is over."""
-        settled = not self.writer.open and not self.writer.restoring
-        return self._ends_at_s is not None and (settled or self._over)
+        return self.machine.phase in {SessionPhase.SETTLED, SessionPhase.LEFT_OPEN}
+
+    @property
+    def ending(self) -> bool:
+        """Whether the end has begun, and something may still be open."""
+        return self.machine.phase in {SessionPhase.ENDING, SessionPhase.FAILING}
 
     def freeze(self, reason: str) -> None:
         """Begin no write any more: what cannot be recorded must not be done, but the way back to the verified set.
@@ -97,15 +139,17 @@ class Session:
         """
         self.frozen = self.frozen or reason
         self.writer.frozen = True
+        self.machine.take(SessionInput.FROZEN)
 
     def stop(self, reason: str) -> None:
         """Come to an end: an undecided change is taken back, and `finished` says when that is done."""
-        self._stopping = self._stopping or reason
+        self.ended_by = self.ended_by or reason
+        self.machine.take(SessionInput.STOPPED)
 
     def fail(self, reason: str) -> None:
         """Come to an end after a defect: no sample is looked at any more, and the verified set comes back."""
-        self._broken = True
-        self.stop(reason)
+        self.ended_by = self.ended_by or reason
+        self.machine.take(SessionInput.FAILED)
 
     def poll(self, now_s: float) -> int:
         """Take what the device has to tell; returns the number of samples among it.
@@ -129,6 +173,7 @@ class Session:
             self._abort(TrialEvent.LOST_TELEMETRY)
         self._end(now_s)
         self.writer.keep(now_s)
+        self._close(now_s)
         return samples
 
     def link_faults(self, news: Iterable[FaultNews]) -> None:
@@ -142,23 +187,49 @@ class Session:
         """One sample of the loop: play the scenario, watch, decide."""
         self.writer.t_s = sample.t_s
         self.samples += 1
-        if self._broken:
+        if self.machine.phase is SessionPhase.FAILING:
             return
         for step in self.scenario.due(sample.t_s):
             if step.sp is not None:
                 self.device.send_setpoint(step.sp, now_s)
             if step.load is not None:
                 self.device.send_load(step.load, now_s)
-        decision = self.retuner.observe(sample)
+        decision = self._look(sample)
         if self.retuner.region is not None and self.device.running is not None:
             self.trend.add(sample, self.retuner.region, self.device.running.gains)
         if self._on_sample is not None:
             self._on_sample(sample)
         if decision is not None:
             self._decided(decision)
+        self._enter_answer()
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
+
+    def _look(self, sample: LoopSample) -> Decision | None:
+        """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
+        step = self.retuner.step(sample)
+        if step.question is None:
+            return step.decision
+        self.decider.ask(step.question)
+        answer = self.decider.answer(self.retuner.sample_number)
+        if answer is not None:  # with what ended a trial at this sample, if anything did: see Retuner.enter
+            return self.retuner.enter(step.question, answer.result, self.retuner.sample_number)
+        region = self.table.regions.names[step.question.record.region]
+        self._record("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
+        return step.decision
+
+    def _enter_answer(self) -> None:
+        """Enter the answer to the open question, if it has come: recorded first, for a replay enters it here too."""
+        question = self.retuner.open_question
+        answer = self.decider.answer(self.retuner.sample_number) if question is not None else None
+        if question is None or answer is None:
+            return
+        body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
+        self._record("answer", self.writer.t_s, body)
+        if answer.trouble:
+            self._record("worker", self.writer.t_s, {"reason": answer.trouble})
+        self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
 
     def _decided(self, decision: Decision) -> None:
         """Record a decision; what it wants written waits for the wire."""
@@ -209,15 +280,23 @@ class Session:
             self._decided(decision)
 
     def _end(self, now_s: float) -> None:
-        """Begin the end when it is time; end the wait when patience is over, and say what is left open."""
-        if self._ends_at_s is None:
-            if not (self.scenario.finished or self.frozen or self._stopping):
-                return
-            self.writer.frozen = True
-            self._ends_at_s = now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s
+        """Begin the end when it is time, and take back what is undecided."""
+        if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
+            self.machine.take(SessionInput.PLAYED)
+        if self.machine.phase is SessionPhase.WATCHING:
+            return
+        self.writer.frozen = True
+        self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
         self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
-        if now_s >= self._ends_at_s and not self._over and not self.finished:
-            self._over = True
+
+    def _close(self, now_s: float) -> None:
+        """The end is reached when nothing is open; or patience is over, and what is left open is said."""
+        if not self.ending:
+            return
+        if not self.writer.open and not self.writer.restoring:
+            self.machine.take(SessionInput.CLOSED)
+        elif now_s >= self._ends_at_s:
+            self.machine.take(SessionInput.IMPATIENT)
             self.tell_what_is_open()
 
     def tell_what_is_open(self) -> None:

@@ -1,0 +1,182 @@
+"""Has decisions made in another process, so that the loop is never left alone: see worker_process.py for that side.
+
+    ask -> courier thread -> pipe -> worker -> pipe -> courier thread -> answer
+
+The courier does what may block: putting the question on the pipe, and waiting for the answer. The session only looks
+whether one has come. A worker that is killed, dies, hangs past the deadline, or cannot be started costs the decision it
+was about, which is said in one line; the next question goes to a new one.
+"""
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from types import TracebackType
+
+from retuner.adaptive.supervision.pipeline_types import Question, StageResult
+from retuner.drivers.clock import Clock, MonotonicClock
+from retuner.session.decisions import LATE, LOST, Answer, without_decision
+from retuner.session.worker_process import receive, send
+
+NICE = 3
+"""How much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one."""
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+"""What numpy's libraries of linear algebra look at: their threads would take the loop's core."""
+END_S = 2.0
+"""How long a process whose pipe has ended may take to be gone by itself."""
+
+
+class _Worker:
+    """One worker process and the thread that talks with it."""
+
+    def __init__(self, nice: int, memory_bytes: int) -> None:
+        self.process = subprocess.Popen(  # noqa: S603  this program itself
+            [sys.executable, "-m", "retuner.session.worker_process", str(nice), str(memory_bytes)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **dict.fromkeys(ONE_THREAD, "1")},
+        )
+        self._questions: queue.SimpleQueue[Question | None] = queue.SimpleQueue()
+        self.answers: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._courier = threading.Thread(target=self._carry, name="decisions", daemon=True)
+        self._courier.start()
+
+    def ask(self, question: Question) -> None:
+        """Hand a question to the courier."""
+        self._questions.put(question)
+
+    def _carry(self) -> None:
+        """Question there, answer back, until there are no more questions or the worker is gone."""
+        to, back = self.process.stdin, self.process.stdout
+        assert to is not None
+        assert back is not None
+        with to, back, contextlib.suppress(OSError, EOFError):
+            while (question := self._questions.get()) is not None:
+                send(to, question)
+                self.answers.put(receive(back))
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(END_S)
+        self.process.kill()
+        self.process.wait()
+        self.answers.put(None)
+
+    def end(self) -> str:
+        """Kill it; how it had ended before that, in words, empty if it was alive. The courier clears up."""
+        code = self.process.poll()
+        self.process.kill()
+        self._questions.put(None)
+        return "" if code is None else _ended(code)
+
+    def join(self) -> None:
+        """Wait until a process that was ended is gone."""
+        self._courier.join(END_S)
+
+
+def _ended(code: int) -> str:
+    """How a process ended."""
+    if code >= 0:
+        return f"ended with status {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
+
+
+class DecideInWorker:
+    """Decides in a process of its own: see the head of this file.
+
+    Parameters
+    ----------
+    deadline_s : time of the machine that a decision may take, s. nice : how much the worker gives way, 0 to 19.
+    memory_bytes : data that the worker may hold; 0 for no limit. clock : measures the deadline.
+    """
+
+    def __init__(
+        self, deadline_s: float, *, nice: int = NICE, memory_bytes: int = 0, clock: Clock | None = None
+    ) -> None:
+        self._deadline_s, self._nice, self._memory_bytes = deadline_s, nice, memory_bytes
+        self._clock = clock or MonotonicClock()
+        self._worker: _Worker | None = None
+        self._asked_s: float | None = None
+        self._why_not = ""
+        self._start()
+
+    def __enter__(self) -> "DecideInWorker":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def ask(self, question: Question) -> None:
+        """See Decider."""
+        if self._worker is None or self._worker.process.poll() is not None:
+            self._end()
+            self._start()
+        self._asked_s = self._clock.now_s()
+        if self._worker is not None:
+            self._worker.ask(question)
+
+    def answer(self, sample_number: int) -> Answer | None:  # noqa: ARG002  in real time it comes when it comes
+        """See Decider."""
+        if self._asked_s is None:
+            return None
+        found = self._found()
+        if found is not None:
+            self._asked_s = None
+        return found
+
+    def close(self) -> None:
+        """End the worker; what it was about is lost."""
+        self._asked_s, worker = None, self._worker
+        self._end()
+        if worker is not None:
+            worker.join()
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the worker process, None while there is none."""
+        return self._worker.process.pid if self._worker is not None else None
+
+    def _found(self) -> Answer | None:
+        """What has come for the open question."""
+        if self._worker is None:
+            return without_decision(LOST, f"the worker could not be started: {self._why_not}")
+        try:
+            came = self._worker.answers.get_nowait()
+        except queue.Empty:
+            return self._overdue()
+        if isinstance(came, StageResult):
+            return Answer(came)
+        if isinstance(came, str):
+            return without_decision(LOST, f"no decision was made: {came}")
+        how = self._end() or "broke off"
+        self._start()
+        return without_decision(LOST, f"the worker {how} while it made a decision, and was started anew")
+
+    def _overdue(self) -> Answer | None:
+        """Whether the deadline has passed: the worker is ended then, for it may hang."""
+        assert self._asked_s is not None
+        if self._clock.now_s() - self._asked_s < self._deadline_s:
+            return None
+        self._end()
+        self._start()
+        trouble = f"no decision within {self._deadline_s:g} s of the machine's time; the worker was started anew"
+        return without_decision(LATE, trouble)
+
+    def _start(self) -> None:
+        """Begin a worker; it imports what it needs meanwhile."""
+        try:
+            self._worker = _Worker(self._nice, self._memory_bytes)
+        except (OSError, RuntimeError) as error:  # RuntimeError: no thread can be started
+            self._worker, self._why_not = None, str(error)
+
+    def _end(self) -> str:
+        """End the worker; how it had ended by itself."""
+        worker, self._worker = self._worker, None
+        return worker.end() if worker is not None else ""

@@ -1,0 +1,179 @@
+"""Decisions made elsewhere and entered later: replayed byte for byte; a worker that dies costs one decision."""
+
+import itertools
+import json
+import os
+import pickle
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.pipeline_types import Question
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.cli import main
+from retuner.commands import run as run_command
+from retuner.drivers.clock import SimulatedClock
+from retuner.replay.recorded_trend import recorded_columns
+from retuner.session.assembly import make_retuner
+from retuner.session.decision_worker import DecideInWorker
+from retuner.session.decisions import LATE, LOST, Answer, DecideHere
+from retuner.session.recorded_session import read_session
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import SHORT, bodies
+
+DELAY = 25
+PATIENCE_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run whose decisions are entered late."""
+    folder = tmp_path_factory.mktemp("later")
+    slow = SHORT.replace("[device]", f"decision_delay_samples = {DELAY}\n[device]", 1)
+    (folder / "short.toml").write_text(slow)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_command, "render", lambda data: f"{len(data.decisions)} decisions")
+        command = ["run", str(folder / "short.toml"), "--out", str(folder / "run"), "--no-compare", "--mode", "auto"]
+        assert main(command) == 0
+    return folder / "run"
+
+
+@pytest.fixture
+def asked(session: Path) -> tuple[Retuner, Question]:
+    """A retuner with an open question, and the question."""
+    recorded = read_session(session)
+    retuner = make_retuner(recorded.config, recorded.mode)
+    columns = recorded_columns(recorded)
+    for t, sp, pv, co in zip(*(columns[name] for name in ("t", "sp", "pv", "co")), strict=True):
+        step = retuner.step(LoopSample(float(t), float(sp), float(pv), float(co), 1, 0, float(sp)))
+        if step.question is not None:
+            return retuner, step.question
+    raise AssertionError("nothing was asked")
+
+
+def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    questions, answers = bodies(session, "question"), bodies(session, "answer")
+    assert len(questions) == len(answers) >= 2
+    for question, answer in zip(questions, answers, strict=True):
+        assert (question["asked"], answer["asked"]) == (question["samples"], question["samples"])
+        assert answer["samples"] == question["samples"] + DELAY
+    late = [body["delay"] for body in bodies(session, "decision") if "delay" in body]
+    assert late == [{"asked": row["asked"], "entered": row["samples"]} for row in answers]
+    assert len(bodies(session, "committed")) >= 1
+    assert main(["replay", str(session), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["identical"] is True
+
+
+def waited(worker: DecideInWorker) -> Answer:
+    """What the worker says, within a patience that a busy machine does not exhaust."""
+    end_s = time.monotonic() + PATIENCE_S
+    for number in itertools.count(1):
+        answer = worker.answer(number)
+        if answer is not None:
+            return answer
+        assert time.monotonic() < end_s, "the worker does not answer"
+        time.sleep(0.01)
+    raise AssertionError
+
+
+def test_the_worker_answers_as_this_process_would(asked: tuple[Retuner, Question]) -> None:
+    _, question = asked
+    here = decide(question)
+    with DecideInWorker(PATIENCE_S) as worker:
+        assert worker.answer(1) is None
+        worker.ask(question)
+        there = waited(worker)
+        assert worker.answer(2) is None
+    assert there.trouble == ""
+    assert pickle.dumps(there.result) == pickle.dumps(pickle.loads(pickle.dumps(here)))
+
+
+def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tuple[Retuner, Question]) -> None:
+    _, question = asked
+    with DecideInWorker(PATIENCE_S) as worker:
+        first = worker.pid
+        assert first is not None
+        os.kill(first, signal.SIGSTOP)
+        worker.ask(question)
+        os.kill(first, signal.SIGKILL)
+        lost = waited(worker)
+        assert lost.result.code == LOST
+        assert "was killed by SIGKILL" in lost.trouble
+        assert "\n" not in lost.result.reason
+        assert worker.pid not in {None, first}
+        worker.ask(question)
+        assert waited(worker).trouble == ""
+
+
+def test_a_worker_that_died_between_two_questions_is_replaced_unnoticed(asked: tuple[Retuner, Question]) -> None:
+    _, question = asked
+    with DecideInWorker(PATIENCE_S) as worker:
+        worker.ask(question)
+        waited(worker)
+        first = worker.pid
+        os.kill(first, signal.SIGKILL)
+        time.sleep(0.2)
+        worker.ask(question)
+        assert waited(worker).trouble == ""
+        assert worker.pid != first
+
+
+def test_a_worker_that_hangs_is_ended_at_the_deadline_and_nothing_waits_for_it(asked: tuple[Retuner, Question]) -> None:
+    _, question = asked
+    clock = SimulatedClock()
+    with DecideInWorker(60.0, clock=clock) as worker:
+        first = worker.pid
+        os.kill(first, signal.SIGSTOP)
+        for _ in range(3):  # more than a pipe takes
+            worker.ask(question)
+        clock.advance(59.9)
+        assert worker.answer(1) is None
+        clock.advance(0.2)
+        late = worker.answer(2)
+        assert late is not None
+        assert late.result.code == LATE
+        assert "no decision within 60 s" in late.trouble
+        assert worker.pid not in {None, first}
+        worker.ask(question)
+        assert waited(worker).trouble == ""
+
+
+def test_a_worker_without_memory_is_named_and_the_loop_goes_on(asked: tuple[Retuner, Question]) -> None:
+    _, question = asked
+    with DecideInWorker(PATIENCE_S, memory_bytes=1 << 23) as worker:
+        worker.ask(question)
+        lost = waited(worker)
+    assert lost.result.code == LOST
+    assert lost.trouble.count("\n") == 0
+    assert lost.result.belief is None
+    assert lost.result.verdict is None
+
+
+def test_what_is_entered_without_a_decision_changes_nothing(asked: tuple[Retuner, Question]) -> None:
+    retuner, question = asked
+    clock = SimulatedClock()
+    with DecideInWorker(1.0, clock=clock) as worker:
+        os.kill(worker.pid or 0, signal.SIGSTOP)
+        worker.ask(question)
+        clock.advance(2.0)
+        late = worker.answer(1)
+    assert late is not None
+    before = retuner.table
+    decision = retuner.enter(question, late.result, retuner.sample_number)
+    assert decision.gains_after is None
+    assert decision.code == LATE
+    assert retuner.table is before
+
+
+def test_a_delay_below_zero_is_refused() -> None:
+    with pytest.raises(ValueError, match="delay_samples = -1"):
+        DecideHere(-1)
