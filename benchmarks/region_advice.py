@@ -72,9 +72,9 @@ def advised(case: str, seed: int) -> tuple[tuple[RegionAdvice, ...], int]:
     """What is proposed at the end of a run, and from how many records."""
     config = configured(case, seed)
     session = Run(config, nothing, mode=Mode.ADVISE).simulated()
-    beliefs = session.retuner.beliefs
-    found = region_advice(session.table.regions, beliefs, config.loop.sample_time_s, AdviceSettings())
-    return found, sum(len(belief.points) for belief in beliefs.values())
+    region_models = session.retuner.region_models
+    found = region_advice(session.table.regions, region_models, config.loop.sample_time_s, AdviceSettings())
+    return found, sum(len(region_model.points) for region_model in region_models.values())
 
 
 def main() -> None:

@@ -41,18 +41,18 @@ class Excitation:
     """How many responses of each kind the model of a region rests on.
 
     asked : of the load responses, how many there were when the diagnosis last did not name the tuning; 0 for never.
-    clear : of the setpoint responses, how many were clear (see is_clear). rival : the same of what contradicted it
-    last.
+    clear : of the setpoint responses, how many were clear (see is_clear). alternative : the same of what last
+    contradicted it.
     """
 
     setpoints: int = 0
     loads: int = 0
     asked: int = 0
     clear: int = 0
-    rival: int = 0
+    alternative: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("setpoints", "loads", "asked", "clear", "rival"):
+        for name in ("setpoints", "loads", "asked", "clear", "alternative"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
 
@@ -63,9 +63,9 @@ class Excitation:
             self, setpoints=self.setpoints + setpoint, loads=self.loads + (not setpoint), clear=self.clear + clear
         )
 
-    def of_rival(self) -> "Excitation":
+    def of_alternative(self) -> "Excitation":
         """Of the model that contradicted this one, when it takes over."""
-        return Excitation(setpoints=self.rival, clear=self.rival)
+        return Excitation(setpoints=self.alternative, clear=self.alternative)
 
 
 def is_clear(

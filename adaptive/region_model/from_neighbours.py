@@ -5,8 +5,8 @@
 x_i, P_i are the neighbours' logarithms and covariances as they may be met now (aged by the random walk), d_i the number
 of borders between, b the scatter from region to region: the mean and covariance of the mixture, so neighbours that
 differ leave the region between them open. What is borrowed is a prior: of the fit of the region's first record, behind
-the same gate that guards any belief, and of a proposal, which the guard proves on the whole spread. It counts no
-records of its own and is never lent on.
+the same gate that guards any region model, and of a proposal, which the guard proves on the whole spread. It counts no
+records of its own and is never passed on.
 """
 
 import math
@@ -19,7 +19,7 @@ from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.identification.structure import model_at
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.region_model.region_model import Belief, Known
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted_all
 from retuner.schedule.regions import Regions
 
@@ -47,52 +47,52 @@ class BorrowingSettings:
 
 
 def borrowed(
-    beliefs: Mapping[int, Belief],
+    region_models: Mapping[int, RegionModel],
     region: int,
     regions: Regions,
     t_s: float,
     sign: int,
     settings: BorrowingSettings,
     tracker: TrackerSettings,
-) -> Belief | None:
+) -> RegionModel | None:
     """What may be assumed of a region's process from its neighbours', None where no neighbour knows its own.
 
     Parameters
     ----------
-    beliefs : by region, from records of their own. region : index of the one without.
+    region_models : by region, from records of their own. region : index of the one without.
     t_s : now. sign : of the process gain there, from the controller's direction.
     """
     near = {
         other: regions.distance(region, other)
-        for other, belief in beliefs.items()
-        if other != region and belief.records and belief.identifiable and belief.log.sign == sign
+        for other, region_model in region_models.items()
+        if other != region and region_model.records and region_model.identifiable and region_model.log.sign == sign
     }
     near = {other: d for other, d in near.items() if d <= settings.farthest}
     if not near:
         return None
     weights = {other: 1 / d for other, d in near.items()}
-    lent = {other: {log.type: log for log in predicted_all(beliefs[other], t_s, tracker)} for other in near}
-    types = set.intersection(*(set(logs) for logs in lent.values()))
-    known = [_mixed(t, near, weights, lent, beliefs, settings) for t in ProcessType if t in types]
+    near_logs = {other: {log.type: log for log in predicted_all(region_models[other], t_s, tracker)} for other in near}
+    types = set.intersection(*(set(logs) for logs in near_logs.values()))
+    known = [_mixed(t, near, weights, near_logs, region_models, settings) for t in ProcessType if t in types]
     if not known:
         return None
     ranked = sorted(known, key=lambda k: k.evidence)
     names = ", ".join(regions.names[other] for other in sorted(near))
     log = ranked[0].log
-    return Belief(tuple(ranked), 0, t_s, None, (), spread(log), identifiable=True, reason=f"borrowed from {names}")
+    return RegionModel(tuple(ranked), 0, t_s, None, (), spread(log), identifiable=True, reason=f"borrowed from {names}")
 
 
 def _mixed(
     type_: ProcessType,
     near: Mapping[int, int],
     weights: Mapping[int, float],
-    lent: Mapping[int, Mapping[ProcessType, LogModel]],
-    beliefs: Mapping[int, Belief],
+    near_logs: Mapping[int, Mapping[ProcessType, LogModel]],
+    region_models: Mapping[int, RegionModel],
     settings: BorrowingSettings,
-) -> Known:
+) -> StructureModel:
     """One structure of the mixture, and how far it lies behind the leading ones."""
     total = sum(weights.values())
-    logs = {other: lent[other][type_] for other in near}
+    logs = {other: near_logs[other][type_] for other in near}
     share = {other: weights[other] / total for other in near}
     x = sum((share[o] * log.x for o, log in logs.items()), np.zeros(len(next(iter(logs.values())).x)))
     p = np.zeros((len(x), len(x)))
@@ -101,11 +101,11 @@ def _mixed(
         p += share[other] * (log.p + near[other] * settings.between**2 * np.eye(len(x)) + np.outer(apart, apart))
     behind = 0.0
     for other in near:
-        evidence = {k.log.type: k.evidence for k in beliefs[other].known}
-        lead = evidence[type_] - evidence[beliefs[other].log.type]
+        evidence = {k.log.type: k.evidence for k in region_models[other].known}
+        lead = evidence[type_] - evidence[region_models[other].log.type]
         behind += share[other] * min(max(lead, 0.0), settings.most_lead)
     first = next(iter(logs.values()))
-    return Known(LogModel(x, proper_covariance(p), first.sign, type_), behind)
+    return StructureModel(LogModel(x, proper_covariance(p), first.sign, type_), behind)
 
 
 def spread(log: LogModel) -> tuple[Plausible, ...]:

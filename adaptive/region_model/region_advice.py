@@ -16,7 +16,7 @@ factor at which nobody would keep two sets. What is not known does not agree. Th
 what its records scatter beyond what they claim, chi2/(2 (n - 1)) where that is more than 1 (Birge 1932). On a map of
 two axes a border runs through all rows or columns, and so does the proposal.
 
-Pure: beliefs in, advice out; nothing is changed.
+Pure: region models in, advice out; nothing is changed.
 """
 
 import math
@@ -28,9 +28,10 @@ import numpy as np
 
 from retuner.adaptive.identification.estimate import LOG_STEP, LogModel, proper_covariance
 from retuner.adaptive.identification.structure import model_at
-from retuner.adaptive.region_model.region_model import Belief, RecordPoint
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.axis import Axis
 from retuner.schedule.forms import to_ideal
 from retuner.schedule.regions import Regions
 
@@ -166,16 +167,19 @@ class RegionAdvice:
 
 
 def region_advice(
-    regions: Regions, beliefs: Mapping[int, Belief], sample_time_s: float, settings: AdviceSettings
+    regions: Regions, region_models: Mapping[int, RegionModel], sample_time_s: float, settings: AdviceSettings
 ) -> tuple[RegionAdvice, ...]:
     """All proposals: splits in the order of the regions, then merges in the order of the borders.
 
     Parameters
     ----------
-    regions : as they are. beliefs : what is known, by region. sample_time_s : of the controller.
+    regions : as they are. region_models : what is known, by region. sample_time_s : of the controller.
     """
-    splits = (_split(regions, i, beliefs[i].points, sample_time_s, settings) for i in sorted(beliefs))
-    return (*(advice for advice in splits if advice is not None), *_merges(regions, beliefs, sample_time_s, settings))
+    splits = (_split(regions, i, region_models[i].points, sample_time_s, settings) for i in sorted(region_models))
+    return (
+        *(advice for advice in splits if advice is not None),
+        *_merges(regions, region_models, sample_time_s, settings),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,20 +259,24 @@ def _split(
     consistent = cut.left <= _gate(SIZE * (len(placed) - 2), settings.alpha)
     if not (explains and consistent and _is_worth_it(regions, region, k, cut, settings)):
         return None
-    apart, axis = cut.above.mean - cut.below.mean, regions.axes[k]
-    return RegionAdvice(
-        AdviceKind.SPLIT,
-        (regions.names[region],),
-        axis.label,
-        axis.unit,
-        cut.border,
-        math.exp(float(apart[0])),
-        math.exp(float(apart[1])),
-        (cut.below.count, cut.above.count),
-        one - cut.left,
-        limit,
-        against_time,
-    )
+    places, counted = (regions.names[region],), (cut.below.count, cut.above.count)
+    numbers = (one - cut.left, limit, against_time)
+    apart = cut.above.mean - cut.below.mean
+    return _advice(AdviceKind.SPLIT, places, regions.axes[k], cut.border, apart, counted, *numbers)
+
+
+def _advice(
+    kind: AdviceKind,
+    places: tuple[str, ...],
+    axis: Axis,
+    border: float,
+    apart: FloatArray,
+    counted: tuple[int, int],
+    *numbers: float,
+) -> RegionAdvice:
+    """The advice on one border. apart : difference of the means in logarithms. numbers : what was weighed."""
+    gain, delay = math.exp(float(apart[0])), math.exp(float(apart[1]))
+    return RegionAdvice(kind, places, axis.label, axis.unit, border, gain, delay, counted, *numbers)
 
 
 def _is_worth_it(regions: Regions, region: int, k: int, cut: _Cut, settings: AdviceSettings) -> bool:
@@ -300,43 +308,38 @@ def _tail(value: float, freedom: int) -> float:
 
 
 def _merges(
-    regions: Regions, beliefs: Mapping[int, Belief], sample_time_s: float, settings: AdviceSettings
+    regions: Regions, region_models: Mapping[int, RegionModel], sample_time_s: float, settings: AdviceSettings
 ) -> Iterator[RegionAdvice]:
     """The borders that part nothing."""
-    asked = {
-        i: _side(_weighted(belief.points, sample_time_s, settings.scatter))
-        for i, belief in beliefs.items()
-        if len(belief.points) >= settings.least_records
+    known = {
+        i: _side(_weighted(region_model.points, sample_time_s, settings.scatter))
+        for i, region_model in region_models.items()
+        if len(region_model.points) >= settings.least_records
     }
     for k, axis in enumerate(regions.axes):
         for n, bound in enumerate(axis.bounds):
-            pairs = [
-                (i, j)
-                for i in range(len(regions))
-                for j in regions.neighbours(i)
-                if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n
-            ]
-            if not all(i in asked and j in asked for i, j in pairs):
+            pairs = _pairs(regions, k, n)
+            if not all(i in known and j in known for i, j in pairs):
                 continue
-            told = [_apart(asked[i], asked[j], settings) for i, j in pairs]
+            told = [_apart(known[i], known[j], settings) for i, j in pairs]
             most = max(factor for factor, _ in told)
             if most > settings.merge_factor:
                 continue
             apart = max((difference for _, difference in told), key=lambda d: float(np.max(np.abs(d))))
             names = tuple(regions.names[i] for pair in pairs for i in pair)
-            counted = [sum(asked[pair[side]].count for pair in pairs) for side in (0, 1)]
-            yield RegionAdvice(
-                AdviceKind.MERGE,
-                names,
-                axis.label,
-                axis.unit,
-                bound,
-                math.exp(float(apart[0])),
-                math.exp(float(apart[1])),
-                (counted[0], counted[1]),
-                most,
-                settings.merge_factor,
-            )
+            below, above = (sum(known[pair[side]].count for pair in pairs) for side in (0, 1))
+            numbers = (most, settings.merge_factor)
+            yield _advice(AdviceKind.MERGE, names, axis, bound, apart, (below, above), *numbers)
+
+
+def _pairs(regions: Regions, k: int, n: int) -> list[tuple[int, int]]:
+    """The regions on both sides of the n-th bound of the k-th axis."""
+    return [
+        (i, j)
+        for i in range(len(regions))
+        for j in regions.neighbours(i)
+        if i < j and regions.border(i, j).axis == k and regions.cell(i)[k] == n
+    ]
 
 
 def _apart(one: _Side, other: _Side, settings: AdviceSettings) -> tuple[float, FloatArray]:

@@ -12,7 +12,7 @@ POINTS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class StructureModel:
     """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better)."""
 
     log: LogModel
@@ -36,20 +36,20 @@ class RecordPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class RegionModel:
     """What is known of a region.
 
     known : by structure, the leading one first. records : how many records are in it, 0 for a borrowed one.
     t_s : when it was last updated.
-    rival : what the odd record alone said, if the last one was odd.
+    alternative : what the contradicting record alone said, if the last one was odd.
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
     """
 
-    known: tuple[Known, ...]
+    known: tuple[StructureModel, ...]
     records: int
     t_s: float
-    rival: tuple[Known, ...] | None = None
+    alternative: tuple[StructureModel, ...] | None = None
     points: tuple[RecordPoint, ...] = field(default=())
     plausible: tuple[Plausible, ...] = field(default=())
     identifiable: bool = True

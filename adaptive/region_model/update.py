@@ -14,12 +14,13 @@ All of this is kept per structure (fit/structure.py), each with the sum of what 
 plus the cost of loads and colour: information criteria add up, so the structure may change at any time and none is
 discarded for good; what is known is that of the structure which leads.
 
-A record that contradicts what is known is not believed at once: it is kept as a rival. When the next record agrees
-with the rival clearly better than with the belief, the process has changed (or the first record was wrong), and the
-rival takes over; when it clearly agrees with the belief, the odd record is forgotten; and when it shows too little to
-tell (a load tells little of a dead time), it is taken into both. Only a loop that is in danger by what the odd
-record says does not wait: then the record is believed, and what was known is the rival. And where no settings could
-follow from what was known, it gives way at once to a record that contradicts it and settles the process by itself.
+A record that contradicts what is known is not believed at once: it is kept as an alternative. When the next record
+agrees with the alternative clearly better than with the region's model, the process has changed (or the first record
+was wrong), and the alternative takes over; when it clearly agrees with the model, the one that contradicted it is
+forgotten; and when it shows too little to tell (a load tells little of a dead time), it is taken into both. Only a loop
+that is in danger by what the contradicting record says does not wait: then the record is believed, and what was known
+is the alternative. And where no settings could follow from what was known, it gives way at once to a record that
+contradicts it and settles the process by itself.
 """
 
 import math
@@ -34,23 +35,28 @@ from retuner.adaptive.identification.refine import Prior
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened
-from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoint, remembered
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
 
-class Surprise(StrEnum):
+class Agreement(StrEnum):
     """How a record stood to what was known."""
 
     FIRST = "first record of this region"
     AGREES = "agrees with what was known"
-    ODD = "contradicts what was known; kept as a rival until another record decides"
-    CHANGED = "a second record confirms the rival: the process has changed"
-    OPENED = "contradicts what was known, and the loop is in danger: believed at once, what was known is the rival"
+    CONTRADICTS = "contradicts what was known; kept as an alternative until another record decides"
+    CHANGED = "a second record confirms the alternative: the process has changed"
+    OPENED = "contradicts what was known, and the loop is in danger: believed at once, the other is the alternative"
     SILENT = "shows nothing of the process; nothing is learned"
 
+    @property
+    def code(self) -> str:
+        """Its name in a decision."""
+        return "odd" if self is Agreement.CONTRADICTS else self.name.lower()
 
-ANEW = frozenset({Surprise.FIRST, Surprise.OPENED, Surprise.CHANGED})
+
+ANEW = frozenset({Agreement.FIRST, Agreement.OPENED, Agreement.CHANGED})
 """After these the model rests on nothing that was believed before."""
 
 
@@ -64,15 +70,16 @@ class TrackerSettings:
     scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
         operating point is never quite the same and no structure is quite right; 0.02 to 0.2, default 0.06 (with 0.12 a
         gain that doubles at once passes the gate and is followed too slowly).
-    gate : innovation statistic above which a record is odd, as the one-sided normal deviate of its probability; 2 to 6,
-        default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and then, and a
-        gain or delay that has doubled lies far beyond 4.5.
-    decisive : deviance by which a record that fits both must speak for the rival, or against it; 2 to 20, default 6
-        (odds of 20).
+    gate : innovation statistic above which a record contradicts, as the one-sided normal deviate of its probability;
+        2 to 6, default 4.5: what no structure explains of a real record passes 3.09 (99.9 % of chi-square) now and
+        then, and a gain or delay that has doubled lies far beyond 4.5.
+    decisive : deviance by which a record that fits both must speak for the alternative, or against it; 2 to 20,
+        default 6 (odds of 20).
     clearer : a single record gives way to one that contradicts it and knows the gain so many times better, and is its
-        rival from then on; 1 to 10, default 1.5.
+        alternative from then on; 1 to 10, default 1.5.
     most_lead : evidence by which a structure may lead at the most, so that another may take over; default 60.
-    danger_ms : an odd record by which Ms is above this with the gains in force is believed at once; default 2.3.
+    danger_ms : a record that contradicts is believed at once if by it the gains in force have Ms above this; default
+        2.3.
     """
 
     walk_per_day: float = 0.1
@@ -87,11 +94,11 @@ class TrackerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """Outcome of one record: the belief now, the estimate that the record gave, how it stood to the old belief."""
+    """Outcome of one record: the region's model now, the estimate that the record gave, how it stood to the old one."""
 
-    belief: Belief | None
+    region_model: RegionModel | None
     estimate: ModelEstimate
-    surprise: Surprise
+    agreement: Agreement
     innovation: float
 
 
@@ -101,7 +108,7 @@ Logs = Mapping[ProcessType, LogModel]
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class NewRecord:
     """A record to be learned: its own fits, what it says alone, and where and when it was taken."""
 
     window: Window
@@ -122,25 +129,25 @@ class Lesson:
 
 
 @dataclass(frozen=True, slots=True)
-class Joined:
+class Posterior:
     """What is known with a record taken in.
 
     rise : how much worse the two explain each other than each by itself (deviance). innovation : the same, never more
     than what the linear filter says.
     """
 
-    known: tuple[Known, ...]
+    known: tuple[StructureModel, ...]
     estimate: ModelEstimate
     innovation: float
     rise: float
 
-    def belief(self, records: int, lesson: Lesson, points: tuple[RecordPoint, ...]) -> Belief:
-        """As the new belief."""
-        return _belief(self.known, records, lesson.t_s, points, self.estimate)
+    def region_model(self, records: int, record: NewRecord, points: tuple[RecordPoint, ...]) -> RegionModel:
+        """As the new region model."""
+        return _region_model(self.known, records, record.t_s, points, self.estimate)
 
 
-def learn(
-    belief: Belief | None,
+def update_region_model(
+    region_model: RegionModel | None,
     window: Window,
     in_force: PidGains,
     settings: TrackerSettings,
@@ -151,121 +158,131 @@ def learn(
 
     Parameters
     ----------
-    belief : what was known, None at first; borrowed ones have no records.
+    region_model : what was known, None at first; borrowed ones have no records.
     window : the record. in_force : gains under which it was taken: their direction is that of the process.
     at : where the record lay, in the table's scheduling variables.
     """
     sign = in_force.direction
     found = fitted(window, (sign,), fit)
-    lesson = Lesson(window, found, estimate_of(found, float(window.t_s[0]), {}, fit), at, settings, fit)
-    if lesson.alone.explained < fit.explained_limit:
-        kept = belief if belief is not None and belief.records else None
-        return Learned(kept, lesson.alone, Surprise.SILENT, 0.0)
-    if belief is None or belief.log.sign != sign:
-        return _first(lesson)
-    joined = _joined(belief.known, lesson.t_s - belief.t_s, lesson)
-    points = remembered(belief.points, lesson.point(joined.innovation))
-    if joined.innovation <= gate(len(belief.log.x), settings.gate):
-        return _agreed(belief, joined, lesson, points)
-    if not belief.records or (lesson.alone.identifiable and not _holds(belief, lesson)):
-        return _first(lesson, belief.known if belief.identifiable and belief.records else None)
-    return _contradicted(belief, lesson, joined.innovation, points, in_force)
+    record = NewRecord(window, found, estimate_of(found, float(window.t_s[0]), {}, fit), at, settings, fit)
+    if record.alone.explained < fit.explained_limit:
+        kept = region_model if region_model is not None and region_model.records else None
+        return Learned(kept, record.alone, Agreement.SILENT, 0.0)
+    if region_model is None or region_model.log.sign != sign:
+        return _first(record)
+    posterior = _posterior_of(region_model.known, record.t_s - region_model.t_s, record)
+    points = remembered(region_model.points, record.point(posterior.innovation))
+    if posterior.innovation <= gate(len(region_model.log.x), settings.gate):
+        return _agreed(region_model, posterior, record, points)
+    if not region_model.records or (record.alone.identifiable and not _holds(region_model, record)):
+        return _first(record, region_model.known if region_model.identifiable and region_model.records else None)
+    return _contradicted(region_model, record, posterior.innovation, points, in_force)
 
 
-def _agreed(belief: Belief, joined: Joined, lesson: Lesson, points: tuple[RecordPoint, ...]) -> Learned:
-    """What was known explains the record; so may the rival, and better."""
-    settings, kept = lesson.settings, None
-    if belief.rival is not None:
-        other = _joined(belief.rival, 0.0, lesson)
-        lead = joined.rise - other.rise
-        if other.innovation <= gate(len(belief.rival[0].log.x), settings.gate):
+def _agreed(
+    region_model: RegionModel, posterior: Posterior, record: NewRecord, points: tuple[RecordPoint, ...]
+) -> Learned:
+    """What was known explains the record; so may the alternative, and better."""
+    settings, kept = record.settings, None
+    if region_model.alternative is not None:
+        other = _posterior_of(region_model.alternative, 0.0, record)
+        lead = posterior.rise - other.rise
+        if other.innovation <= gate(len(region_model.alternative[0].log.x), settings.gate):
             if lead > settings.decisive:
                 return Learned(
-                    other.belief(2, lesson, points[-2:]), other.estimate, Surprise.CHANGED, joined.innovation
+                    other.region_model(2, record, points[-2:]), other.estimate, Agreement.CHANGED, posterior.innovation
                 )
             kept = other.known if lead > -settings.decisive else None
-    now = replace(joined.belief(belief.records + 1, lesson, points), rival=kept)
-    return Learned(now, joined.estimate, Surprise.AGREES, joined.innovation)
+    now = replace(posterior.region_model(region_model.records + 1, record, points), alternative=kept)
+    return Learned(now, posterior.estimate, Agreement.AGREES, posterior.innovation)
 
 
-def _holds(belief: Belief, lesson: Lesson) -> bool:
+def _holds(region_model: RegionModel, record: NewRecord) -> bool:
     """Whether what was known stands up to a record that settles the process by itself."""
-    if not belief.identifiable:
+    if not region_model.identifiable:
         return False
-    if belief.records > 1 or belief.rival is not None:
+    if region_model.records > 1 or region_model.alternative is not None:
         return True
-    own = [point for point in belief.points if point.t_s == belief.t_s]  # later ones were odd, and are not in it
-    return not own or own[-1].log.gain_uncertainty() < lesson.settings.clearer * lesson.alone.log.gain_uncertainty()
+    own = [point for point in region_model.points if point.t_s == region_model.t_s]  # later ones contradicted it
+    return not own or own[-1].log.gain_uncertainty() < record.settings.clearer * record.alone.log.gain_uncertainty()
 
 
-def _first(lesson: Lesson, rival: tuple[Known, ...] | None = None) -> Learned:
-    """The first record of a region: all that is known is what it says. rival : what it took the place of."""
-    alone = lesson.alone
-    known = _led([Known(scattered(a.log, lesson.settings), a.evidence) for a in alone.alternatives], lesson)
-    belief = replace(_belief(known, 1, lesson.t_s, (lesson.point(0.0),), alone), rival=rival)
-    return Learned(belief, alone, Surprise.FIRST, 0.0)
+def _first(record: NewRecord, alternative: tuple[StructureModel, ...] | None = None) -> Learned:
+    """The first record of a region: all that is known is what it says. alternative : what it took the place of."""
+    alone = record.alone
+    known = _led([StructureModel(scattered(a.log, record.settings), a.evidence) for a in alone.alternatives], record)
+    region_model = replace(_region_model(known, 1, record.t_s, (record.point(0.0),), alone), alternative=alternative)
+    return Learned(region_model, alone, Agreement.FIRST, 0.0)
 
 
-def _belief(
-    known: tuple[Known, ...], records: int, t_s: float, points: tuple[RecordPoint, ...], estimate: ModelEstimate
-) -> Belief:
-    """A belief whose last word is an estimate."""
-    return Belief(known, records, t_s, None, points, estimate.plausible, estimate.identifiable, estimate.reason)
+def _region_model(
+    known: tuple[StructureModel, ...],
+    records: int,
+    t_s: float,
+    points: tuple[RecordPoint, ...],
+    estimate: ModelEstimate,
+) -> RegionModel:
+    """A region model whose last word is an estimate."""
+    return RegionModel(known, records, t_s, None, points, estimate.plausible, estimate.identifiable, estimate.reason)
 
 
 def _contradicted(
-    belief: Belief, lesson: Lesson, innovation: float, points: tuple[RecordPoint, ...], in_force: PidGains
+    region_model: RegionModel, record: NewRecord, innovation: float, points: tuple[RecordPoint, ...], in_force: PidGains
 ) -> Learned:
-    """The rival confirmed, a loop in danger, or an odd record that waits."""
-    alone, settings = lesson.alone, lesson.settings
-    if belief.rival is not None:
-        joined = _joined(belief.rival, 0.0, lesson)
-        doubted = surprise_of(scattered(belief.log, settings), alone)
-        predicts = surprise_of(scattered(belief.rival[0].log, settings), alone) < doubted
-        if predicts and joined.innovation <= gate(len(belief.rival[0].log.x), settings.gate):
-            return Learned(joined.belief(2, lesson, points[-2:]), joined.estimate, Surprise.CHANGED, innovation)
+    """The alternative confirmed, a loop in danger, or a contradicting record that waits."""
+    alone, settings = record.alone, record.settings
+    if region_model.alternative is not None:
+        posterior = _posterior_of(region_model.alternative, 0.0, record)
+        doubted = surprise_of(scattered(region_model.log, settings), alone)
+        predicts = surprise_of(scattered(region_model.alternative[0].log, settings), alone) < doubted
+        if predicts and posterior.innovation <= gate(len(region_model.alternative[0].log.x), settings.gate):
+            return Learned(
+                posterior.region_model(2, record, points[-2:]), posterior.estimate, Agreement.CHANGED, innovation
+            )
     if not alone.identifiable:
-        return Learned(replace(belief, rival=None, points=points), alone, Surprise.ODD, innovation)
-    first = _first(lesson).belief
+        return Learned(replace(region_model, alternative=None, points=points), alone, Agreement.CONTRADICTS, innovation)
+    first = _first(record).region_model
     assert first is not None
     if sensitivity_peak(alone.log.model().linear(), in_force) > settings.danger_ms:
-        opened = replace(first, rival=belief.known, points=points)
-        return Learned(opened, alone, Surprise.OPENED, innovation)
-    return Learned(replace(belief, rival=first.known, points=points), alone, Surprise.ODD, innovation)
+        opened = replace(first, alternative=region_model.known, points=points)
+        return Learned(opened, alone, Agreement.OPENED, innovation)
+    return Learned(
+        replace(region_model, alternative=first.known, points=points), alone, Agreement.CONTRADICTS, innovation
+    )
 
 
-def _joined(known: tuple[Known, ...], elapsed_s: float, lesson: Lesson) -> Joined:
+def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: NewRecord) -> Posterior:
     """Every structure updated by the record: its fits repeated with what is known in them."""
-    settings, fit, alone = lesson.settings, lesson.fit, lesson.alone
+    settings, fit, alone = record.settings, record.fit, record.alone
     means = {k.log.type: grown(k.log, elapsed_s, settings) for k in known}
     priors = {t: scattered(log, settings) for t, log in means.items()}
     roots = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
     before = {k.log.type: k.evidence for k in known}
-    again = with_priors(lesson.found, roots, inflation_of)
+    again = with_priors(record.found, roots, inflation_of)
     summed = [replace(c, criterion=c.criterion + before[c.fit.misfit.type]) for c in again]
-    estimate = estimate_of(sorted(summed, key=lambda c: c.criterion), float(lesson.window.t_s[0]), roots, fit)
+    estimate = estimate_of(sorted(summed, key=lambda c: c.criterion), float(record.window.t_s[0]), roots, fit)
     after = []
     for alternative in estimate.alternatives:
         type_ = alternative.log.type
         _, posterior = update(priors[type_], estimate)
-        after.append(Known(back_to_mean(means[type_], priors[type_], posterior), alternative.evidence))
-    apart = min(_criterion(k, lesson) for k in known) + min(a.evidence for a in alone.alternatives)
-    together = min(_criterion(k, lesson) for k in after)
+        after.append(StructureModel(back_to_mean(means[type_], priors[type_], posterior), alternative.evidence))
+    apart = min(_criterion(k, record) for k in known) + min(a.evidence for a in alone.alternatives)
+    together = min(_criterion(k, record) for k in after)
     linear, _ = update(priors[known[0].log.type], alone)
     rise = together - apart
-    return Joined(_led(after, lesson), estimate, min(linear, max(rise, 0.0)), rise)
+    return Posterior(_led(after, record), estimate, min(linear, max(rise, 0.0)), rise)
 
 
-def _criterion(known: Known, lesson: Lesson) -> float:
+def _criterion(known: StructureModel, record: NewRecord) -> float:
     """The evidence with the cost of the process parameters (Schwarz 1978)."""
-    return known.evidence + len(known.log.x) * math.log(lesson.alone.best.samples)
+    return known.evidence + len(known.log.x) * math.log(record.alone.best.samples)
 
 
-def _led(known: list[Known], lesson: Lesson) -> tuple[Known, ...]:
+def _led(known: list[StructureModel], record: NewRecord) -> tuple[StructureModel, ...]:
     """The leading structure first, the others no farther behind than is allowed."""
-    ranked = sorted(known, key=lambda k: _criterion(k, lesson))
-    lead, most = _criterion(ranked[0], lesson), lesson.settings.most_lead
-    return tuple(replace(k, evidence=k.evidence - max(_criterion(k, lesson) - lead - most, 0.0)) for k in ranked)
+    ranked = sorted(known, key=lambda k: _criterion(k, record))
+    lead, most = _criterion(ranked[0], record), record.settings.most_lead
+    return tuple(replace(k, evidence=k.evidence - max(_criterion(k, record) - lead - most, 0.0)) for k in ranked)
 
 
 def grown(log: LogModel, elapsed_s: float, settings: TrackerSettings) -> LogModel:
@@ -279,11 +296,11 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
     return widened(log, settings.scatter**2)
 
 
-def predicted(belief: Belief, t_s: float, settings: TrackerSettings) -> LogModel:
+def predicted(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> LogModel:
     """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
-    return scattered(grown(belief.log, t_s - belief.t_s, settings), settings)
+    return scattered(grown(region_model.log, t_s - region_model.t_s, settings), settings)
 
 
-def predicted_all(belief: Belief, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
+def predicted_all(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
     """The same under every structure, the leading one first."""
-    return tuple(scattered(grown(k.log, t_s - belief.t_s, settings), settings) for k in belief.known)
+    return tuple(scattered(grown(k.log, t_s - region_model.t_s, settings), settings) for k in region_model.known)

@@ -26,8 +26,8 @@ from retuner.adaptive.diagnosis.swing_checks import (
     touches_limits,
 )
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.region_model.region_model import Belief
-from retuner.adaptive.region_model.update import Learned, Surprise
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.pipeline_types import ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -112,7 +112,7 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
 
 
-def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: Belief) -> bool:
+def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
     """Whether a change by a response that is not clear needs no confirmation (see diagnosis/second_opinion.py).
 
     To agree with loads that were never confirmed proves nothing, so it counts what the model rested on before.
@@ -121,7 +121,7 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: Belief) 
     swing, seen = settings.swing, (record.samples, record.response)
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
-    calm, agrees = calm_before(*seen, swing), learned.surprise == Surprise.AGREES
+    calm, agrees = calm_before(*seen, swing), learned.agreement == Agreement.AGREES
     if is_safer_and_known(verdict.ruling, agrees, found.rested_on, calm, len(record.response.peaks)):
         return True
     process = model.log.model().seen_by_controller(settings.sample_time_s)

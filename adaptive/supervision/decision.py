@@ -5,18 +5,21 @@ A ledger keeps it, and a replay is compared with it byte for byte.
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import ANEW, Agreement
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement
+from retuner.adaptive.trial.phase import UNDOS
+from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 
 
@@ -55,7 +58,7 @@ class Basis(StrEnum):
 class Delay(NamedTuple):
     """Numbers of two samples: of the one that raised the question, and of the later one at which it was decided."""
 
-    asked: int
+    raised: int
     entered: int
 
 
@@ -86,7 +89,7 @@ class Decision:
     gains_after: PidGains | None = None
     response: Response | None = None
     estimate: ModelEstimate | None = None
-    surprise: Surprise | None = None
+    agreement: Agreement | None = None
     records: int = 0
     diagnosis: Diagnosis | None = None
     basis: Basis | None = None
@@ -116,7 +119,7 @@ class Decision:
             "response": self.response.to_dict() if self.response else None,
             "estimate": self.estimate.to_dict() if self.estimate else None,
             "known": {"model": self.known.model().to_dict(), "std": self.known.std()} if self.known else None,
-            "surprise": self.surprise.name.lower() if self.surprise else None,
+            "surprise": self.agreement.code if self.agreement else None,
             "records": self.records,
             "diagnosis": self.diagnosis.to_dict() if self.diagnosis else None,
             "basis": str(self.basis) if self.basis else None,
@@ -140,3 +143,34 @@ class Decision:
 def gains_dict(gains: PidGains) -> dict[str, float]:
     """Parallel form by name."""
     return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
+
+
+def promised_wrongly(trial: Trial, decision: Decision) -> bool:
+    """Whether the models behind a change that is given up are not to be believed any more.
+
+    decision : on the response that ended it; it may have put another model in their place.
+    """
+    by_models = trial.promise is not None and trial.promise.models > 0
+    return trial.cause in UNDOS and by_models and decision.agreement not in ANEW
+
+
+def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
+    """The decision that goes with taking a set back. also : other regions that are restored with this one."""
+    cause = trial.cause
+    assert cause is not None  # of a trial that is being restored
+    judged = decision.judgement.reason if decision.judgement else ""
+    reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
+    if promised_wrongly(trial, decision):
+        reason += "; what was known of this process had promised otherwise, and is forgotten"
+    return replace(
+        decision,
+        region=region,
+        action=Action.RESTORE,
+        code=f"undo_{cause.name.lower()}",
+        reason=reason,
+        numbers={**decision.numbers, "undos": float(trial.undos)},
+        gains_before=trial.new or decision.gains_before,
+        gains_after=trial.old,
+        promise=trial.promise,
+        trial=str(trial.phase),
+    )

@@ -7,7 +7,7 @@ from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.decision import Basis
@@ -40,12 +40,12 @@ class Findings:
     end: End | None = None
     learned: Learned | None = None
     unexplained: float = 0.0
-    in_use: Belief | None = None
+    in_use: RegionModel | None = None
     tuning: RobustProposal | None = None
     rested_on: Excitation = field(default_factory=Excitation)
     excitation_now: Excitation = field(default_factory=Excitation)
     clear: bool = False
-    belief: Belief | None = None
+    region_model: RegionModel | None = None
     diagnosis: Diagnosis | None = None
     proposal: Tuning | None = None
     basis: Basis | None = None
@@ -98,7 +98,7 @@ class Findings:
             code=self.end.code,
             reason=self.end.reason,
             learned=self.learned,
-            belief=self.belief,
+            region_model=self.region_model,
             diagnosis=self.diagnosis,
             proposal=self.proposal,
             basis=self.basis,

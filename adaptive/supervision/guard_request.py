@@ -7,8 +7,8 @@ from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.kalman import gate
-from retuner.adaptive.region_model.region_model import Belief
-from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Learned, Surprise, predicted
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.table import GainTable
@@ -18,7 +18,7 @@ def change_request(
     proposal: Tuning,
     region: int,
     tables: tuple[GainTable, GainTable],
-    beliefs: Mapping[int, Belief],
+    region_models: Mapping[int, RegionModel],
     learned: Learned | None,
     t_s: float,
     settings: RetunerSettings,
@@ -28,13 +28,14 @@ def change_request(
 
     Parameters
     ----------
-    region : index. tables : in force, and as commissioned. beliefs : of all regions, the asked one's as it is now.
+    region : index. tables : in force, and as commissioned. region_models : of all
+        regions, that of this one as it is now.
     learned : outcome of the last record; None when none is at hand. t_s : now.
     damping : of the response, None when it did not swing.
     """
     in_force, commissioned = tables
-    known = {index: _allowed(belief, t_s, settings) for index, belief in beliefs.items()}
-    odd = learned is not None and learned.surprise == Surprise.ODD
+    known = {index: _allowed(region_model, t_s, settings) for index, region_model in region_models.items()}
+    contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
     return ChangeRequest(
         in_force=in_force.gains_of(region),
         commissioned=commissioned.gains_of(region),
@@ -42,12 +43,12 @@ def change_request(
         models=known[region],
         sample_time_s=settings.sample_time_s,
         evidence=Evidence(
-            records=beliefs[region].records,
-            age_s=max(t_s - beliefs[region].t_s, 0.0),
-            innovation=learned.innovation if learned is not None and odd else 0.0,
-            gate=gate(len(beliefs[region].log.x), settings.tracker.gate),
-            borrowed=beliefs[region].records == 0,
-            settled=beliefs[region].identifiable,
+            records=region_models[region].records,
+            age_s=max(t_s - region_models[region].t_s, 0.0),
+            innovation=learned.innovation if learned is not None and contradicting else 0.0,
+            gate=gate(len(region_models[region].log.x), settings.tracker.gate),
+            borrowed=region_models[region].records == 0,
+            settled=region_models[region].identifiable,
         ),
         borders=borders_of(in_force, region, {index: known[index] for index in known if index != region}),
         filter_s=settings.filter_s,
@@ -83,7 +84,7 @@ def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
     return damping is not None and damping >= settings.guard.urgent_damping
 
 
-def _allowed(belief: Belief, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
+def _allowed(region_model: RegionModel, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
     """The models of a region that its records still allow now."""
-    walk = settings.tracker.walk_per_day**2 * max(t_s - belief.t_s, 0.0) / SECONDS_PER_DAY
-    return allowed(predicted(belief, t_s, settings.tracker), belief.plausible, walk, settings.guard)
+    walk = settings.tracker.walk_per_day**2 * max(t_s - region_model.t_s, 0.0) / SECONDS_PER_DAY
+    return allowed(predicted(region_model, t_s, settings.tracker), region_model.plausible, walk, settings.guard)

@@ -48,12 +48,12 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
 
 def _proof(retuner: Retuner, region: int, proposal: Proposal, t_s: float) -> Verdict | None:
     """The guard's word on the approved gains; None where nothing is known of the region."""
-    if region not in retuner.beliefs:
+    if region not in retuner.region_models:
         return None
     tables = (retuner.table, retuner.commissioned)
     wanted = Tuning("approved", "parallel", proposal.after)
     settings = retuner.settings
-    return prove(change_request(wanted, region, tables, retuner.beliefs, None, t_s, settings), settings.guard)
+    return prove(change_request(wanted, region, tables, retuner.region_models, None, t_s, settings), settings.guard)
 
 
 def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict | None) -> str:
@@ -95,10 +95,10 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
         return "they are in force"
     if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
         return f"kc {gains.kp:g} lies outside kc_min and kc_max"
-    belief = retuner.beliefs.get(region)
-    if belief is None:
+    region_model = retuner.region_models.get(region)
+    if region_model is None:
         return ""
-    process = predicted(belief, t_s, settings.tracker).model().seen_by_controller(settings.sample_time_s).linear()
+    process = predicted(region_model, t_s, settings.tracker).model().seen_by_controller(settings.sample_time_s).linear()
     unstable = math.isinf(sensitivity_peak(process, gains)) and math.isfinite(sensitivity_peak(process, in_force))
     return "on the process as it is known now they would be unstable" if unstable else ""
 

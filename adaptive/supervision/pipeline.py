@@ -6,17 +6,18 @@ the result depends on is in its Question, so another process may work it out. Th
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.from_neighbours import borrowed
-from retuner.adaptive.region_model.region_model import Belief
-from retuner.adaptive.region_model.update import ANEW, Learned, Surprise, learn, predicted
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
@@ -39,6 +40,7 @@ from retuner.adaptive.supervision.proposal_from_model import RobustProposal, pro
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
+from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.trial import Trial
@@ -46,6 +48,10 @@ from retuner.schedule.table import GainTable, Lookup
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
+
+OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
+"""Causes behind a response for which the gains on trial are not to blame."""
+NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
 
 
 def decide(question: Question) -> StageResult:
@@ -89,8 +95,8 @@ def identification(found: Findings) -> None:
     """The record is taken into what is known of the region, or of its neighbours where nothing is."""
     record, settings = found.record, found.settings
     try:
-        known = record.beliefs.get(record.region) or _from_neighbours(record, settings)
-        learned = learn(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
+        known = record.region_models.get(record.region) or _from_neighbours(record, settings)
+        learned = update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
@@ -98,11 +104,11 @@ def identification(found: Findings) -> None:
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
-def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Belief | None:
+def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
     """What the neighbours' models say of a region without a record."""
     now, sign = float(record.window.t_s[-1]), record.in_force.direction
     regions = record.table.regions
-    return borrowed(record.beliefs, record.region, regions, now, sign, settings.borrowing, settings.tracker)
+    return borrowed(record.region_models, record.region, regions, now, sign, settings.borrowing, settings.tracker)
 
 
 def hidden_cause(found: Findings) -> None:
@@ -116,38 +122,38 @@ def region_model(found: Findings) -> None:
     """What is known of the region now, what it rests on, and what tuning would follow from it."""
     record, settings, learned = found.record, found.settings, _learned(found)
     found.excitation_now = record.excitation.with_response(record.response)
-    if learned.belief is None:
+    if learned.region_model is None:
         return
-    found.in_use = found.belief = _known_of_limit_swing(record, settings) or learned.belief
-    found.rested_on = _rested_on(record, learned.surprise)
+    found.in_use = found.region_model = _known_of_limit_swing(record, settings) or learned.region_model
+    found.rested_on = _rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
-    if learned.surprise == Surprise.ODD:
-        now = replace(now, rival=int(found.clear))
+    if learned.agreement == Agreement.CONTRADICTS:
+        now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
 
 
-def _rested_on(record: ResponseRecord, surprise: Surprise) -> Excitation:
+def _rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
     """What the model rested on before this response."""
-    if surprise == Surprise.CHANGED:
-        return record.excitation.of_rival()
-    return Excitation() if surprise in ANEW else record.excitation
+    if agreement == Agreement.CHANGED:
+        return record.excitation.of_alternative()
+    return Excitation() if agreement in ANEW else record.excitation
 
 
-def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> Belief | None:
+def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
     """What was known, of a loop that swings between the output's limits as was known that it would; else None.
 
     Such a swing shows one frequency, through a nonlinearity. Taken in record by record, it led away from a process
     that its setpoint steps had shown well.
     """
-    before = record.beliefs.get(record.region)
+    before = record.region_models.get(record.region)
     if before is None or not before.identifiable or not swings_between_limits(record, settings):
         return None
     return before if _tuning(record, before, settings).diagnosis.cause in SWINGING else None
 
 
-def _tuning(record: ResponseRecord, model: Belief, settings: RetunerSettings) -> RobustProposal:
+def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
     log = predicted(model, float(record.window.t_s[-1]), settings.tracker)
     return propose(model, log, record.in_force, settings)
@@ -162,7 +168,7 @@ def without_a_model(found: Findings) -> None:
     locks = found.settings.locks_of(record.region)
     proposed = without_model(record.response, record.window, record.in_force, None, found.settings.without_model, locks)
     reason, found.numbers = f"{why}; {proposed.sentence}", proposed.numbers
-    silent = learned.surprise == Surprise.SILENT and not record.response.sp_changed  # noise has peaks as well
+    silent = learned.agreement == Agreement.SILENT and not record.response.sp_changed  # noise has peaks as well
     if proposed.tuning is None or silent:
         found.stop(NOT_KNOWN, reason)
         return
@@ -207,12 +213,14 @@ def proof(found: Findings) -> None:
         found.stop(found.verdict.ruling.name.lower(), found.verdict.sentence)
 
 
-def _proved(found: Findings, model: Belief, wanted: RobustProposal) -> Verdict:
+def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verdict:
     """The guard's word on what the rule gives for a model."""
     record, now = found.record, float(found.record.window.t_s[-1])
-    beliefs = {**record.beliefs, record.region: model}
+    region_models = {**record.region_models, record.region: model}
     tables, damping = (record.table, record.commissioned), record.response.damping
-    request = change_request(wanted.tuning, record.region, tables, beliefs, found.learned, now, found.settings, damping)
+    request = change_request(
+        wanted.tuning, record.region, tables, region_models, found.learned, now, found.settings, damping
+    )
     return prove(request, found.settings.guard)
 
 
@@ -222,8 +230,10 @@ def refutation(found: Findings) -> None:
     if doubt is None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
-    found.forget = _learned(found).surprise not in ANEW and swings_by_it
-    found.belief = found.excitation = None  # the record's own model was not known before: what was known then stays
+    found.forget = _learned(found).agreement not in ANEW and swings_by_it
+    found.region_model = found.excitation = (
+        None  # the record's own model was not known before: what was known then stays
+    )
     found.doubted(doubt)
 
 
@@ -244,8 +254,8 @@ def confirmation(found: Findings) -> None:
 def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
     """The change is not made; a record of something else is not kept either."""
     if doubt.cause in FOREIGN:
-        found.belief = None
-        if _learned(found).surprise in ANEW:  # what was known before stays, and what that rested on
+        found.region_model = None
+        if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
             counted = found.record.excitation.with_response(found.record.response)
             found.excitation = replace(counted, asked=counted.loads)
     found.doubted(doubt)
@@ -255,8 +265,8 @@ def _was_known(found: Findings) -> bool:
     """Whether the change was known to be due before this response, by a clear case with which it agrees: then that is
     the change.
     """
-    before = found.record.beliefs.get(found.record.region)
-    if before is None or not found.rested_on.clear or _learned(found).surprise != Surprise.AGREES:
+    before = found.record.region_models.get(found.record.region)
+    if before is None or not found.rested_on.clear or _learned(found).agreement != Agreement.AGREES:
         return False
     wanted = _tuning(found.record, before, found.settings)
     if not before.identifiable or not wanted.diagnosis.retune:
@@ -318,7 +328,7 @@ def posterior_of(
         return None
     estimate = learned.estimate
     if (
-        learned.surprise == Surprise.SILENT
+        learned.agreement == Agreement.SILENT
         or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
     ):
         return None
@@ -330,13 +340,25 @@ def posterior_of(
     return replace(found, settled=estimate.identifiable)
 
 
+def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
+    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
+    what its own record says of the tried set and of the one before.
+    """
+    found, window = outcome.diagnosis, case.window
+    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
+    recent = islice(reversed(case.samples), len(window.t_s))
+    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
+    outside = outcome.reason if blameless else ""
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior)
+
+
 def _learned(found: Findings) -> Learned:
     """What the record taught, after the stage of identification."""
     assert found.learned is not None
     return found.learned
 
 
-def _in_use(found: Findings) -> Belief:
+def _in_use(found: Findings) -> RegionModel:
     """The model that decides, after the stage without a model."""
     assert found.in_use is not None
     return found.in_use

@@ -8,7 +8,7 @@ from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
@@ -27,7 +27,8 @@ class ResponseRecord:
     """One response and what it is judged on.
 
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
-    table : gains in force in every region; commissioned : as they were at first. beliefs : what is known, by region.
+    table : gains in force in every region; commissioned : as they were at first. region_models : what is known, by
+    region.
     standing : an oscillation of this region that was explained before. excitation : what its model rests on.
     at : the scheduling values at its end.
     """
@@ -38,7 +39,7 @@ class ResponseRecord:
     samples: Sequence[LoopSample]
     table: GainTable
     commissioned: GainTable
-    beliefs: Mapping[int, Belief]
+    region_models: Mapping[int, RegionModel]
     standing: Standing | None = None
     excitation: Excitation = field(default_factory=Excitation)
     at: tuple[float, float] = (0.0, 0.0)
@@ -53,9 +54,9 @@ class ResponseRecord:
 class StageResult:
     """What the stages found; those that were not reached are None.
 
-    code : name of the reason, for machines. belief : what is known of the region from now on, None for as before.
+    code : name of the reason, for machines. region_model : what is known of the region from now on, None for as before.
     forget : what was known of the region is refuted. standing : an oscillation that is explained, to be remembered.
-    excitation : what the belief rests on.
+    excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under.
     """
@@ -63,7 +64,7 @@ class StageResult:
     code: str
     reason: str
     learned: Learned | None = None
-    belief: Belief | None = None
+    region_model: RegionModel | None = None
     diagnosis: Diagnosis | None = None
     proposal: Tuning | None = None
     basis: Basis | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import prove
-from retuner.adaptive.region_model.update import learn, predicted
+from retuner.adaptive.region_model.update import predicted, update_region_model
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.guard_request import change_request
@@ -54,23 +54,23 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
     settings, in_force = retuner.settings, retuner.table.gains_of(region)
     t_s = float(window.t_s[-1])
     try:
-        learned = learn(
-            retuner.beliefs.get(region), window, in_force, settings.tracker, settings.fit, retuner.scheduled
+        learned = update_region_model(
+            retuner.region_models.get(region), window, in_force, settings.tracker, settings.fit, retuner.scheduled
         )
     except np.linalg.LinAlgError as error:  # as in the pipeline: one record must not break the supervision
         return StageResult("fit_failed", f"{WORDS}: the fit failed: {error}")
-    if learned.belief is None:
+    if learned.region_model is None:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
-    retuner.beliefs[region] = learned.belief
+    retuner.region_models[region] = learned.region_model
     retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
-    wanted = propose(learned.belief, predicted(learned.belief, t_s, settings.tracker), in_force, settings)
+    wanted = propose(learned.region_model, predicted(learned.region_model, t_s, settings.tracker), in_force, settings)
     if not wanted.ready:
-        return StageResult(NOT_KNOWN, f"{WORDS}: {learned.belief.reason}", learned, diagnosis=wanted.diagnosis)
+        return StageResult(NOT_KNOWN, f"{WORDS}: {learned.region_model.reason}", learned, diagnosis=wanted.diagnosis)
     if not wanted.diagnosis.retune:
         cause = wanted.diagnosis
         return StageResult(str(cause.cause), f"{WORDS}: {cause.reason}", learned, diagnosis=cause)
     tables = (retuner.table, retuner.commissioned)
-    request = change_request(wanted.tuning, region, tables, retuner.beliefs, learned, t_s, settings)
+    request = change_request(wanted.tuning, region, tables, retuner.region_models, learned, t_s, settings)
     verdict = prove(request, settings.guard)
     return StageResult(
         verdict.code,

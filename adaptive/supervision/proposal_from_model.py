@@ -14,7 +14,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.region_model.region_model import Belief
+from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -36,27 +36,27 @@ class RobustProposal:
     ready: bool
 
 
-def propose(belief: Belief, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
+def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settings: RetunerSettings) -> RobustProposal:
     """Settings for a region, with half a sampling interval of dead time more: what a sampled controller sees.
 
     Parameters
     ----------
-    belief : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
+    region_model : what is known. log : the same as it may be met now (tracker.predicted). in_force : gains running now.
     """
     dt_s, best = settings.sample_time_s, log.model()
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
     cause = settings.cause
-    tuning = robust_simc_on(best, belief.plausible, dt_s, robust).tuning
+    tuning = robust_simc_on(best, region_model.plausible, dt_s, robust).tuning
     asked = (best.seen_by_controller(dt_s), in_force, tuning.gains, log.gain_uncertainty(dt_s))
     diagnosis = tuning_cause(*asked, cause)
     if diagnosis.cause == Cause.OK:
         closer = tuning_cause(*asked, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
         diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
-    ready = belief.identifiable or (
+    ready = region_model.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}
-        and over_limit(belief.plausible, in_force, dt_s, robust.believed, cause.ms_high)
+        and over_limit(region_model.plausible, in_force, dt_s, robust.believed, cause.ms_high)
     )
-    if not belief.identifiable:
+    if not region_model.identifiable:
         tuning = replace(tuning, gains=no_more_action(tuning.gains, in_force, diagnosis.cause))
     return RobustProposal(tuning, diagnosis, ready)
 

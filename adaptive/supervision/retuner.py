@@ -19,20 +19,18 @@ At which sample it is entered is the caller's choice and stands in the decision:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from typing import NamedTuple
 
-from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
-from retuner.adaptive.region_model.region_model import Belief
-from retuner.adaptive.region_model.update import ANEW, predicted
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode
-from retuner.adaptive.supervision.pipeline import decide, promise_of
+from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode, promised_wrongly, restoring
+from retuner.adaptive.supervision.pipeline import decide, promise_of, seen_of
 from retuner.adaptive.supervision.pipeline_types import (
     LEFT,
     PASSED_OVER,
@@ -44,20 +42,16 @@ from retuner.adaptive.supervision.pipeline_types import (
 from retuner.adaptive.supervision.response_finder import Completed, FinderState, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
-from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding
-from retuner.adaptive.trial.phase import UNDECIDED, UNDOS, TrialEvent, TrialPhase
+from retuner.adaptive.trial.judge import Judgement, TrialFinding
+from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
-OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
-"""Causes behind a response for which the gains on trial are not to blame."""
-NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
-
 
 class RetunerState(NamedTuple):
-    """Where a retuner stands; with its table and beliefs, all that later decisions depend on."""
+    """Where a retuner stands; with its table and region models, all that later decisions depend on."""
 
     finder: FinderState
     decisions: int
@@ -83,7 +77,7 @@ class _Open(NamedTuple):
     question: Question
     table: GainTable
     ended: Ended
-    belief: Belief | None
+    region_model: RegionModel | None
     excitation: Excitation | None
 
 
@@ -103,7 +97,7 @@ class Retuner:
         self.settings = settings
         self.table = table
         self.commissioned = commissioned or table
-        self.beliefs: dict[int, Belief] = {}
+        self.region_models: dict[int, RegionModel] = {}
         self.standing: dict[int, Standing] = {}
         self.excitation: dict[int, Excitation] = {}
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
@@ -290,8 +284,8 @@ class Retuner:
         """The answer on a response with which a trial ended: what was forgotten comes back, and is judged with it."""
         ended, same = opened.ended, opened.question.sample_number == self.sample_number
         region = next(iter(ended))
-        if opened.belief is not None:
-            self.beliefs[region] = opened.belief
+        if opened.region_model is not None:
+            self.region_models[region] = opened.region_model
         if opened.excitation is not None:
             self.excitation[region] = opened.excitation
         self._decisions -= same  # the decision to restore is made once more
@@ -341,7 +335,7 @@ class Retuner:
         if self._open is not None:
             return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, self._question(seen)))
         question, region = self._question(seen), next(iter(ended), seen.region)
-        self._open = _Open(question, self.table, ended, self.beliefs.get(region), self.excitation.get(region))
+        self._open = _Open(question, self.table, ended, self.region_models.get(region), self.excitation.get(region))
         return Step(None, question)
 
     def _question(self, seen: Completed) -> Question:
@@ -351,8 +345,8 @@ class Retuner:
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
         case, region = question.record, question.record.region
-        if outcome.belief is not None:
-            self.beliefs[region] = outcome.belief
+        if outcome.region_model is not None:
+            self.region_models[region] = outcome.region_model
         if outcome.standing is not None:
             self.standing[region] = outcome.standing
         if outcome.excitation is not None:
@@ -377,7 +371,7 @@ class Retuner:
 
     def _forget(self, region: int) -> None:
         """Nothing is known of a region any more."""
-        self.beliefs.pop(region, None)
+        self.region_models.pop(region, None)
         self.excitation.pop(region, None)
 
     def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
@@ -402,7 +396,7 @@ class Retuner:
             tuple(w.samples),
             self.table,
             self.commissioned,
-            dict(self.beliefs),
+            dict(self.region_models),
             self.standing.get(seen.region),
             self.excitation.get(seen.region, Excitation()),
             w.scheduled,
@@ -442,7 +436,7 @@ class Retuner:
         verdict, learned = outcome.verdict, outcome.learned
         mode = self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
-        belief = learned.belief if learned else None
+        region_model = learned.region_model if learned else None
         self._decisions += 1
         return Decision(
             number=self._decisions,
@@ -458,9 +452,9 @@ class Retuner:
             gains_after=verdict.gains if verdict and accepted else None,
             response=response,
             estimate=learned.estimate if learned else None,
-            surprise=learned.surprise if learned else None,
-            records=belief.records if belief else 0,
-            known=predicted(belief, self._now_s, self.settings.tracker) if belief else None,
+            agreement=learned.agreement if learned else None,
+            records=region_model.records if region_model else 0,
+            known=predicted(region_model, self._now_s, self.settings.tracker) if region_model else None,
             diagnosis=outcome.diagnosis,
             basis=outcome.basis,
             proposal=outcome.proposal,
@@ -469,18 +463,6 @@ class Retuner:
             judgement=judgement,
             trial=str(self.trials.phase(region)),
         )
-
-
-def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
-    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
-    what its own record says of the tried set and of the one before.
-    """
-    found, window = outcome.diagnosis, case.window
-    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
-    recent = islice(reversed(case.samples), len(window.t_s))
-    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
-    outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior)
 
 
 def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
@@ -495,34 +477,3 @@ def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     elif trial.phase == TrialPhase.IDLE:
         words = "the change of another region is on its way"
     return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")
-
-
-def promised_wrongly(trial: Trial, decision: Decision) -> bool:
-    """Whether the models behind a change that is given up are not to be believed any more.
-
-    decision : on the response that ended it; it may have put another model in their place.
-    """
-    by_models = trial.promise is not None and trial.promise.models > 0
-    return trial.cause in UNDOS and by_models and decision.surprise not in ANEW
-
-
-def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
-    """The decision that goes with taking a set back. also : other regions that are restored with this one."""
-    cause = trial.cause
-    assert cause is not None  # of a trial that is being restored
-    judged = decision.judgement.reason if decision.judgement else ""
-    reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
-    if promised_wrongly(trial, decision):
-        reason += "; what was known of this process had promised otherwise, and is forgotten"
-    return replace(
-        decision,
-        region=region,
-        action=Action.RESTORE,
-        code=f"undo_{cause.name.lower()}",
-        reason=reason,
-        numbers={**decision.numbers, "undos": float(trial.undos)},
-        gains_before=trial.new or decision.gains_before,
-        gains_after=trial.old,
-        promise=trial.promise,
-        trial=str(trial.phase),
-    )

@@ -17,7 +17,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoint
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample
@@ -30,24 +30,24 @@ from retuner.schedule.regions import RegionState
 # What is known of a region as plain JSON values, and back, checked on the way in.
 
 
-def belief_out(belief: Belief) -> dict[str, object]:
+def region_model_out(region_model: RegionModel) -> dict[str, object]:
     """What is known of a region."""
     return {
-        "known": _known_out(belief.known),
-        "records": belief.records,
-        "t_s": belief.t_s,
-        "rival": None if belief.rival is None else _known_out(belief.rival),
+        "known": _known_out(region_model.known),
+        "records": region_model.records,
+        "t_s": region_model.t_s,
+        "alternative": None if region_model.alternative is None else _known_out(region_model.alternative),
         "points": [
             {"t_s": p.t_s, "x": p.x, "x2": p.x2, "log": _log_out(p.log), "innovation": p.innovation}
-            for p in belief.points
+            for p in region_model.points
         ],
-        "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in belief.plausible],
-        "identifiable": belief.identifiable,
-        "reason": belief.reason,
+        "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in region_model.plausible],
+        "identifiable": region_model.identifiable,
+        "reason": region_model.reason,
     }
 
 
-def belief_in(body: Mapping[str, Any]) -> Belief:
+def region_model_in(body: Mapping[str, Any]) -> RegionModel:
     """And back.
 
     Raises
@@ -57,13 +57,13 @@ def belief_in(body: Mapping[str, Any]) -> Belief:
     """
     known = _known_in(body["known"])
     if not known:
-        raise TypeError("a belief without a model")
-    rival = None if body["rival"] is None else _known_in(body["rival"])
-    return Belief(
+        raise TypeError("a region without a model")
+    alternative = None if body["alternative"] is None else _known_in(body["alternative"])
+    return RegionModel(
         known,
         int(body["records"]),
         float(body["t_s"]),
-        rival,
+        alternative,
         tuple(_point_in(point) for point in body["points"]),
         tuple(Plausible(_model_in(p["model"]), float(p["excess"])) for p in body["plausible"]),
         bool(body["identifiable"]),
@@ -71,14 +71,14 @@ def belief_in(body: Mapping[str, Any]) -> Belief:
     )
 
 
-def _known_out(known: Sequence[Known]) -> list[dict[str, object]]:
+def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
     """By structure: parameters with their covariance, and the evidence."""
     return [_log_out(k.log) | {"evidence": k.evidence} for k in known]
 
 
-def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[Known, ...]:
+def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
     """And back."""
-    return tuple(Known(_log_in(body), float(body["evidence"])) for body in bodies)
+    return tuple(StructureModel(_log_in(body), float(body["evidence"])) for body in bodies)
 
 
 def _log_out(log: LogModel) -> dict[str, object]:
@@ -115,7 +115,9 @@ def remember(retuner: Retuner) -> dict[str, object]:
     return {
         "version": VERSION,
         "table": to_toml(retuner.table),
-        "beliefs": {str(region): belief_out(belief) for region, belief in retuner.beliefs.items()},
+        "region_models": {
+            str(region): region_model_out(region_model) for region, region_model in retuner.region_models.items()
+        },
         "commissioned": to_toml(retuner.commissioned),
         "region": _numbers_out(finder.region),
         "recogniser": _numbers_out(finder.recogniser),
@@ -128,7 +130,8 @@ def remember(retuner: Retuner) -> dict[str, object]:
             str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
         },
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.rival] for region, e in retuner.excitation.items()
+            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.alternative]
+            for region, e in retuner.excitation.items()
         },
     }
 
@@ -147,7 +150,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
         )
     try:
         retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
-        retuner.beliefs = {int(region): belief_in(body) for region, body in memory["beliefs"].items()}
+        retuner.region_models = {int(region): region_model_in(body) for region, body in memory["region_models"].items()}
         retuner.standing = {
             int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
             for region, (cause, period_s, t_s, reason) in memory["standing"].items()

@@ -74,7 +74,7 @@ def test_what_is_not_admitted_teaches_nothing_and_says_why(ground: Ground, fault
     assert decisions[0].action is Action.NONE
     assert decisions[0].estimate is None
     assert "limit" in decisions[0].numbers
-    assert all(d.code != "ok" for d in decisions) == (not retuner.beliefs)
+    assert all(d.code != "ok" for d in decisions) == (not retuner.region_models)
 
 
 def test_the_slave_of_a_cascade_is_not_learned_from_while_its_master_moves() -> None:
@@ -84,10 +84,10 @@ def test_the_slave_of_a_cascade_is_not_learned_from_while_its_master_moves() -> 
     assert decisions
     assert {d.code for d in decisions} <= {Ground.SETPOINT_LED.name.lower(), Ground.LOW_EXCITATION.name.lower()}
     assert Ground.SETPOINT_LED.name.lower() in {d.code for d in decisions}
-    assert not retuner.beliefs
+    assert not retuner.region_models
 
 
 def test_the_same_loop_without_a_fault_teaches() -> None:
     retuner, decisions = heard(lambda s: s)
-    assert 0 in retuner.beliefs
+    assert 0 in retuner.region_models
     assert decisions[0].estimate is not None

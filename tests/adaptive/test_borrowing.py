@@ -10,8 +10,8 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, borrowed
-from retuner.adaptive.region_model.region_model import Belief, Known
-from retuner.adaptive.region_model.update import Surprise, TrackerSettings, learn
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
+from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 
@@ -21,14 +21,14 @@ LENDING = BorrowingSettings(between=0.4)
 GAINS = PidGains(2.0, 0.05)
 
 
-def known(k: float, variance: float = 1e-4, *, sign: int = 1, records: int = 3) -> Belief:
+def known(k: float, variance: float = 1e-4, *, sign: int = 1, records: int = 3) -> RegionModel:
     log = LogModel(np.log([k / 50.0, 5.0, 50.0]), variance * np.eye(3), sign)
     slope = LogModel(np.log([k / 50.0, 5.0]), variance * np.eye(2), sign, ProcessType.INTEGRATING)
-    return Belief((Known(log, -500.0), Known(slope, -100.0)), records, 0.0)
+    return RegionModel((StructureModel(log, -500.0), StructureModel(slope, -100.0)), records, 0.0)
 
 
-def ask(beliefs: dict[int, Belief], region: int = 1, tracker: TrackerSettings = STILL) -> Belief | None:
-    return borrowed(beliefs, region, REGIONS, 0.0, 1, LENDING, tracker)
+def ask(region_models: dict[int, RegionModel], region: int = 1, tracker: TrackerSettings = STILL) -> RegionModel | None:
+    return borrowed(region_models, region, REGIONS, 0.0, 1, LENDING, tracker)
 
 
 def test_one_neighbour_lends_its_model_with_the_scatter_between_regions() -> None:
@@ -80,15 +80,15 @@ def test_the_proof_sees_the_whole_spread() -> None:
 def test_the_first_record_of_the_region_agrees_or_stands_alone(loop: Callable) -> None:
     prior = ask({0: known(1.3)})
     window = loop(noise=0.02, sp=1.0, kc=2.0).run(seed=1)
-    agreed = learn(prior, window, GAINS, STILL, FitSettings())
-    assert agreed.surprise == Surprise.AGREES
-    assert agreed.belief is not None
-    assert agreed.belief.records == 1
-    assert agreed.belief.log.model().k == pytest.approx(1.0, rel=0.05)
-    alone = learn(ask({0: known(20.0, 1e-6)}), window, GAINS, STILL, FitSettings())
-    assert alone.surprise == Surprise.FIRST
-    assert alone.belief is not None
-    assert alone.belief.log.model().k == pytest.approx(1.0, rel=0.05)
+    agreed = update_region_model(prior, window, GAINS, STILL, FitSettings())
+    assert agreed.agreement == Agreement.AGREES
+    assert agreed.region_model is not None
+    assert agreed.region_model.records == 1
+    assert agreed.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
+    alone = update_region_model(ask({0: known(20.0, 1e-6)}), window, GAINS, STILL, FitSettings())
+    assert alone.agreement == Agreement.FIRST
+    assert alone.region_model is not None
+    assert alone.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
 
 
 def test_settings_that_lend_nothing_are_refused() -> None:

@@ -90,7 +90,7 @@ def test_an_answer_entered_later_is_the_same_but_for_its_time_and_says_when(at_o
     number = bench.retuner.sample_number
     late = entered(bench, found)
     assert late.delay == Delay(number - LATER, number) == (found.question.sample_number, number)
-    assert late.to_dict()["delay"] == {"asked": number - LATER, "entered": number}
+    assert late.to_dict()["delay"] == {"raised": number - LATER, "entered": number}
     assert late.t_s == at_once.t_s + LATER
     assert replace(late, t_s=at_once.t_s, delay=None, known=at_once.known).canonical() == at_once.canonical()
     assert bench.retuner.open_question is None
@@ -119,7 +119,7 @@ def test_the_same_delay_repeats_the_same_decisions() -> None:
     first, again = (run_later(made(scaled(2.4, 2.4)), 20) for _ in range(2))
     assert [d.canonical() for d in first] == [d.canonical() for d in again]
     assert len(first) >= 3
-    assert all(d.delay is not None and d.delay.entered == d.delay.asked + 20 for d in first)
+    assert all(d.delay is not None and d.delay.entered == d.delay.raised + 20 for d in first)
 
 
 def test_no_delay_is_observe() -> None:

@@ -288,4 +288,4 @@ def test_a_lasting_swing_between_the_limits_teaches_nothing_more() -> None:
     proposed = [d for d in rig.run(1500, sp=0.3) if d.action == Action.ADVISE]
     assert len(proposed) >= 3
     assert {d.gains_after for d in proposed} == {proposed[0].gains_after}
-    assert rig.retuner.beliefs[0].records == 1
+    assert rig.retuner.region_models[0].records == 1

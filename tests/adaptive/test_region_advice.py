@@ -18,7 +18,7 @@ from retuner.adaptive.region_model.region_advice import (
     features,
     region_advice,
 )
-from retuner.adaptive.region_model.region_model import Belief, Known, RecordPoint
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.schedule.axis import Axis
 from retuner.schedule.regions import Regions
 
@@ -44,14 +44,14 @@ def point(rng: random.Random, x: float, t_s: float, gain: float, x2: float = 0.0
     return RecordPoint(t_s, x, x2, model, 1.0)
 
 
-def belief(points: list[RecordPoint], gain: float = 1.0, std: float = 0.02) -> Belief:
-    return Belief((Known(log(gain, std=std), 0.0),), len(points), 1e4, points=tuple(points))
+def region_model(points: list[RecordPoint], gain: float = 1.0, std: float = 0.02) -> RegionModel:
+    return RegionModel((StructureModel(log(gain, std=std), 0.0),), len(points), 1e4, points=tuple(points))
 
 
 def advice(
     points: list[RecordPoint], regions: Regions = ROW, settings: AdviceSettings = SETTINGS
 ) -> tuple[RegionAdvice, ...]:
-    return region_advice(regions, {0: belief(points)}, DT_S, settings)
+    return region_advice(regions, {0: region_model(points)}, DT_S, settings)
 
 
 def mixed(rng: random.Random, factor: float, n: int = 10) -> list[RecordPoint]:
@@ -78,7 +78,7 @@ def test_the_advised_settings_are_those_of_a_sampled_controller() -> None:
     """SIMC's Kc goes as 1/(k' (theta + half a sampling interval)): dead times of 1 and 4 s, samples of 2 s."""
     xs = (20.0, 70.0, 30.0, 80.0, 25.0, 75.0, 35.0, 65.0)
     records = [RecordPoint(1e3 * i, x, 0.0, log(theta=0.1 if x < 50 else 0.4), 1.0) for i, x in enumerate(xs)]
-    (found,) = region_advice(ROW, {0: belief(records)}, 2.0, SETTINGS)
+    (found,) = region_advice(ROW, {0: region_model(records)}, 2.0, SETTINGS)
     assert found.kc_factor == pytest.approx((1.0 + 1.0) / (4.0 + 1.0))
 
 
@@ -153,9 +153,9 @@ def test_structures_may_differ_from_record_to_record() -> None:
     assert [a for a in advice(points) if a.kind is AdviceKind.SPLIT and a.kc_factor != pytest.approx(1, rel=0.3)] == []
 
 
-def settled(gain: float, std: float = STD, n: int = 8) -> Belief:
+def settled(gain: float, std: float = STD, n: int = 8) -> RegionModel:
     rng = random.Random(int(100 * gain))
-    return belief([point(rng, 10.0 * i, 1e3 * i, gain, std=std) for i in range(n)], gain)
+    return region_model([point(rng, 10.0 * i, 1e3 * i, gain, std=std) for i in range(n)], gain)
 
 
 @pytest.mark.parametrize(

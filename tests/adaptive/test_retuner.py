@@ -12,7 +12,7 @@ from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Ending
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
@@ -55,7 +55,7 @@ def test_a_load_that_agrees_lets_the_rest_of_a_limited_change_through(monkeypatc
     found = bench.run(400) + bench.run(600, 1.0) + bench.run(600, 1.0, 2.0)
     steps = [d for d in found if d.action == Action.COMMIT]
     assert [bool(d.response and d.response.sp_changed) for d in steps] == [True, False]
-    assert steps[1].surprise == Surprise.AGREES
+    assert steps[1].agreement == Agreement.AGREES
     assert all(d.gains_after and d.gains_after.ki > 1.5 * d.gains_before.ki for d in steps)
 
 
@@ -65,10 +65,10 @@ def test_a_load_that_confirms_what_a_setpoint_step_had_shown_changes_the_gains()
     bench.run(400)
     assert all(d.action == Action.NONE for d in [*bench.run(500, 1.0), *bench.run(500, 0.0), *bench.run(500, 0.0)])
     bench.sign = 0.4
-    (odd,) = bench.run(600, 1.0)
+    (contradicting,) = bench.run(600, 1.0)
     (confirming,) = bench.run(600, 1.0, 1.0)
-    assert (odd.surprise, odd.action) == (Surprise.ODD, Action.NONE)
-    assert (confirming.surprise, confirming.action) == (Surprise.CHANGED, Action.COMMIT)
+    assert (contradicting.agreement, contradicting.action) == (Agreement.CONTRADICTS, Action.NONE)
+    assert (confirming.agreement, confirming.action) == (Agreement.CHANGED, Action.COMMIT)
     assert confirming.response is not None
     assert not confirming.response.sp_changed
     assert confirming.gains_after is not None
@@ -82,10 +82,10 @@ def test_a_model_that_the_loop_refutes_is_forgotten(monkeypatch: pytest.MonkeyPa
     assert bench.retuner.excitation[0].setpoints == 1
     monkeypatch.setattr(causes, "not_seen", lambda *_: "the loop came to rest")
     (refuted,) = bench.run(500, 0.0)
-    assert (refuted.code, refuted.action, refuted.surprise) == ("unconfirmed", Action.NONE, Surprise.AGREES)
-    assert (bench.retuner.beliefs, bench.retuner.excitation) == ({}, {})
+    assert (refuted.code, refuted.action, refuted.agreement) == ("unconfirmed", Action.NONE, Agreement.AGREES)
+    assert (bench.retuner.region_models, bench.retuner.excitation) == ({}, {})
     (again,) = bench.run(500, 1.0)
-    assert again.surprise == Surprise.FIRST
+    assert again.agreement == Agreement.FIRST
 
 
 def test_good_gains_are_left_alone() -> None:
@@ -125,7 +125,7 @@ def test_a_response_that_leaves_its_region_teaches_nothing() -> None:
     found = bench.run(30, sp=1.0, x=10.0) + bench.run(400, sp=1.0, x=80.0)
     assert found[0].region == "a"
     assert "left its region" in found[0].reason
-    assert bench.retuner.beliefs == {}
+    assert bench.retuner.region_models == {}
 
 
 def test_a_gap_or_manual_mode_begins_anew() -> None:
@@ -193,12 +193,12 @@ def test_a_restored_memory_decides_as_if_never_stopped() -> None:
 def test_what_a_belief_rests_on_is_remembered() -> None:
     bench = made(GOOD)
     bench.run(10)
-    bench.retuner.excitation = {0: Excitation(setpoints=1, loads=2, asked=3, clear=4, rival=5)}
+    bench.retuner.excitation = {0: Excitation(setpoints=1, loads=2, asked=3, clear=4, alternative=5)}
     again = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
     assert again.excitation == bench.retuner.excitation
 
 
-@pytest.mark.parametrize("damage", [{"version": 1}, {"table": "x"}, {"beliefs": {"0": {}}}, {"noise": None}])
+@pytest.mark.parametrize("damage", [{"version": 1}, {"table": "x"}, {"region_models": {"0": {}}}, {"noise": None}])
 def test_a_damaged_memory_is_refused_in_one_line(damage: dict[str, object]) -> None:
     bench = made(GOOD)
     bench.run(10)

@@ -14,7 +14,7 @@ from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread
-from retuner.adaptive.region_model.region_model import Belief, Known
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.proposal_from_model import no_more_action, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -26,18 +26,20 @@ LAGGING = ProcessModel(ProcessType.INTEGRATING_LAG, 0.1, 0.0, 8.0, 0.8)
 SECOND = ProcessModel(ProcessType.SOPDT, 1.0, 10.0, 10.0, 0.5, 0.5)
 
 
-def known(model: ProcessModel, std: float = 0.02, *, identifiable: bool = True) -> Belief:
+def known(model: ProcessModel, std: float = 0.02, *, identifiable: bool = True) -> RegionModel:
     x = parameters_of(model)
     log = LogModel(x, std**2 * np.eye(len(x)), 1, model.type)
-    return Belief((Known(log, 0.0),), 2, 0.0, None, (), spread(log), identifiable, "the record moves too little")
+    return RegionModel(
+        (StructureModel(log, 0.0),), 2, 0.0, None, (), spread(log), identifiable, "the record moves too little"
+    )
 
 
 def ms(model: ProcessModel, gains: PidGains) -> float:
     return sensitivity_peak(model.seen_by_controller(S.sample_time_s).linear(), gains)
 
 
-def of(belief: Belief, gains: PidGains) -> tuple[PidGains, Cause, bool]:
-    found = propose(belief, belief.log, gains, S)
+def of(region_model: RegionModel, gains: PidGains) -> tuple[PidGains, Cause, bool]:
+    found = propose(region_model, region_model.log, gains, S)
     return found.tuning.gains, found.diagnosis.cause, found.ready
 
 

@@ -66,7 +66,7 @@ def test_a_real_step_of_a_heater_makes_the_first_settings() -> None:
     retuner = Retuner(table(gains), RetunerSettings(1.0, 100.0, Mode.AUTO))
     retuner.observe(LoopSample(float(t[-1]) + 10.0, float(pv[0]), float(pv[0]), float(co[0])))
     decision = pretune(retuner, 0, Window(t, np.full_like(pv, pv[0]), pv, co))
-    model = retuner.beliefs[0].log.model()
+    model = retuner.region_models[0].log.model()
     assert model.k / (model.tau1_s + model.theta_s) == pytest.approx(0.361 / 152, rel=0.15)  # the record's own notes
     assert decision.basis is Basis.PRETUNE
     assert decision.action is Action.COMMIT

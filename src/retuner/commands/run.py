@@ -302,7 +302,7 @@ def _show(
 def advice_of(session: Session) -> tuple[RegionAdvice, ...]:
     """Whether regions should be split or merged, by what their records say."""
     retuner = session.retuner
-    return region_advice(retuner.table.regions, retuner.beliefs, retuner.settings.sample_time_s, AdviceSettings())
+    return region_advice(retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s, AdviceSettings())
 
 
 def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from retuner.adaptive.identification.fitted_curve import explained_pv
 from retuner.adaptive.process.model import LinearProcess, ProcessModel
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Peak
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.supervision.decision import Decision
@@ -125,7 +125,7 @@ class DecisionView:
     @property
     def contradicted(self) -> bool:
         """Whether the record speaks against the process that was decided on."""
-        return words(self.document, "surprise").upper() == Surprise.ODD.name
+        return words(self.document, "surprise") == Agreement.CONTRADICTS.code
 
     @property
     def spread(self) -> dict[str, float]:

@@ -6,7 +6,7 @@ it. A section for which there is nothing is left out.
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.rules.explanation import explanation
 from retuner.adaptive.rules.registry import RULES, settings
 from retuner.adaptive.rules.rule import ControllerKind, Wishes
@@ -121,12 +121,12 @@ def _learned(view: DecisionView) -> str:
     if model is None:
         return paragraph(words(view.estimate, "reason"))
     records = number(view.document, "records")
-    surprise = words(view.document, "surprise").upper()
+    agreements = {agreement.code: str(agreement) for agreement in Agreement}
     rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, view.spread, view.unit)]
     none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
     rows += [
         ("records behind it", f"{records:.0f}" if records else none),
-        ("this record", Surprise[surprise].value if surprise in Surprise.__members__ else ""),
+        ("this record", agreements.get(words(view.document, "surprise"), "")),
         ("the fit", words(view.estimate, "reason")),
         ("left by the fit", _residual(view)),
         ("other models still allowed", str(len(view.allowed)) if view.allowed else ""),

@@ -4,7 +4,7 @@ import math
 
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.explain import process_text, settings_text
 from retuner.decision_page.row_values import number, part, words
@@ -124,7 +124,7 @@ def footing(view: DecisionView) -> str:
         own = f": by itself it shows {process_text(shown)}" if shown else ""
         told = f"what was known before this record ({known}). This record contradicts that{own}"
         told += "" if settled else f" (not settled either: {reason})"
-    elif words(view.document, "surprise").upper() == Surprise.SILENT.name:
+    elif words(view.document, "surprise") == Agreement.SILENT.code:
         told = f"what was known before this record ({known}), which shows nothing of the process"
     else:
         told = f"a process that the records do not settle yet ({known}): {reason}"

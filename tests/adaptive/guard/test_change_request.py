@@ -10,7 +10,7 @@ from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettin
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.structure import parameters_of
-from retuner.adaptive.region_model.region_model import Belief, Known
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -24,22 +24,24 @@ SETTINGS = RetunerSettings(1.0, 100.0, region_locks=(None, KC_ONLY), locks=NO_DE
 DAY = 86400.0
 
 
-def belief(k: float, t_s: float = 0.0) -> Belief:
+def region_model(k: float, t_s: float = 0.0) -> RegionModel:
     model = replace(MODEL, k=k)
     log = LogModel(parameters_of(model), 0.01 * np.eye(3), 1)
     around = (Plausible(model, 0.0), Plausible(replace(model, theta_s=6.0), 3.0))
-    return Belief((Known(log, 0.0),), 3, t_s, plausible=around)
+    return RegionModel((StructureModel(log, 0.0),), 3, t_s, plausible=around)
 
 
 def test_what_is_known_is_asked() -> None:
-    beliefs = {1: belief(2.0), 2: belief(4.0)}
-    asked = change_request(BEST, 1, (NOW, START), beliefs, None, DAY, SETTINGS)
+    region_models = {1: region_model(2.0), 2: region_model(4.0)}
+    asked = change_request(BEST, 1, (NOW, START), region_models, None, DAY, SETTINGS)
     assert (asked.in_force, asked.commissioned, asked.proposal) == (times(0.8, 0.8), times(0.5, 0.5), BEST)
     assert asked.sample_time_s == 1.0
-    assert change_request(BEST, 1, (NOW, START), beliefs, None, DAY, replace(SETTINGS, filter_s=3.0)).filter_s == 3.0
+    assert (
+        change_request(BEST, 1, (NOW, START), region_models, None, DAY, replace(SETTINGS, filter_s=3.0)).filter_s == 3.0
+    )
     variance = SETTINGS.tracker.walk_per_day**2
-    log = predicted(beliefs[1], DAY, SETTINGS.tracker)
-    assert asked.models == allowed(log, beliefs[1].plausible, variance, SETTINGS.guard)
+    log = predicted(region_models[1], DAY, SETTINGS.tracker)
+    assert asked.models == allowed(log, region_models[1].plausible, variance, SETTINGS.guard)
     assert asked.models[1].model.theta_s > 6.0  # a day apart
     assert (asked.evidence.records, asked.evidence.age_s, asked.evidence.innovation) == (3, DAY, 0.0)
     cold, hot = asked.borders
@@ -50,30 +52,30 @@ def test_what_is_known_is_asked() -> None:
 
 
 def test_a_borrowed_model_is_no_record() -> None:
-    lent = replace(belief(2.0), records=0)
+    lent = replace(region_model(2.0), records=0)
     asked = change_request(BEST, 1, (NOW, START), {1: lent}, None, 0.0, SETTINGS)
     assert asked.evidence.borrowed
     verdict = prove(asked, SETTINGS.guard)
     assert verdict.ruling == Ruling.TOO_FEW_RECORDS
     assert "neighbouring region" in verdict.checks[0].words
-    own = change_request(BEST, 1, (NOW, START), {1: belief(2.0)}, None, 0.0, SETTINGS)
+    own = change_request(BEST, 1, (NOW, START), {1: region_model(2.0)}, None, 0.0, SETTINGS)
     assert not own.evidence.borrowed
 
 
 def test_locks_of_the_region_come_before_those_of_the_loop() -> None:
-    beliefs = {i: belief(2.0) for i in range(3)}
-    found = [change_request(BEST, i, (NOW, START), beliefs, None, 0.0, SETTINGS).locks for i in range(3)]
+    region_models = {i: region_model(2.0) for i in range(3)}
+    found = [change_request(BEST, i, (NOW, START), region_models, None, 0.0, SETTINGS).locks for i in range(3)]
     assert found == [NO_DERIVATIVE, KC_ONLY, NO_DERIVATIVE]
     assert RetunerSettings(1.0, 100.0).locks_of(5) == NO_LOCKS
 
 
 @pytest.mark.parametrize(("damping", "urgent"), [(None, False), (0.89, False), (0.9, True), (1.2, True)])
 def test_a_swing_that_does_not_die_is_urgent(damping: float | None, urgent: bool) -> None:
-    asked = change_request(BEST, 1, (NOW, START), {1: belief(2.0)}, None, 0.0, SETTINGS, damping)
+    asked = change_request(BEST, 1, (NOW, START), {1: region_model(2.0)}, None, 0.0, SETTINGS, damping)
     assert asked.urgent == urgent
     assert unproved_request(BEST, 1, (NOW, START), SETTINGS, damping).urgent == urgent
     late = replace(SETTINGS, guard=GuardSettings(urgent_damping=2.0))
-    assert not change_request(BEST, 1, (NOW, START), {1: belief(2.0)}, None, 0.0, late, damping).urgent
+    assert not change_request(BEST, 1, (NOW, START), {1: region_model(2.0)}, None, 0.0, late, damping).urgent
 
 
 def test_without_a_model_the_guard_is_told_so() -> None:

@@ -4,7 +4,7 @@ import pytest
 from rig import GOOD
 from test_retuner_trial import NEW, Stand, learned_by_a_runaway
 
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision.decision import Action
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.retuner import Step
@@ -25,7 +25,7 @@ def test_a_runaway_is_taken_back_before_anything_is_fitted(*, known: bool) -> No
     """The answer teaches afterwards as it does with `observe`: a model that promised wrongly stays forgotten."""
     at_once, stand = Stand(), Stand()
     for one in (at_once, stand):
-        one.retuner.beliefs = {0: learned_by_a_runaway()} if known else {}
+        one.retuner.region_models = {0: learned_by_a_runaway()} if known else {}
         assert list(one.run(40)) == []
         one.rig.sp = 5.0
     whole = next(at_once.run(100))
@@ -34,15 +34,15 @@ def test_a_runaway_is_taken_back_before_anything_is_fitted(*, known: bool) -> No
     assert step.question is not None
     assert (step.decision.code, step.decision.action, step.decision.number) == ("undo_runaway", Action.RESTORE, 2)
     assert (step.decision.gains_before, step.decision.gains_after) == (NEW, GOOD)
-    assert (stand.retuner.table.gains, stand.retuner.beliefs) == ((GOOD,), {})
+    assert (stand.retuner.table.gains, stand.retuner.region_models) == ((GOOD,), {})
     for sample in stand.rig.run(5):
         assert stand.retuner.step(sample) == (None, None)
     assert stand.retuner.restored() == (0,)
     late = stand.retuner.enter(step.question, decide(step.question), stand.retuner.sample_number)
     assert (late.number, late.action) == (3, Action.NONE)
     assert late.to_dict()["estimate"] == whole.to_dict()["estimate"]
-    assert late.surprise is whole.surprise is (Surprise.AGREES if known else Surprise.FIRST)
-    assert stand.retuner.beliefs.keys() == at_once.retuner.beliefs.keys() == (set() if known else {0})
+    assert late.agreement is whole.agreement is (Agreement.AGREES if known else Agreement.FIRST)
+    assert stand.retuner.region_models.keys() == at_once.retuner.region_models.keys() == (set() if known else {0})
     assert stand.retuner.excitation == at_once.retuner.excitation
 
 

@@ -15,7 +15,7 @@ from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.region_model.region_model import Belief, Known
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
@@ -193,7 +193,7 @@ def test_the_way_back_is_judged_on_a_swinging_process_with_its_damping(wanted: P
     swinging = ProcessModel(ProcessType.SOPDT, 1.0, 20.0, 20.0, 2.0, 0.4)
     bench = Bench(PidGains(0.1, 0.005))
     log = LogModel(parameters_of(swinging), np.eye(4) * 1e-4, 1, ProcessType.SOPDT)
-    bench.retuner.beliefs[0] = Belief((Known(log, 0.0),), 3, bench.t_s)
+    bench.retuner.region_models[0] = RegionModel((StructureModel(log, 0.0),), 3, bench.t_s)
     assert math.isinf(sensitivity_peak(replace(swinging, theta_s=2.5).linear(), wanted)) is unstable
     decision = revert(bench.retuner, 0, wanted, bench.t_s)
     assert decision is not None

@@ -10,7 +10,7 @@ from rig import BAD, GOOD, MODEL, Rig, responses
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.pipeline import posterior_of
@@ -197,15 +197,15 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
     ((case, learned, trial, settings),) = asked
 
     def with_(**changes: Any) -> PosteriorCheck | None:
-        estimate = replace(learned.estimate, **{k: v for k, v in changes.items() if k != "surprise"})
-        now = replace(learned, estimate=estimate, surprise=changes.get("surprise", learned.surprise))
+        estimate = replace(learned.estimate, **{k: v for k, v in changes.items() if k != "agreement"})
+        now = replace(learned, estimate=estimate, agreement=changes.get("agreement", learned.agreement))
         return posterior_of(case, now, trial, settings)
 
     usual, unsettled = with_(), with_(identifiable=False)
     assert usual is not None
     assert unsettled == replace(usual, settled=False)
     assert (usual.settled, usual.slower > 3.0) == (True, True)
-    assert with_(surprise=Surprise.SILENT) is None
+    assert with_(agreement=Agreement.SILENT) is None
     assert with_(plausible=()) is None
     assert with_(residual_std=1e3) is None
     assert posterior_of(case, None, trial, settings) is None

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 from rig import BAD, GOOD, PROMISE, Rig
 
-from retuner.adaptive.region_model.region_model import Belief
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
@@ -51,10 +51,10 @@ class Stand:
         return next(self.run(100))
 
 
-def learned_by_a_runaway() -> Belief:
+def learned_by_a_runaway() -> RegionModel:
     stand = Stand()
     stand.run_away()
-    return stand.retuner.beliefs[0]
+    return stand.retuner.region_models[0]
 
 
 def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teaches() -> None:
@@ -67,8 +67,8 @@ def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teac
     assert stand.retuner.table.gains == (GOOD,)
     assert decision.response is not None
     assert decision.response.ending.name == "UNDONE"
-    assert 0 in stand.retuner.beliefs
-    assert stand.retuner.beliefs[0].log.model().theta_s == pytest.approx(5.0, rel=0.2)
+    assert 0 in stand.retuner.region_models
+    assert stand.retuner.region_models[0].log.model().theta_s == pytest.approx(5.0, rel=0.2)
     assert json.loads(decision.canonical())["trial"] == "restoring the verified set"
 
 
@@ -76,20 +76,20 @@ def test_a_model_that_promised_wrongly_is_not_believed_any_more() -> None:
     """The record of the undo agrees with it: what the two say together is forgotten, the next one begins anew."""
     for before, kept in ((learned_by_a_runaway(), False), (None, True)):
         stand = Stand()
-        stand.retuner.beliefs = {} if before is None else {0: before}
+        stand.retuner.region_models = {} if before is None else {0: before}
         decision = stand.run_away()
         assert decision.code == "undo_runaway"
-        assert decision.surprise is (Surprise.FIRST if before is None else Surprise.AGREES)
-        assert (0 in stand.retuner.beliefs, 0 in stand.retuner.excitation) == (kept, kept)
+        assert decision.agreement is (Agreement.FIRST if before is None else Agreement.AGREES)
+        assert (0 in stand.retuner.region_models, 0 in stand.retuner.excitation) == (kept, kept)
 
 
 def test_an_undo_that_does_not_speak_against_the_gains_forgets_nothing() -> None:
     known, stand = learned_by_a_runaway(), Stand()
-    stand.retuner.beliefs = {0: known}
+    stand.retuner.region_models = {0: known}
     decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
     assert decision is not None
     assert decision.code == "undo_manual"
-    assert stand.retuner.beliefs == {0: known}
+    assert stand.retuner.region_models == {0: known}
 
 
 def test_a_gap_or_manual_mode_ends_the_trial() -> None:

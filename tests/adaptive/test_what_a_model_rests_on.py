@@ -1,4 +1,4 @@
-"""The excitation that goes with a belief: it changes hands when the belief does, and only then."""
+"""The excitation that goes with a region model: it changes hands when the region model does, and only then."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
-from retuner.adaptive.region_model.update import Surprise
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.pipeline_types import Question, StageResult
@@ -18,13 +18,18 @@ from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)
-BEFORE = Excitation(setpoints=0, loads=3, asked=0, clear=0, rival=1)
+BEFORE = Excitation(setpoints=0, loads=3, asked=0, clear=0, alternative=1)
 NEW: Any = SimpleNamespace(log=None, reason="")
-"""A belief that the record has led to."""
+"""A region model that the record has led to."""
 
 
 def weighed(
-    monkeypatch: pytest.MonkeyPatch, surprise: Surprise, doubt: Cause | None, *, clear: bool = False, ready: bool = True
+    monkeypatch: pytest.MonkeyPatch,
+    agreement: Agreement,
+    doubt: Cause | None,
+    *,
+    clear: bool = False,
+    ready: bool = True,
 ) -> StageResult:
     """The pipeline's last stages on one response, with what comes before them given."""
     verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=())
@@ -46,13 +51,13 @@ def weighed(
         excitation=BEFORE,
         samples=[],
         in_force=None,
-        beliefs={},
+        region_models={},
         region=0,
         table=SimpleNamespace(lookup=Lookup.HARD),
         response=SimpleNamespace(sp_changed=clear, peaks=()),
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
-    learned: Any = SimpleNamespace(belief=NEW, surprise=surprise, estimate=SimpleNamespace(load_times_s=()))
+    learned: Any = SimpleNamespace(region_model=NEW, agreement=agreement, estimate=SimpleNamespace(load_times_s=()))
     found = Findings(Question(record, SETTINGS, 1, Trial()), learned=learned, unexplained=1.0)
     names = [stage.name for stage in pipeline.STAGES]
     for stage in pipeline.STAGES[names.index("region model") : names.index("expectation")]:
@@ -62,17 +67,17 @@ def weighed(
 
 
 def test_a_rival_that_takes_over_brings_what_it_rests_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = weighed(monkeypatch, Surprise.CHANGED, None)
-    assert found.belief is NEW
+    found = weighed(monkeypatch, Agreement.CHANGED, None)
+    assert found.region_model is NEW
     assert found.excitation == Excitation(setpoints=1, loads=1, clear=1)
 
 
-@pytest.mark.parametrize("surprise", [Surprise.CHANGED, Surprise.FIRST, Surprise.OPENED])
-def test_a_belief_that_is_not_taken_leaves_the_old_one_with_its_own(
-    monkeypatch: pytest.MonkeyPatch, surprise: Surprise
+@pytest.mark.parametrize("agreement", [Agreement.CHANGED, Agreement.FIRST, Agreement.OPENED])
+def test_a_model_that_is_not_taken_leaves_the_old_one_with_its_own(
+    monkeypatch: pytest.MonkeyPatch, agreement: Agreement
 ) -> None:
-    found = weighed(monkeypatch, surprise, Cause.STICTION)
-    assert found.belief is None
+    found = weighed(monkeypatch, agreement, Cause.STICTION)
+    assert found.region_model is None
     assert found.excitation is not None
     assert (found.excitation.setpoints, found.excitation.loads, found.excitation.clear) == (0, 4, 0)
     assert found.excitation.asked == found.excitation.loads
@@ -83,12 +88,12 @@ def test_a_belief_that_is_not_taken_leaves_the_old_one_with_its_own(
 def test_an_odd_record_is_remembered_by_whether_it_was_clear(
     monkeypatch: pytest.MonkeyPatch, clear: bool, ready: bool
 ) -> None:
-    found = weighed(monkeypatch, Surprise.ODD, None, clear=clear, ready=ready)
+    found = weighed(monkeypatch, Agreement.CONTRADICTS, None, clear=clear, ready=ready)
     assert found.excitation is not None
-    assert found.excitation.rival == int(clear)
+    assert found.excitation.alternative == int(clear)
 
 
 def test_a_first_record_rests_on_itself_ready_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
     for ready in (True, False):
-        found = weighed(monkeypatch, Surprise.FIRST, None, ready=ready)
+        found = weighed(monkeypatch, Agreement.FIRST, None, ready=ready)
         assert found.excitation == Excitation(loads=1)
