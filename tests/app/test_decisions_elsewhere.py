@@ -67,7 +67,7 @@ def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(
         assert (question["asked"], answer["asked"]) == (question["samples"], question["samples"])
         assert answer["samples"] == question["samples"] + DELAY
     late = [body["delay"] for body in bodies(session, "decision") if "delay" in body]
-    assert late == [{"asked": row["asked"], "entered": row["samples"]} for row in answers]
+    assert late == [{"raised": row["asked"], "entered": row["samples"]} for row in answers]
     assert len(bodies(session, "committed")) >= 1
     assert main(["replay", str(session), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["identical"] is True
@@ -154,7 +154,7 @@ def test_a_worker_without_memory_is_named_and_the_loop_goes_on(asked: tuple[Retu
         lost = waited(worker)
     assert lost.result.code == LOST
     assert lost.trouble.count("\n") == 0
-    assert lost.result.belief is None
+    assert lost.result.region_model is None
     assert lost.result.verdict is None
 
 
