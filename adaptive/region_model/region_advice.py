@@ -60,12 +60,12 @@ def features(log: LogModel, sample_time_s: float) -> Features:
     for j in range(len(log.x)):
         step = np.zeros(len(log.x))
         step[j] = LOG_STEP
-        up, down = (_asked(log, log.x + way * step, sample_time_s) for way in (1.0, -1.0))
+        up, down = (_settings_by(log, log.x + way * step, sample_time_s) for way in (1.0, -1.0))
         jacobian[:, j] = (up - down) / (2 * LOG_STEP)
-    return Features(_asked(log, log.x, sample_time_s), proper_covariance(jacobian @ log.p @ jacobian.T))
+    return Features(_settings_by(log, log.x, sample_time_s), proper_covariance(jacobian @ log.p @ jacobian.T))
 
 
-def _asked(log: LogModel, x: FloatArray, sample_time_s: float) -> FloatArray:
+def _settings_by(log: LogModel, x: FloatArray, sample_time_s: float) -> FloatArray:
     """(ln |Kc|, ln tau_I) at a point; the gain is that of the ideal form, kp."""
     found = model_at(log.type, x, log.sign)
     model = without_second_lag(found.seen_by_controller(sample_time_s))

@@ -28,8 +28,7 @@ from retuner.adaptive.diagnosis.swing_checks import (
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, Learned
-from retuner.adaptive.supervision.findings import Findings
-from retuner.adaptive.supervision.pipeline_types import ResponseRecord
+from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 
 __all__ = [

@@ -33,9 +33,8 @@ from retuner.adaptive.supervision.causes import (
     swings_between_limits,
 )
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.findings import Findings
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
-from retuner.adaptive.supervision.pipeline_types import Question, ResponseRecord, StageResult
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings

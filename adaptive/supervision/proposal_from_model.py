@@ -47,10 +47,10 @@ def propose(region_model: RegionModel, log: LogModel, in_force: PidGains, settin
     robust = replace(settings.robust, ms_nominal=_nominal(best, settings))
     cause = settings.cause
     tuning = robust_simc_on(best, region_model.plausible, dt_s, robust).tuning
-    asked = (best.seen_by_controller(dt_s), in_force, tuning.gains, log.gain_uncertainty(dt_s))
-    diagnosis = tuning_cause(*asked, cause)
+    given = (best.seen_by_controller(dt_s), in_force, tuning.gains, log.gain_uncertainty(dt_s))
+    diagnosis = tuning_cause(*given, cause)
     if diagnosis.cause == Cause.OK:
-        closer = tuning_cause(*asked, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
+        closer = tuning_cause(*given, replace(cause, ms_high=min(cause.ms_high, OVER_NOMINAL * robust.ms_nominal)))
         diagnosis = closer if closer.cause == Cause.AGGRESSIVE else diagnosis
     ready = region_model.identifiable or (
         diagnosis.cause in {Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING}

@@ -298,15 +298,15 @@ class Retuner:
 
     def _overtaken(self, opened: _Open) -> Overtaken | None:
         """Why an answer is not entered any more, if so."""
-        asked, region = opened.question, opened.question.record.region
-        if asked.trial.phase in UNDECIDED and self.trials.phase(region) not in UNDECIDED:
+        question, region = opened.question, opened.question.record.region
+        if question.trial.phase in UNDECIDED and self.trials.phase(region) not in UNDECIDED:
             return Overtaken.TRIAL_ENDED
         if self.region != region:
             return Overtaken.REGION_LEFT
         samples = self._finder.samples
-        if samples[0].t_s > asked.t_s:
+        if samples[0].t_s > question.t_s:
             return Overtaken.BROKEN_OFF
-        moved = self.table.lookup is Lookup.HARD and samples[-1].revision != asked.record.samples[-1].revision
+        moved = self.table.lookup is Lookup.HARD and samples[-1].revision != question.record.samples[-1].revision
         if self.table is not opened.table or (moved and not opened.ended):
             return Overtaken.GAINS_CHANGED
         return None

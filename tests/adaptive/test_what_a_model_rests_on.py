@@ -11,8 +11,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.supervision import pipeline
-from retuner.adaptive.supervision.findings import Findings
-from retuner.adaptive.supervision.pipeline_types import Question, StageResult
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.table import Lookup
