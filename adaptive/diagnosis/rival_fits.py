@@ -56,7 +56,8 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
     weak[SLOPE] -= WEAKENED
     for w in frequencies:
         found.append(judged(refine(base, np.append(fit.fit.p, np.log(w)))))
-        found += [judged(refine(plain, np.append(start, np.log(w)))) for start in (x, weak)]
+        starts = (x, weak) if base.loads else (weak,)  # without loads the first is the one above
+        found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
     best = min(found, key=lambda c: c.criterion)
     return improved(best, most_loads, Seen(found))
 

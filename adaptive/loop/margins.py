@@ -24,6 +24,8 @@ PEAKS_LOOKED_AT = 6
 """How many local peaks of the grid are refined, from the highest down."""
 ZOOMS, ZOOM_POINTS = 5, 21
 """Refinements of a peak: each cuts its bracket to a tenth, so the value is right to about 1e-10."""
+ZOOM_SHARES = np.linspace(0.0, 1.0, ZOOM_POINTS)
+"""Where the points of a refinement lie in their bracket, in logarithms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,8 @@ def _peak(size: Callable[[FloatArray], FloatArray], w: FloatArray, *limits: floa
         fine, heights = w[i - 1 : i + 2], values[i - 1 : i + 2]
         for _ in range(ZOOMS):
             j = int(np.argmax(heights))
-            fine = np.geomspace(fine[max(j - 1, 0)], fine[min(j + 1, len(fine) - 1)], ZOOM_POINTS)
+            low, high = float(fine[max(j - 1, 0)]), float(fine[min(j + 1, len(fine) - 1)])
+            fine = low * (high / low) ** ZOOM_SHARES  # np.geomspace looks at its arguments for longer than it computes
             heights = size(fine)
         found.append(float(np.max(heights)))
     return max(found)

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from retuner import adaptive, drivers, schedule
+from retuner.adaptive.identification.engine import engine_name
 from retuner.config.loading import text_as_run
 from retuner.config.model import Config
 
@@ -23,11 +24,12 @@ BLOCK = 1 << 20  # bytes read at a time
 
 def versions() -> dict[str, str]:
     """Versions of everything between frames and decisions, by name; code: a hash of the rooms' own, which tells more
-    than the number of a release.
+    than the number of a release; engine: which one computes the fits, they are equal to rounding and not to the bit.
     """
     made_with = {name: version(name) for name in PACKAGES}
     return {
         **made_with,
+        "engine": engine_name(),
         "code": code(),
         "python": platform.python_version(),
         "system": platform.system(),
