@@ -7,10 +7,12 @@ value of one is not finite, the other goes on. Regions are neighbours when they 
 a corner are not.
 
 `choose` runs at every sample. Its common case, one axis without a filter and x still inside the region's widened
-borders, is one comparison; a law that needs more has floors that no x reaches, so that nobody else pays for it.
+borders, is one comparison; a law that needs more has floors that no x reaches, so that nobody else pays for it. With
+filters the common case is that both filtered values are still inside them: the filters move and nothing else does.
 """
 
 import math
+import sys
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -44,7 +46,11 @@ class Border(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RegionLaw:
-    """What `choose` needs, made by Regions.law(). axes : empty when there is one and it is plain (see the head)."""
+    """What `choose` needs, made by Regions.law().
+
+    axes : empty when there is one and it is plain (see the head). cells : where there are axes, a region's time
+    constant, floor and ceiling on the first, and on the second.
+    """
 
     bounds: tuple[float, ...]
     floors: tuple[float, ...]
@@ -52,6 +58,12 @@ class RegionLaw:
     min_stay_s: float
     axes: tuple[AxisLaw, ...] = ()
     columns: int = 1
+    cells: tuple[tuple[float, float, float, float, float, float], ...] = ()
+
+
+_LARGEST = sys.float_info.max
+_NO_AXIS = (math.inf, -_LARGEST, _LARGEST)
+"""In place of a second axis: a filter that never moves, and no border."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +157,9 @@ class Regions:
             return RegionLaw(first.bounds, first.floors, first.ceilings, first.min_stay_s)
         n = len(self)
         never = (math.inf,) * n, (-math.inf,) * n
-        return RegionLaw(first.bounds, *never, first.min_stay_s, laws, self.shape[1] if len(laws) > 1 else 1)
+        seconds = [_sides(laws[1], j) for j in range(self.shape[1])] if len(laws) > 1 else [_NO_AXIS]
+        cells = tuple((*_sides(first, i), *second) for i in range(self.shape[0]) for second in seconds)
+        return RegionLaw(first.bounds, *never, first.min_stay_s, laws, len(seconds), cells)
 
     def cell(self, region: int) -> tuple[int, ...]:
         """Place of a region on each axis, from 0.
@@ -207,6 +221,11 @@ class Regions:
         return Border(axis, self.axes[axis].bounds[min(one[axis], two[axis])])
 
 
+def _sides(law: AxisLaw, part: int) -> tuple[float, float, float]:
+    """Time constant, floor and ceiling of a part; what is not finite lies beyond every ceiling."""
+    return law.filter_s, max(law.floors[part], -_LARGEST), min(law.ceilings[part], _LARGEST)
+
+
 def enter(law: RegionLaw, x: float, t_s: float, x2: float = 0.0, last: RegionState | None = None) -> RegionState:
     """The region of x (and x2) without hysteresis: at the first sample, and again after a gap.
 
@@ -249,11 +268,27 @@ def choose(law: RegionLaw, state: RegionState, x: float, t_s: float, x2: float =
 
 
 def _choose_filtered(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:
-    """The same on filtered values, axis by axis."""
+    """The same on filtered values. The filter of axis.py stands here once more, because a call is dear here."""
     region, since_s, since2_s, y, y2, last_s = state
     dt_s = t_s - last_s
-    if not 0.0 <= dt_s < math.inf:
-        return state
+    if dt_s > 0.0:
+        lag_s, floor, ceiling, lag2_s, floor2, ceiling2 = law.cells[region]
+        w = dt_s / (lag_s + dt_s)
+        w2 = dt_s / (lag2_s + dt_s)
+        new, new2 = (1.0 - w) * y + w * x, (1.0 - w2) * y2 + w2 * x2
+        if floor <= new <= ceiling and floor2 <= new2 <= ceiling2:
+            return _new(RegionState, (region, since_s, since2_s, new, new2, t_s))
+    return _place_anew(law, state, x, x2, t_s) if 0.0 <= dt_s < math.inf else state
+
+
+_new = tuple.__new__
+"""Half the time of a NamedTuple's own constructor."""
+
+
+def _place_anew(law: RegionLaw, state: RegionState, x: float, x2: float, t_s: float) -> RegionState:
+    """The same axis by axis: a border is passed, a value is not known, or no time has gone by."""
+    region, since_s, since2_s, y, y2, last_s = state
+    dt_s = t_s - last_s
     i, j = divmod(region, law.columns)
     first = law.axes[0]
     y = filtered(first, y, x, dt_s)

@@ -55,17 +55,11 @@ class NoiseState(NamedTuple):
     before: float
 
 
-def noise_start(pv: float, sigma: float) -> NoiseState:
-    """Start from a first guess of sigma in pv units (for example 0.1 % of span)."""
-    return NoiseState(sigma / MEDIAN_TO_SIGMA, pv, pv)
+def noise_start(sigma: float) -> float:
+    """The median to start from; sigma : a first guess in pv units (for example 0.1 % of span)."""
+    return sigma / MEDIAN_TO_SIGMA
 
 
-def noise_step(state: NoiseState, pv: float) -> NoiseState:
-    """Take one sample."""
-    median, last, before = state
-    d = pv - 2.0 * last + before
-    if d > median or -d > median:
-        median *= ADAPT_FACTOR
-    else:
-        median /= ADAPT_FACTOR
-    return NoiseState(median, pv, last)
+def noise_step(median: float, d: float) -> float:
+    """The next median; d : second difference, pv - 2 last + before. Scalars, because a tuple a sample is dear."""
+    return median * ADAPT_FACTOR if d > median or -d > median else median / ADAPT_FACTOR

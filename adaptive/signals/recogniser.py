@@ -130,10 +130,10 @@ def begin(t_s: float, sp: float) -> RecogniserState:
 
 def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
     """Take one sample: e = sp - pv, and the noise band in pv units (> 0)."""
-    if not state.started and state.phase == RecogniserPhase.LOCATE_1:
-        size = e if e > 0 else -e
-        if size <= START_BANDS * band:
-            return state if sp == state.sp else state._replace(sp=sp)
+    if state[0] == _L1 and not state[1]:  # by their places: this runs at every sample of a loop at rest
+        near = START_BANDS * band
+        if -near <= e <= near:
+            return state if sp == state[4] else state._replace(sp=sp)
     inside_s = _inside_since(state, t_s, e, band)
     event = _event(law, state, t_s, sp, e, band, inside_s)
     phase = TABLE[state.phase][event]

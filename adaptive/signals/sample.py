@@ -43,18 +43,15 @@ class LoopSample(NamedTuple):
 
 
 def plain(sample: LoopSample) -> LoopSample:
-    """The sample in Python's own numbers, itself where it is: numpy's are slow one by one, and JSON refuses some."""
+    """The sample in Python's own numbers: numpy's are slow one by one, and JSON refuses some."""
     t_s, sp, pv, co, mode, limited, x, revision, x2 = sample
-    if type(t_s) is type(sp) is type(pv) is type(co) is type(x) is float and isinstance(revision, int):
-        return sample
     values = float(t_s), float(sp), float(pv), float(co)
     return LoopSample(*values, int(mode), int(limited), float(x), int(revision), float(x2))
 
 
 def finite(sample: LoopSample) -> bool:
     """Whether the loop's own numbers are all finite (NaN passes min/max, so every door asks); x and x2 may be NaN."""
-    total = sample.t_s + sample.sp + sample.pv + sample.co
-    return math.isfinite(total)
+    return all(map(math.isfinite, sample[:4]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,11 +24,13 @@ from retuner.adaptive.signals.recogniser import (
     step,
 )
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite, plain
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions, RegionState, choose, enter, values
+
+AUTO = LoopMode.AUTO
 
 
 class FinderState(NamedTuple):
@@ -78,7 +80,7 @@ class ResponseFinder:
         self._samples: deque[LoopSample] = deque(maxlen=settings.history)
         self._region: RegionState | None = None
         self._state: RecogniserState | None = None
-        self._noise = NoiseState(0.0, 0.0, 0.0)
+        self._median, self._last, self._before = NoiseState(0.0, 0.0, 0.0)
         self._law = RecogniserLaw(1.0, 1.0)
         self._floor = settings.band or settings.band_min_share * settings.pv_span
         self._per_median = 0.0 if settings.band else settings.band_sigmas * MEDIAN_TO_SIGMA
@@ -110,7 +112,7 @@ class ResponseFinder:
     @property
     def band(self) -> float:
         """Noise band in pv units."""
-        return max(self._floor, self._per_median * self._noise.median)
+        return max(self._floor, self._per_median * self._median)
 
     @property
     def samples(self) -> Sequence[LoopSample]:
@@ -131,11 +133,13 @@ class ResponseFinder:
 
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
-        return FinderState(self._region, self._state, self._noise, tuple(self._samples))
+        noise = NoiseState(self._median, self._last, self._before)
+        return FinderState(self._region, self._state, noise, tuple(self._samples))
 
     def resume(self, state: FinderState) -> None:
         """Go on from there."""
-        self._region, self._state, self._noise, samples = state
+        self._region, self._state, noise, samples = state
+        self._median, self._last, self._before = noise
         self._samples.clear()
         self._samples.extend(samples)
         self._adopt_time_scale()
@@ -148,27 +152,28 @@ class ResponseFinder:
         ValueError
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
-        state, region = self._state, self._region
+        t_s, sp, pv, co, mode, _, x, revision, x2 = sample
+        is_plain = type(t_s) is type(sp) is type(pv) is type(co) is type(x) is type(x2) is float
+        if not is_plain or type(revision) is not int:
+            return self.step(plain(sample))
+        state, region, samples = self._state, self._region, self._samples
         if state is None or region is None:
             if self._is_placed(sample):
                 self._restart(sample)
             return None
-        t_s, sp, pv = sample[0], sample[1], sample[2]
-        elapsed = t_s - self._samples[-1][0]
-        if not 0.0 < elapsed <= self._gap_s or sample[4] != LoopMode.AUTO:
+        if not 0.0 < t_s - samples[-1][0] <= self._gap_s or mode != AUTO:
             self._restart(sample)
             return None
-        x, x2 = sample[6], sample[8]
-        if not (pv - pv == 0.0 and sp - sp == 0.0 and sample[3] - sample[3] == 0.0 and x - x == x2 - x2 == 0.0):
+        total = sp + pv + co + x + x2
+        if total - total != 0.0 and not self._is_placed(sample):
             return self._unknown(sample)
         now = choose(self._regions, region, x, t_s, x2)
         if now is not region:
-            if now.region != region.region:
+            if now[0] != region[0]:
                 return self._leave(sample, now)
             self._region = now
-        self._noise = noise = noise_step(self._noise, pv)
-        band = self._per_median * noise[0]
-        self._samples.append(sample)
+        band = self._per_median * self._hear(pv)
+        samples.append(sample)
         new = step(self._law, state, t_s, sp, sp - pv, band if band > self._floor else self._floor)
         if new is state:
             return None
@@ -195,8 +200,8 @@ class ResponseFinder:
         if self._samples and sample.t_s <= self._samples[-1].t_s:
             raise ValueError(f"time does not increase: {sample.t_s} s after {self._samples[-1].t_s} s")
         if self._state is None:
-            self._noise = noise_start(sample.pv, self._floor / self.settings.band_sigmas)
-        self._noise = NoiseState(self._noise.median, sample.pv, sample.pv)
+            self._median = noise_start(self._floor / self.settings.band_sigmas)
+        self._last = self._before = sample.pv
         region = self._region
         if region is not None and sample.t_s - self._samples[-1].t_s <= self._gap_s:
             self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
@@ -223,12 +228,11 @@ class ResponseFinder:
 
     def _unknown(self, sample: LoopSample) -> Left:
         """A scheduling variable is not known: the region stays, and nothing is learned."""
-        self._is_placed(sample)
         state, region = self._state, self._region
         assert state is not None
         assert region is not None
         self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
-        self._noise = noise_step(self._noise, sample.pv)
+        self._hear(sample.pv)
         self._forget(sample)
         return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT, unknown=True)
 
@@ -238,9 +242,16 @@ class ResponseFinder:
         assert state is not None
         assert old is not None
         self._region = now
-        self._noise = noise_step(self._noise, sample.pv)
+        self._hear(sample.pv)
         self._forget(sample)
         return Left(old.region, state.started and state.phase < RecogniserPhase.ADAPT)
+
+    def _hear(self, pv: float) -> float:
+        """Follow the noise: the next median."""
+        last = self._last
+        self._median = median = noise_step(self._median, pv - 2.0 * last + self._before)
+        self._last, self._before = pv, last
+        return median
 
     def _forget(self, sample: LoopSample) -> None:
         """Drop the samples and let the recogniser settle."""

@@ -147,6 +147,8 @@ class Retuner:
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
         step = self.step(sample)
+        if step is NOTHING:
+            return None
         if step.question is None:
             return step.decision
         return self.enter(step.question, decide(step.question), self.sample_number)
@@ -157,9 +159,8 @@ class Retuner:
         A question stays open until its answer is entered. A decision that comes with a question restores the verified
         set, and does not wait for what the response under way may teach.
         """
-        sample = plain(sample)
         if self.trials.busy:
-            return self._step_on_trial(sample)
+            return self._step_on_trial(plain(sample))
         seen = self._observe(sample)
         self.sample_number += 1
         return NOTHING if seen is None else self._seen(seen)

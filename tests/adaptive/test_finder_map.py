@@ -3,6 +3,7 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
@@ -74,6 +75,24 @@ def test_what_comes_with_every_sample_must_be_a_number(wrong: dict[str, float]) 
     for first in (finder, ResponseFinder(TABLE.regions, TABLE.at, SETTINGS)):
         with pytest.raises(ValueError, match="is not finite"):
             first.step(sample(5.0, **wrong))
+
+
+def test_numbers_whose_sum_is_beyond_all_are_numbers() -> None:
+    finder, seen = watched([sample(float(t), pv=1e308, x=1e308) for t in range(5)])
+    assert (finder.region, seen, len(finder.samples)) == (2, [], 5)
+
+
+def test_a_second_variable_counts_only_where_there_are_two() -> None:
+    row = GainTable("row", Regions.along(("cold", "hot"), HEAT), GAINS[:2])
+    finder, seen = watched([sample(float(t), x2=NAN) for t in range(5)], row)
+    assert (finder.region, seen, len(finder.samples)) == (0, [], 5)
+
+
+def test_numbers_of_numpy_are_kept_as_plain_ones() -> None:
+    finder, _ = watched([sample(float(t))._replace(x2=np.float64(90.0)) for t in range(40)])
+    assert finder.region == 1
+    assert {type(value) for s in finder.samples for value in s} <= {float, int, LoopMode}
+    assert type(finder.scheduled[1]) is float
 
 
 def test_manual_keeps_the_hysteresis() -> None:

@@ -223,7 +223,9 @@ def test_samples_and_gains_in_numbers_of_numpy_decide_the_same_bytes(kind: type[
     bench = made(PidGains(*map(float, start)))
     recorded = [*bench.samples(300, 0.0, 0.0, 10.0), *bench.samples(500, 1.0, 0.0, 10.0)]
     arrays = [
-        LoopSample(*map(kind, (s.t_s, s.sp, s.pv, s.co)), np.int64(s.mode), np.int64(0), kind(s.x), np.int64(0))
+        LoopSample(
+            *map(kind, (s.t_s, s.sp, s.pv, s.co)), np.int64(s.mode), np.int64(0), kind(s.x), np.int64(0), kind(s.x2)
+        )
         for s in recorded
     ]
     plain = [LoopSample(*map(float, s[:4]), int(s.mode), 0, float(s.x), 0) for s in arrays]

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from retuner.config.model import Config
+if TYPE_CHECKING:  # slow to load, and most commands have no configuration
+    from retuner.config.model import Config
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")]
 Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder that a run leaves, or fills right now.")]
@@ -35,7 +36,7 @@ def signed_by(options: type[Options]) -> Callable[[Callable[[Options], int]], Ca
     return signed
 
 
-def on_bus(config: Config, interface: str | None, channel: str | None) -> Config:
+def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Config":
     """The configuration with the bus that the command line names."""
     named = {"interface": interface, "channel": channel}
     changes = {name: value for name, value in named.items() if value is not None}
