@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from retuner.adaptive.guard import Border, ChangeRequest, GuardSettings, allowed, prove
+from retuner.adaptive.guard import ChangeRequest, GuardSettings, NeighbourBorder, allowed, prove
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -40,7 +40,7 @@ def drawn(model: ProcessModel, rng: np.random.Generator, settings: GuardSettings
     kp, ki = np.exp(rng.uniform(-math.log(5), math.log(5), 2))
     old = PidGains(proposal.gains.kp * kp, proposal.gains.ki * ki)
     near = tuple(replace(p, model=replace(p.model, k=p.model.k * 1.2)) for p in models)
-    borders = tuple(Border(name, old, near, 0.6) for name in ("below", "above"))
+    borders = tuple(NeighbourBorder(name, old, near, 0.6) for name in ("below", "above"))
     return ChangeRequest(old, old, proposal, models, sample_time_s, borders=borders)
 
 

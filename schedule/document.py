@@ -15,7 +15,7 @@ from retuner.schedule.forms import Form, to_ideal
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
-from retuner.schedule.toml_section import Section, read_toml
+from retuner.schedule.toml_section import TomlSection, read_toml
 
 SCHEMA = 1
 """Version of this document. Older ones will be read, newer ones are refused."""
@@ -122,7 +122,7 @@ def from_toml(text: str) -> GainTable:
     return GainTable(loop, regions, gains, Lookup(lookup), revision)
 
 
-def _regions(schedule: Section, names: tuple[str, ...]) -> Regions:
+def _regions(schedule: TomlSection, names: tuple[str, ...]) -> Regions:
     """The regions of section [schedule] with the names of the sets."""
     axis = _axis(schedule, simple=True, names=names)
     try:
@@ -131,7 +131,7 @@ def _regions(schedule: Section, names: tuple[str, ...]) -> Regions:
         raise schedule.error(str(error)) from None
 
 
-def _axis(section: Section, *, simple: bool, names: tuple[str, ...] = ()) -> Axis:
+def _axis(section: TomlSection, *, simple: bool, names: tuple[str, ...] = ()) -> Axis:
     """The axis of section [schedule], or of one [[axis]]."""
     known = ["variable", "unit", "low", "bounds", "high", "hysteresis", "min_stay_s"]
     variable, unit = section.text("variable"), section.text("unit")
@@ -147,9 +147,9 @@ def _axis(section: Section, *, simple: bool, names: tuple[str, ...] = ()) -> Axi
         raise section.error(str(error)) from None
 
 
-def _by_cell(top: Section, sets: list[Section], axes: list[Axis]) -> list[Section]:
+def _by_cell(top: TomlSection, sets: list[TomlSection], axes: list[Axis]) -> list[TomlSection]:
     """The sets in the order of the regions, by their cells."""
-    found: dict[tuple[float, ...], Section] = {}
+    found: dict[tuple[float, ...], TomlSection] = {}
     for entry in sets:
         cell = entry.numbers("cell")
         if len(cell) != len(axes) or not all(
@@ -172,7 +172,7 @@ def _shown(cell: tuple[float, ...]) -> str:
     return f"[{', '.join(f'{i:g}' for i in cell)}]"
 
 
-def _gains(entry: Section, *, with_cell: bool) -> PidGains:
+def _gains(entry: TomlSection, *, with_cell: bool) -> PidGains:
     """The gains of one [[region]]."""
     entry.only("name", "form", "kp", "ki", "kd", *(["cell"] if with_cell else []))
     form = entry.text("form")

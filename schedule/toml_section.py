@@ -18,7 +18,7 @@ Lines = dict[tuple[str, str], int]
 """Line, counted from 1, of a key in a section; the key "" is the section's header."""
 
 
-def read_toml(text: str) -> "Section":
+def read_toml(text: str) -> "TomlSection":
     """The top of a document.
 
     Raises
@@ -32,7 +32,7 @@ def read_toml(text: str) -> "Section":
         raise ValueError("not TOML that can be read: brackets are nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"not TOML: {error}") from None
-    return Section(values, "", find_lines(text))
+    return TomlSection(values, "", find_lines(text))
 
 
 def find_lines(text: str) -> Lines:
@@ -52,7 +52,7 @@ def find_lines(text: str) -> Lines:
     return lines
 
 
-class Section:
+class TomlSection:
     """Values of a section. name : "" for the top of the document. lines : where its keys stand.
 
     Every method that reads raises ValueError when the key is missing or its value is of another kind.
@@ -104,19 +104,19 @@ class Section:
             raise self._kind(key, "a list of numbers")
         return tuple(self._finite(key, item) for item in value)
 
-    def section(self, key: str) -> "Section":
+    def section(self, key: str) -> "TomlSection":
         """The section [key]."""
         value = self._value(key)
         if not isinstance(value, dict):
             raise self._kind(key, f"a section [{key}]")
-        return Section(value, key, self._lines)
+        return TomlSection(value, key, self._lines)
 
-    def sections(self, key: str) -> list["Section"]:
+    def sections(self, key: str) -> list["TomlSection"]:
         """The sections [[key]], at least one."""
         value = self._value(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self._kind(key, f"one or more sections [[{key}]]")
-        return [Section(item, f"{key} {i}", self._lines) for i, item in enumerate(value)]
+        return [TomlSection(item, f"{key} {i}", self._lines) for i, item in enumerate(value)]
 
     def _value(self, key: str) -> object:
         """What stands under a key."""

@@ -49,7 +49,7 @@ class Happening(Enum):
     GIVEN_UP = auto()
 
 
-class Cause(Enum):
+class AbortCause(Enum):
     """Why an experiment was aborted; the text goes on with what was seen."""
 
     PV_BAND = "pv left its band"

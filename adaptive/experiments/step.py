@@ -51,7 +51,7 @@ class StepMethod(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class StepResponse:
+class RecordedStep:
     """One clean step and the response to it.
 
     at_s : time of the step. co_change, pv_change : A and B. pv_before, pv_after : levels of pv.
@@ -70,7 +70,7 @@ class StepResponse:
     sigma_left: float
 
 
-def step_response(window: Window, *, rest: bool = True) -> StepResponse:
+def step_response(window: Window, *, rest: bool = True) -> RecordedStep:
     """Find the step in a record.
 
     rest : whether pv has to have come to rest at the end.
@@ -101,7 +101,7 @@ def step_response(window: Window, *, rest: bool = True) -> StepResponse:
         )
     t = window.t_s[i:] - window.t_s[i]
     pv, left = smoothed(window.pv[i:], b)
-    return StepResponse(float(window.t_s[i]), a, b, before, after, t, pv, sigma, left)
+    return RecordedStep(float(window.t_s[i]), a, b, before, after, t, pv, sigma, left)
 
 
 def _step_index(co: FloatArray) -> int:
@@ -117,7 +117,7 @@ def _step_index(co: FloatArray) -> int:
     return i
 
 
-def model_by(method: StepMethod, response: StepResponse) -> ProcessModel:
+def model_by(method: StepMethod, response: RecordedStep) -> ProcessModel:
     """First order (for "slope" integrating) + dead time by a named method; see the head of this file.
 
     Raises
@@ -141,39 +141,39 @@ def model_by(method: StepMethod, response: StepResponse) -> ProcessModel:
     return ProcessModel(ProcessType.FOPDT, response.pv_change / response.co_change, tau, 0.0, max(theta, 0.0))
 
 
-def _share_time(response: StepResponse, share: float) -> float:
+def _share_time(response: RecordedStep, share: float) -> float:
     """Time after the step at which a share of the change has happened."""
     level = response.pv_before + share * response.pv_change
     return crossing(response.t_s, response.pv, level, rising=response.pv_change > 0)
 
 
-def _two_point(response: StepResponse) -> tuple[float, float]:
+def _two_point(response: RecordedStep) -> tuple[float, float]:
     t1, t2 = _share_time(response, T1_SHARE), _share_time(response, T2_SHARE)
     tau = 1.5 * (t2 - t1)
     return tau, t2 - tau
 
 
-def _percent_63(response: StepResponse) -> tuple[float, float]:
+def _percent_63(response: RecordedStep) -> tuple[float, float]:
     theta = _start(response)
     return _share_time(response, T2_SHARE) - theta, theta
 
 
-def _tangent(response: StepResponse) -> tuple[float, float]:
+def _tangent(response: RecordedStep) -> tuple[float, float]:
     slope, t, pv = _steepest(response)
     return response.pv_change / slope, t - (pv - response.pv_before) / slope
 
 
-def _reaction_curve(response: StepResponse) -> tuple[float, float]:
+def _reaction_curve(response: RecordedStep) -> tuple[float, float]:
     return response.pv_change / _steepest(response)[0], _start(response)
 
 
-def _start(response: StepResponse) -> float:
+def _start(response: RecordedStep) -> float:
     """Time until the response starts: where it leaves the old level for good."""
     share = max(STARTED, min(CLEAR * response.sigma_left / abs(response.pv_change), 0.5))
     return _share_time(response, share)
 
 
-def _steepest(response: StepResponse, fewest: int = 3) -> tuple[float, float, float]:
+def _steepest(response: RecordedStep, fewest: int = 3) -> tuple[float, float, float]:
     """Steepest slope towards the new level with a point of its tangent: slope, time, pv.
 
     fewest : samples that the slope is taken over at least.

@@ -18,7 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from retuner.adaptive.guard.request import Beside, Border
+from retuner.adaptive.guard.request import Beside, NeighbourBorder
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -33,7 +33,7 @@ SHARES_UNKNOWN = (0.5, 0.25)
 """Nothing known of the neighbour: the own process stands for it up to half way."""
 
 
-def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[Border, ...]:
+def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible]]) -> tuple[NeighbourBorder, ...]:
     """What the table says of a region's borders. models : what is known of the regions, by index; may lack some."""
     regions = table.regions
     found = []
@@ -46,7 +46,7 @@ def borders_of(table: GainTable, region: int, models: Mapping[int, Sequence[Plau
                 1.0 if interpolated else max(_reach(table, region, other, k) for k, step in enumerate(steps) if step)
             )
             found.append(
-                Border(
+                NeighbourBorder(
                     regions.names[other],
                     table.gains_of(other),
                     tuple(models.get(other, ())),
@@ -83,7 +83,7 @@ def _cell(table: GainTable, region: int, models: Mapping[int, Sequence[Plausible
 
 
 def at_border(
-    border: Border,
+    border: NeighbourBorder,
     own: Sequence[Plausible],
     new: PidGains,
     old: PidGains,
@@ -115,7 +115,7 @@ def at_border(
     return (worst if pairs else math.nan), proper
 
 
-def _pairs(border: Border, own: Sequence[Plausible]) -> list[tuple[ProcessModel, ProcessModel]]:
+def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[ProcessModel, ProcessModel]]:
     """Models here and there, the best of both first; the own one twice where nothing is known of the neighbour."""
     if not own:
         return []
@@ -126,19 +126,19 @@ def _pairs(border: Border, own: Sequence[Plausible]) -> list[tuple[ProcessModel,
     return [pair for pair in pairs if between_models(*pair, 0.5) is not None]
 
 
-def _shares(border: Border) -> tuple[float, ...]:
+def _shares(border: NeighbourBorder) -> tuple[float, ...]:
     """Weights to prove at."""
     if not border.interpolated:
         return tuple(border.reach * share for share in SHARES_HARD)
     return SHARES_MIXED if border.models else SHARES_UNKNOWN
 
 
-def _between(pair: tuple[ProcessModel, ProcessModel], border: Border, share: float) -> ProcessModel | None:
+def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:
     """The process at a weight of the neighbour."""
     return _inside(pair, border, share) if border.beside else between_models(*pair, share)
 
 
-def _mixed(gains: PidGains, border: Border, share: float) -> PidGains:
+def _mixed(gains: PidGains, border: NeighbourBorder, share: float) -> PidGains:
     """The gains in force at a weight of the neighbour."""
     if not border.interpolated:
         return gains
@@ -149,7 +149,7 @@ def _mixed(gains: PidGains, border: Border, share: float) -> PidGains:
     return PidGains(*(sum(w * getattr(one, name) for one, w in shares) for name in GAIN_NAMES))
 
 
-def _inside(pair: tuple[ProcessModel, ProcessModel], border: Border, share: float) -> ProcessModel | None:
+def _inside(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, share: float) -> ProcessModel | None:
     """The process inside a square of four cells, on its diagonal; between the two corners where a side is unknown."""
     here, there = pair
     one, two = (cell.model for cell in border.beside)

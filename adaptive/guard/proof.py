@@ -27,7 +27,7 @@ from retuner.adaptive.guard.checks import (
     robustness_checks,
 )
 from retuner.adaptive.guard.limits import Goal, goals, nothing_left, without_short_derivative
-from retuner.adaptive.guard.request import Border, ChangeRequest, Support
+from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
 from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor, extent, less_of_everything, within_factor, within_limits
@@ -128,7 +128,7 @@ SHARES = (1.0, 0.5, 0.25)
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class TriedSettings:
     """Gains to prove. share : of the whole way to the goal. whole : not half or quarter of what the limits allow.
 
     beyond : farther than one change may usually go, for an urgent one.
@@ -233,22 +233,22 @@ def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, dict[str, float]] | Non
     return Ruling.TOO_SMALL, {"factor": factor, "limit": limit}
 
 
-def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[Candidate]:
+def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[TriedSettings]:
     """What to prove, in order: whole steps at every tau_c, then half and quarter steps to the slowest goal."""
     old, s = case.request.in_force, case.settings
     if case.urgent:
         for goal in wanted:
             moved = within_limits(old, goal.gains, 1.0, s, less_unlimited=True)
             if moved is not None and _safe_direction(case, moved[0], goal):
-                yield from _inside(case, Candidate(moved[0], moved[1], goal, whole=True, beyond=True))
+                yield from _inside(case, TriedSettings(moved[0], moved[1], goal, whole=True, beyond=True))
     for share in SHARES:
         for goal in wanted if share == 1.0 else wanted[-1:]:
             moved = within_limits(old, goal.gains, share, s)
             if moved is not None:
-                yield from _inside(case, Candidate(moved[0], moved[1], goal, share == 1.0))
+                yield from _inside(case, TriedSettings(moved[0], moved[1], goal, share == 1.0))
 
 
-def _inside(case: _Case, candidate: Candidate) -> Iterator[Candidate]:
+def _inside(case: _Case, candidate: TriedSettings) -> Iterator[TriedSettings]:
     """The candidate, if it keeps every limit; remembers the first limit that one did not keep."""
     gains = without_short_derivative(candidate.gains, case.request, case.settings)
     checks = limit_checks(case.request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
@@ -264,7 +264,7 @@ def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
     return less_of_everything(old, gains) if not case.over else case.loops.safer(old, gains, goal.gains)
 
 
-def _best(case: _Case, tried: list[Candidate], doubted: bool) -> Verdict | None:
+def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Verdict | None:
     """The first candidate that is proved; else, for a loop over its limit, the largest step that makes it safer.
 
     That step is tried at the slowest tau_c first.
@@ -297,7 +297,7 @@ def _borders_hold(case: _Case, gains: PidGains) -> bool:
     return True
 
 
-def _border_check(case: _Case, border: Border, gains: PidGains) -> Check | None:
+def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Check | None:
     """One border; None where nothing is known to ask."""
     request, limit = case.request, case.settings.ms_border
     key = (border.name, gains)
@@ -311,7 +311,7 @@ def _border_check(case: _Case, border: Border, gains: PidGains) -> Check | None:
     return Check("ms_border", f"Ms towards region {border.name} (or no worse than before)", ms, limit, passed)
 
 
-def _why_not(case: _Case, tried: list[Candidate]) -> tuple[Ruling, dict[str, float]]:
+def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, dict[str, float]]:
     """The refusal of the gentlest candidate, with its numbers."""
     s = case.settings
     if not tried:
@@ -357,7 +357,7 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     )
 
 
-def _accepted(case: _Case, candidate: Candidate, ruling: Ruling) -> Verdict:
+def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
     """The verdict with its whole proof."""
     request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
     nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)

@@ -85,7 +85,7 @@ class Beside(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Border:
+class NeighbourBorder:
     """A neighbouring region, as far as the changed gains reach into it.
 
     name : of the neighbour. gains : its set. models : of its process, best first, empty where not known.
@@ -139,7 +139,7 @@ class ChangeRequest:
     models: Sequence[Plausible]
     sample_time_s: float
     evidence: Evidence = Evidence()
-    borders: Sequence[Border] = ()
+    borders: Sequence[NeighbourBorder] = ()
     slower: Sequence[Tuning] = ()
     filter_s: float = 0.0
     urgent: bool = False

@@ -49,7 +49,7 @@ ROUNDING = 1e-3
 """Ratios are compared with this relative slack: 0.08/0.05 is 1.6, not less, also when 0.05 is a polynomial's root."""
 
 
-class Setting(NamedTuple):
+class LeadOverLag(NamedTuple):
     """A lead that has been set against a lag.
 
     rule : name of the rule. lead_s, against_s : what was set against what (infinite: an integrator).
@@ -93,15 +93,15 @@ def against(lead_s: float, lags_s: list[float]) -> float:
     return min(larger)
 
 
-def set_against(lead_s: float, lag_s: float, theta_s: float) -> Setting:
+def set_against(lead_s: float, lag_s: float, theta_s: float) -> LeadOverLag:
     """Apply the rule that holds for a lead, a lag (infinite for an integrator) and an effective dead time, all in s."""
     if lead_s > lag_s:
-        return Setting(_t1(lead_s, lag_s, theta_s), lead_s, lag_s, lead_s / min(max(theta_s, lag_s), lead_s), 0.0)
+        return LeadOverLag(_t1(lead_s, lag_s, theta_s), lead_s, lag_s, lead_s / min(max(theta_s, lag_s), lead_s), 0.0)
     unit = 1.0 if math.isinf(lag_s) else lag_s
     if lead_s >= WITHIN * theta_s:
-        return Setting("T2", lead_s, lag_s, lead_s / unit, 0.0)
+        return LeadOverLag("T2", lead_s, lag_s, lead_s / unit, 0.0)
     reach = min(lag_s, WITHIN * theta_s)
-    return Setting("T3", lead_s, lag_s, reach / unit, reach - lead_s)
+    return LeadOverLag("T3", lead_s, lag_s, reach / unit, reach - lead_s)
 
 
 def _t1(lead_s: float, lag_s: float, theta_s: float) -> str:
@@ -160,7 +160,7 @@ class _Half:
     k: float
     retained_s: list[float]
     theta_s: float
-    settings: tuple[Setting, ...]
+    settings: tuple[LeadOverLag, ...]
 
 
 def reduce(process: LinearProcess, order: int = 1, leads: Leads = Leads.AUTO) -> Reduction:
@@ -283,7 +283,7 @@ def _half(parts: _Parts, order: int, theta_s: float) -> _Half:
     return _Half(k, retained, theta, tuple(settings))
 
 
-def _whole(retained_s: list[float], settings: list[Setting]) -> bool:
+def _whole(retained_s: list[float], settings: list[LeadOverLag]) -> bool:
     """Whether the largest neglected lag counts in full: a purely integrating result after T3, see the head."""
     return all(math.isinf(lag) for lag in retained_s) and any(s.rest_s for s in settings)
 

@@ -143,7 +143,7 @@ class PatternSettings:
                 raise ValueError(f"{name} = {getattr(self, name)} is a factor of at least 1")
 
 
-class Reading(StrEnum):
+class PatternReading(StrEnum):
     """What a pattern says; the value is the sentence, with its numbers by name."""
 
     LIVELY = "by the pattern ({seen}): calmer, {moves}"
@@ -162,7 +162,7 @@ class Reading(StrEnum):
     UNDYING = "it swings on (damping {damping:.2f}): a valve or another loop may do that, and no diagnosis rules it out"
 
 
-MOVING = frozenset({Reading.LIVELY, Reading.CALM, Reading.OVERDAMPED, Reading.SLOW})
+MOVING = frozenset({PatternReading.LIVELY, PatternReading.CALM, PatternReading.OVERDAMPED, PatternReading.SLOW})
 """Readings that change gains."""
 MAY_BE_TUNING = TUNING_CAUSES | {Cause.UNKNOWN}
 """Causes under which a pattern may speak of the tuning."""
@@ -198,7 +198,7 @@ class Move:
 class PatternAdvice:
     """What the rule says. tuning : new settings, None where nothing is to be moved. numbers : what was weighed."""
 
-    reading: Reading
+    reading: PatternReading
     sentence: str
     numbers: dict[str, float]
     tuning: Tuning | None = None
@@ -218,7 +218,7 @@ def pattern_rule(
     refused = _refusal(response, diagnosis, numbers, settings)
     reading, move = (refused, Move()) if refused else _reading(gains, numbers, settings)
     if diagnosis is not None and move.direction * WANTED.get(diagnosis.cause, 0) < 0:
-        reading = Reading.CONTRADICTED
+        reading = PatternReading.CONTRADICTED
     cause = diagnosis.reason if diagnosis else "nobody looked"
     sentence = reading.value.format(cause=cause, seen=seen(numbers), moves=move.words, **numbers)
     if reading not in MOVING:
@@ -236,27 +236,27 @@ def seen(numbers: dict[str, float]) -> str:
 
 def _refusal(
     response: Response, diagnosis: Diagnosis | None, numbers: dict[str, float], settings: PatternSettings
-) -> Reading | None:
+) -> PatternReading | None:
     """Why nothing may be concluded, if so."""
     if diagnosis is not None and diagnosis.cause not in MAY_BE_TUNING:
-        return Reading.OTHER_CAUSE
+        return PatternReading.OTHER_CAUSE
     if response.ending == Ending.SETPOINT and (len(response.peaks) > 1 or not _is_long(numbers, settings)):
-        return Reading.CUT_SHORT
+        return PatternReading.CUT_SHORT
     if numbers["height_bands"] < settings.least_bands:
-        return Reading.WEAK
+        return PatternReading.WEAK
     if numbers["limited_share"] > settings.limited:
-        return Reading.LIMITED
+        return PatternReading.LIMITED
     if numbers.get("co_way", 1.0) < settings.pulse:
-        return Reading.PULSE
+        return PatternReading.PULSE
     if "damping" not in numbers:
         return None
     if abs(numbers["damping"] - numbers["overshoot"]) > settings.gap:
-        return Reading.NO_ORDINARY
+        return PatternReading.NO_ORDINARY
     first, second = numbers["first_s"], numbers["second_s"]
     if not response.sp_changed and max(first, second) > settings.uneven * min(first, second):
-        return Reading.UNEVEN
+        return PatternReading.UNEVEN
     ruled_out = settings.alone or (diagnosis is not None and diagnosis.cause in TUNING_CAUSES)
-    return Reading.UNDYING if numbers["damping"] > settings.undying and not ruled_out else None
+    return PatternReading.UNDYING if numbers["damping"] > settings.undying and not ruled_out else None
 
 
 def _is_long(numbers: dict[str, float], settings: PatternSettings) -> bool:
@@ -264,7 +264,7 @@ def _is_long(numbers: dict[str, float], settings: PatternSettings) -> bool:
     return numbers.get("tail_s", 0.0) > settings.long_tail * numbers.get("rise_s", math.inf)
 
 
-def _reading(gains: PidGains, numbers: dict[str, float], settings: PatternSettings) -> tuple[Reading, Move]:
+def _reading(gains: PidGains, numbers: dict[str, float], settings: PatternSettings) -> tuple[PatternReading, Move]:
     """The rule at the head of this file."""
     room = settings.overshoot_target - max(numbers.get("overshoot", 0.0), numbers.get("co_overshoot", 0.0))
     m = min(room, settings.damping_target - max(numbers.get("damping", 0.0), numbers.get("rebound", 0.0)))
@@ -275,26 +275,26 @@ def _reading(gains: PidGains, numbers: dict[str, float], settings: PatternSettin
     if gains.kp:
         numbers["period_over_tau_i"] = ratio
     if m < settings.dead_zone and _is_slow(ratio, numbers, settings):
-        return Reading.SLOW, Move(kc=settings.least_up)
+        return PatternReading.SLOW, Move(kc=settings.least_up)
     if abs(m) <= settings.dead_zone:
-        return Reading.ON_TARGET, Move()
+        return PatternReading.ON_TARGET, Move()
     if m > 0:
-        return Reading.CALM, _faster(m, ratio, settings)
+        return PatternReading.CALM, _faster(m, ratio, settings)
     riding = numbers.get("damping", 0.0) - numbers["overshoot"] > settings.riding
-    return Reading.LIVELY, _calmer(m, 0.0 if riding else ratio, numbers, settings)
+    return PatternReading.LIVELY, _calmer(m, 0.0 if riding else ratio, numbers, settings)
 
 
 def _without_second_peak(
     gains: PidGains, room: float, numbers: dict[str, float], settings: PatternSettings
-) -> tuple[Reading, Move]:
+) -> tuple[PatternReading, Move]:
     """Overdamped, or a swing that rides on a slow return."""
     if numbers["margin"] < -settings.dead_zone and numbers.get("rebound", 0.0) > settings.damping_target:
-        return Reading.LIVELY, _calmer(numbers["margin"], 0.0, numbers, settings)
+        return PatternReading.LIVELY, _calmer(numbers["margin"], 0.0, numbers, settings)
     if gains.ki and _is_long(numbers, settings):
-        return Reading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
+        return PatternReading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
     if room <= settings.overshoot_target - settings.co_enough:
-        return Reading.ON_TARGET, Move()
-    return Reading.OVERDAMPED, Move(kc=settings.least_up)
+        return PatternReading.ON_TARGET, Move()
+    return PatternReading.OVERDAMPED, Move(kc=settings.least_up)
 
 
 def _is_slow(ratio: float, numbers: dict[str, float], settings: PatternSettings) -> bool:

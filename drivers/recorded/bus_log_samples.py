@@ -17,7 +17,7 @@ from retuner.drivers.host.page_reader import PageReader, ReadBack
 from retuner.drivers.host.running_set import Belief, RunningBelief
 from retuner.drivers.protocol import frames
 from retuner.drivers.protocol.codec import Codec, Refused
-from retuner.drivers.telemetry.sample_assembly import Joined, SampleJoiner
+from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 
 
@@ -67,7 +67,7 @@ class Overhearing:
         self._joiner.forget()
         self._identified = self._connected = False
 
-    def take(self, message: can.Message) -> Joined | None:
+    def take(self, message: can.Message) -> AssembledSample | None:
         """Note a frame; the sample that it completes, with the number of samples lost before it."""
         frame = self._codec.decode(message)
         if isinstance(frame, Refused):
@@ -96,7 +96,7 @@ class Overhearing:
         else:
             self._joiner.ordered = frame.seq
 
-    def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> Joined | None:
+    def _telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> AssembledSample | None:
         """Half a sample."""
         if not self._connected:
             return None

@@ -26,7 +26,7 @@ LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a resta
 BEHIND = 16  # samples by which a late heartbeat may lag behind the telemetry
 
 
-class Joined(NamedTuple):
+class AssembledSample(NamedTuple):
     """A sample, and how many before it never arrived."""
 
     sample: LoopSample
@@ -98,7 +98,7 @@ class SampleJoiner:
         self.restart(sample, gap)
         return gap
 
-    def take(self, half: TelemetryPv | TelemetrySp) -> Joined | None:
+    def take(self, half: TelemetryPv | TelemetrySp) -> AssembledSample | None:
         """Note half a sample; the sample once both halves are here."""
         if self._reference is None:
             return None
@@ -118,7 +118,7 @@ class SampleJoiner:
         self._halves[number] = self._taken, half
         return None
 
-    def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> Joined | None:
+    def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> AssembledSample | None:
         """The sample; what is older is given up. None when the halves do not belong together."""
         if sp.crc != sample_crc(self._node, pv, sp):
             self.arrivals.note(Arrival.WRONG_CRC)
@@ -135,7 +135,7 @@ class SampleJoiner:
         x = _value(self._variable, pv, sp)
         x2 = _value(self._variable2, pv, sp) if self._variable2 else 0.0
         sample = LoopSample(t_s, sp.sp, pv.pv, pv.co, sp.mode, sp.limited, x, self._revision(sp.running), x2)
-        return Joined(self.tap.fill(sample), lost)
+        return AssembledSample(self.tap.fill(sample), lost)
 
     def _revision(self, tag: int) -> int:
         """The sequence number with these low bits: the known one's, the ordered one's, else the next one upwards."""

@@ -34,7 +34,7 @@ class Stream(Enum):
     INVALID = "too many wrong frames"
 
 
-class Verdict(Enum):
+class TelemetryVerdict(Enum):
     """What the window says."""
 
     FEW = "some frames, not enough"
@@ -43,8 +43,8 @@ class Verdict(Enum):
     SILENCE = "none any more"
 
 
-S, V = Stream, Verdict
-TRANSITIONS: dict[tuple[Stream, Verdict], Stream] = {
+S, V = Stream, TelemetryVerdict
+TRANSITIONS: dict[tuple[Stream, TelemetryVerdict], Stream] = {
     (S.NO_DATA, V.FEW): S.INIT,
     (S.NO_DATA, V.ENOUGH): S.VALID,
     (S.NO_DATA, V.WRONG): S.INVALID,
@@ -88,7 +88,7 @@ class ArrivalCheck:
         if arrival is Arrival.TIMEOUT:
             self._window.clear()
             self._good = self._wrong = 0
-            self._move(Verdict.SILENCE)
+            self._move(TelemetryVerdict.SILENCE)
             return
         self._window.append(arrival)
         self._good += arrival in GOOD
@@ -98,10 +98,10 @@ class ArrivalCheck:
             self._good -= oldest in GOOD
             self._wrong -= oldest in WRONG
         if self._wrong > MAX_WRONG:
-            self._move(Verdict.WRONG)
+            self._move(TelemetryVerdict.WRONG)
         else:
-            self._move(Verdict.ENOUGH if self._good >= MIN_OK else Verdict.FEW)
+            self._move(TelemetryVerdict.ENOUGH if self._good >= MIN_OK else TelemetryVerdict.FEW)
 
-    def _move(self, verdict: Verdict) -> None:
+    def _move(self, verdict: TelemetryVerdict) -> None:
         """Go where the table says."""
         self.state = TRANSITIONS.get((self.state, verdict), self.state)

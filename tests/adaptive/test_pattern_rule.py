@@ -12,7 +12,13 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.without_model.pattern_evidence import pattern_numbers
-from retuner.adaptive.without_model.pattern_rule import MOVING, PatternAdvice, PatternSettings, Reading, pattern_rule
+from retuner.adaptive.without_model.pattern_rule import (
+    MOVING,
+    PatternAdvice,
+    PatternReading,
+    PatternSettings,
+    pattern_rule,
+)
 from retuner.schedule.gains import PidGains
 
 PI = PidGains(2.0, 2.0 / 30)
@@ -111,28 +117,28 @@ T = np.arange(N - BEFORE) * 2 * math.pi / 200
 KICKED = np.exp(-0.3 * T) * (np.cos(T) - 0.7 * np.sin(T))
 UNEVEN = Response(50.0, 400.0, (Peak(60.0, 1.0), Peak(75.0, -0.4), Peak(160.0, 0.2)), Ending.COMPLETE, False, 0.01)
 LOAD = made(load_decay(0.4), setpoint=False)
-CASES: dict[Reading, PatternAdvice] = {
-    Reading.LIVELY: advised(made(decay(0.5))),
-    Reading.CALM: advised(made(decay(0.06))),
-    Reading.OVERDAMPED: advised(made(decay(0.001))),
-    Reading.SLOW: advised(made(KICKED, dead=2)),
-    Reading.ON_TARGET: advised(made(decay(0.15))),
-    Reading.OTHER_CAUSE: advised(made(decay(0.5)), cause=Cause.STICTION),
-    Reading.CONTRADICTED: advised(made(decay(0.5)), cause=Cause.SLUGGISH),
-    Reading.CUT_SHORT: advised(made(decay(0.5)), response=seen(made(decay(0.5)), ending=Ending.SETPOINT)),
-    Reading.NO_ORDINARY: advised(
+CASES: dict[PatternReading, PatternAdvice] = {
+    PatternReading.LIVELY: advised(made(decay(0.5))),
+    PatternReading.CALM: advised(made(decay(0.06))),
+    PatternReading.OVERDAMPED: advised(made(decay(0.001))),
+    PatternReading.SLOW: advised(made(KICKED, dead=2)),
+    PatternReading.ON_TARGET: advised(made(decay(0.15))),
+    PatternReading.OTHER_CAUSE: advised(made(decay(0.5)), cause=Cause.STICTION),
+    PatternReading.CONTRADICTED: advised(made(decay(0.5)), cause=Cause.SLUGGISH),
+    PatternReading.CUT_SHORT: advised(made(decay(0.5)), response=seen(made(decay(0.5)), ending=Ending.SETPOINT)),
+    PatternReading.NO_ORDINARY: advised(
         made(decay(0.5)), response=replace(seen(made(decay(0.5))), peaks=(Peak(50, 1), Peak(65, -0.05), Peak(80, 0.9)))
     ),
-    Reading.UNEVEN: advised(LOAD, response=UNEVEN),
-    Reading.WEAK: advised(made(decay(0.5)), response=seen(made(decay(0.5)), band=0.2)),
-    Reading.LIMITED: advised(replace(LOAD, co=np.minimum(LOAD.co, 0.8))),
-    Reading.PULSE: advised(replace(LOAD, co=np.where(LOAD.t_s > 70, 1e-6 * LOAD.t_s, LOAD.co))),
-    Reading.UNDYING: advised(made(decay(0.95))),
+    PatternReading.UNEVEN: advised(LOAD, response=UNEVEN),
+    PatternReading.WEAK: advised(made(decay(0.5)), response=seen(made(decay(0.5)), band=0.2)),
+    PatternReading.LIMITED: advised(replace(LOAD, co=np.minimum(LOAD.co, 0.8))),
+    PatternReading.PULSE: advised(replace(LOAD, co=np.where(LOAD.t_s > 70, 1e-6 * LOAD.t_s, LOAD.co))),
+    PatternReading.UNDYING: advised(made(decay(0.95))),
 }
 
 
-@pytest.mark.parametrize("reading", Reading)
-def test_every_reading_is_reached_and_says_why(reading: Reading) -> None:
+@pytest.mark.parametrize("reading", PatternReading)
+def test_every_reading_is_reached_and_says_why(reading: PatternReading) -> None:
     advice = CASES[reading]
     assert advice.reading is reading
     assert (advice.tuning is not None) == (reading in MOVING)
@@ -147,7 +153,7 @@ def test_every_reading_is_reached_and_says_why(reading: Reading) -> None:
 def test_only_tuning_causes_may_move_gains_and_none_against_its_direction(cause: Cause, s: float) -> None:
     advice = advised(made(decay(s)), cause=cause)
     if cause not in {Cause.AGGRESSIVE, Cause.SLUGGISH, Cause.SLOW_INTEGRATING, Cause.UNKNOWN}:
-        assert advice.reading is Reading.OTHER_CAUSE
+        assert advice.reading is PatternReading.OTHER_CAUSE
     if advice.tuning:
         kc, tau_i = factor(advice)
         assert not (cause is Cause.AGGRESSIVE and kc / tau_i > 1)
@@ -156,10 +162,10 @@ def test_only_tuning_causes_may_move_gains_and_none_against_its_direction(cause:
 
 def test_a_swing_that_does_not_decay_needs_a_diagnosis_or_nobody_else_to_ask() -> None:
     window = made(decay(0.95))
-    assert advised(window).reading is Reading.UNDYING
-    assert advised(window, cause=Cause.UNKNOWN).reading is Reading.UNDYING
-    assert advised(window, cause=Cause.AGGRESSIVE).reading is Reading.LIVELY
-    assert advised(window, settings=replace(SETTINGS, alone=True)).reading is Reading.LIVELY
+    assert advised(window).reading is PatternReading.UNDYING
+    assert advised(window, cause=Cause.UNKNOWN).reading is PatternReading.UNDYING
+    assert advised(window, cause=Cause.AGGRESSIVE).reading is PatternReading.LIVELY
+    assert advised(window, settings=replace(SETTINGS, alone=True)).reading is PatternReading.LIVELY
 
 
 def test_what_gives_way_follows_the_integrals_share_of_the_phase() -> None:
@@ -218,7 +224,7 @@ def test_steps_are_clamped_and_stay_away_from_the_dead_zone(
         assert kc <= SETTINGS.step_up * (1 + 1e-9)
         assert 1 / SETTINGS.step_up <= tau * (1 + 1e-9)
         assert tau <= most * (1 + 1e-9)
-    if advice.reading in {Reading.LIVELY, Reading.CALM}:
+    if advice.reading in {PatternReading.LIVELY, PatternReading.CALM}:
         assert abs(advice.numbers["margin"]) > SETTINGS.dead_zone
 
 

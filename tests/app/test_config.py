@@ -16,7 +16,7 @@ from retuner.commands.init import starter
 from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import OvenPlantConfig
-from retuner.config.loading import LARGEST_FILE, Finding, UnusableError, parse_config
+from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, parse_config
 from retuner.config.setting import Section
 from retuner.drivers.plants.oven_plant import OvenSettings
 from retuner.errors import ConfigError
@@ -233,7 +233,7 @@ def test_places_that_are_no_file(tmp_path: Path) -> None:
         assert len(caught.value.lines) == 1
 
 
-def outcome(text: str) -> Config | list[Finding]:
+def outcome(text: str) -> Config | list[ConfigFlaw]:
     try:
         return parse_config(text)
     except UnusableError as error:

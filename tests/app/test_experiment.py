@@ -16,7 +16,7 @@ from retuner.adaptive.experiments.plan import Kind
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.cli import main
-from retuner.commands.experiment import RelayOptions, Shape, plan_for
+from retuner.commands.experiment import ExperimentSignal, RelayOptions, plan_for
 from retuner.config import load_config
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
@@ -348,7 +348,7 @@ def test_a_live_bus_is_experimented_with_and_restored(loop: Path, monkeypatch: p
     thread = threading.Thread(target=be_device)
     thread.start()
     try:
-        plan = plan_for(config, Kind.RELAY, RelayOptions(), Shape(10.0, cycles=2, bias=0.3))
+        plan = plan_for(config, Kind.RELAY, RelayOptions(), ExperimentSignal(10.0, cycles=2, bias=0.3))
         with live(config, speed) as bench:
             conductor = ExperimentRunner(bench.device, plan, 0.1, bench.device.settings.silent_s, nothing)
             while not conductor.phase.over:

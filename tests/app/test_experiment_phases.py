@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from retuner.adaptive.experiments.phases import TRANSITIONS, Cause, Happening, Phase, after
+from retuner.adaptive.experiments.phases import TRANSITIONS, AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.bus.bus import CanLink, LinkSettings
@@ -139,10 +139,10 @@ def test_what_is_not_in_the_table_cannot_happen(phase: Phase, happening: Happeni
 
 
 @pytest.mark.parametrize("kind", Kind)
-@pytest.mark.parametrize("cause", Cause)
+@pytest.mark.parametrize("cause", AbortCause)
 @pytest.mark.parametrize("phase", LIVING)
 def test_every_cause_in_every_phase_ends_in_the_verified_old_state(
-    phase: Phase, cause: Cause, kind: Kind, lab: Callable[..., Lab]
+    phase: Phase, cause: AbortCause, kind: Kind, lab: Callable[..., Lab]
 ) -> None:
     bench = lab(PLANS[kind])
     bench.until(phase)
@@ -167,7 +167,7 @@ def test_a_restart_of_the_controller_in_every_phase(phase: Phase, kind: Kind, la
     # at rest nothing had been changed, so what the controller woke up with is left alone
     if bench.conductor.touched:
         assert bench.as_before()
-        assert bench.conductor.cause is None or bench.conductor.cause is Cause.RESTARTED
+        assert bench.conductor.cause is None or bench.conductor.cause is AbortCause.RESTARTED
 
 
 @pytest.mark.parametrize("kind", Kind)
@@ -182,7 +182,7 @@ def test_telemetry_lost_for_a_while_in_every_phase(phase: Phase, kind: Kind, lab
     assert bench.conductor.phase is Phase.RESTORED
     assert bench.as_before()
     if phase in {Phase.RESTING, Phase.PREPARING, Phase.EXCITING}:
-        assert bench.conductor.cause is Cause.SILENT
+        assert bench.conductor.cause is AbortCause.SILENT
 
 
 @pytest.mark.parametrize("kind", Kind)
@@ -227,7 +227,7 @@ def test_a_loop_in_manual_is_left_in_manual_at_its_output(kind: Kind, lab: Calla
 def test_a_setpoint_experiment_in_manual_is_refused_before_anything_is_touched(lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[Kind.SETPOINT], auto=False)
     bench.over()
-    assert bench.conductor.cause is Cause.WRONG_MODE
+    assert bench.conductor.cause is AbortCause.WRONG_MODE
     assert not bench.conductor.touched
 
 
@@ -248,7 +248,7 @@ def test_a_reverse_acting_loop(kind: Kind, lab: Callable[..., Lab]) -> None:
 def test_pv_outside_its_band_at_the_start(lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[Kind.STEP], pv_low=60.0))
     bench.over()
-    assert bench.conductor.cause is Cause.PV_BAND
+    assert bench.conductor.cause is AbortCause.PV_BAND
     assert not bench.conductor.touched
     assert bench.as_before()
 
@@ -259,7 +259,7 @@ def test_a_load_that_drives_pv_out_of_its_band(kind: Kind, lab: Callable[..., La
     bench.until(Phase.EXCITING)
     bench.device.load = 40.0
     bench.over()
-    assert bench.conductor.cause is Cause.PV_BAND
+    assert bench.conductor.cause is AbortCause.PV_BAND
     assert bench.conductor.phase is Phase.RESTORED
     assert bench.as_before()
 
@@ -271,7 +271,7 @@ def test_a_drifting_loop_is_not_experimented_with(lab: Callable[..., Lab]) -> No
         bench.turn()
         if bench.conductor.phase.over:
             break
-    assert bench.conductor.cause in {Cause.NOT_AT_REST, Cause.PV_BAND}
+    assert bench.conductor.cause in {AbortCause.NOT_AT_REST, AbortCause.PV_BAND}
     assert not bench.conductor.touched
 
 
@@ -279,31 +279,31 @@ def test_a_drifting_loop_is_not_experimented_with(lab: Callable[..., Lab]) -> No
 def test_an_amplitude_beyond_the_range_of_the_output_is_refused(kind: Kind, lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[kind], amplitude=70.0))
     bench.over()
-    assert bench.conductor.cause is Cause.NO_ROOM
+    assert bench.conductor.cause is AbortCause.NO_ROOM
     assert not bench.conductor.touched
 
 
 def test_an_output_that_the_controller_limits_ends_the_setpoint_experiment(lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[Kind.SETPOINT], amplitude=15.0, kc0=8.0))
     bench.over()
-    assert bench.conductor.cause is Cause.SATURATED
+    assert bench.conductor.cause is AbortCause.SATURATED
     assert bench.as_before()
 
 
 def test_a_relay_against_the_grain_never_switches_back(lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[Kind.RELAY], pv_low=0.0, pv_high=100.0, time_s=100.0, amplitude=5.0), k=-1.0)
     bench.over()
-    assert bench.conductor.cause in {Cause.NEVER_SWITCHED, Cause.NOT_AT_REST, Cause.PV_BAND}
+    assert bench.conductor.cause in {AbortCause.NEVER_SWITCHED, AbortCause.NOT_AT_REST, AbortCause.PV_BAND}
     bench = lab(replace(PLANS[Kind.RELAY], hysteresis=30.0, pv_low=0.0, pv_high=100.0, time_s=100.0))
     bench.over()
-    assert bench.conductor.cause is Cause.NEVER_SWITCHED
+    assert bench.conductor.cause is AbortCause.NEVER_SWITCHED
     assert bench.as_before()
 
 
 def test_the_time_limit(lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[Kind.STEP], time_s=5.0))
     bench.over()
-    assert bench.conductor.cause is Cause.TIME
+    assert bench.conductor.cause is AbortCause.TIME
     assert bench.as_before()
 
 
@@ -330,14 +330,14 @@ def test_hysteresis_comes_from_the_noise_seen_at_rest(lab: Callable[..., Lab]) -
 def test_a_gain_set_that_the_controller_refuses_ends_the_experiment(lab: Callable[..., Lab]) -> None:
     bench = lab(replace(PLANS[Kind.SETPOINT], kc0=1000.0))
     bench.over()
-    assert bench.conductor.cause is Cause.REFUSED
+    assert bench.conductor.cause is AbortCause.REFUSED
     assert bench.as_before()
 
 
 def test_a_setpoint_that_the_controller_refuses_ends_the_experiment(lab: Callable[..., Lab]) -> None:
     bench = lab(PLANS[Kind.SETPOINT], sp_max=51.0)
     bench.over()
-    assert bench.conductor.cause is Cause.REFUSED
+    assert bench.conductor.cause is AbortCause.REFUSED
     assert bench.as_before()
 
 
@@ -347,7 +347,7 @@ def test_an_operator_who_takes_over_ends_the_experiment(lab: Callable[..., Lab])
     bench.some(3)
     bench.device.auto = True  # at the panel of the controller
     bench.over()
-    assert bench.conductor.cause is Cause.FOREIGN
+    assert bench.conductor.cause is AbortCause.FOREIGN
     assert bench.as_before()
 
 
@@ -357,7 +357,7 @@ def test_an_operator_who_moves_the_setpoint_ends_a_setpoint_experiment(lab: Call
     bench.some(5)
     bench.device.sp = 47.0
     bench.over()
-    assert bench.conductor.cause is Cause.FOREIGN
+    assert bench.conductor.cause is AbortCause.FOREIGN
     assert bench.as_before()
 
 
@@ -394,7 +394,7 @@ def test_a_loop_that_another_host_commands_is_left_alone(kind: Kind, lab: Callab
                 break
     finally:
         link.close()
-    assert bench.conductor.cause is Cause.FOREIGN
+    assert bench.conductor.cause is AbortCause.FOREIGN
     assert "host 77" in bench.conductor.text
     assert not bench.conductor.touched
     assert bench.as_before()

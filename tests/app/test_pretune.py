@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from retuner.adaptive.experiments.phases import Cause, Phase
+from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Basis, Mode
 from retuner.adaptive.supervision.retuner import Retuner
@@ -121,7 +121,7 @@ def test_an_aborted_step_is_taken_back_and_the_run_goes_on_without_it(
     def poll(self: ExperimentRunner, now_s: float) -> None:
         poll_of(self, now_s)
         if self.phase is Phase.EXCITING and len(self.samples) - self.excited_from == 5:
-            self.abort(Cause.FOREIGN, "by the test")
+            self.abort(AbortCause.FOREIGN, "by the test")
 
     monkeypatch.setattr(ExperimentRunner, "poll", poll)
     status, folder = ran(loop())
@@ -193,7 +193,7 @@ def test_a_ledger_that_fails_ends_the_step_and_the_loop_is_as_before(phase: str,
 
 
 def test_ctrl_c_takes_the_step_back_before_it_ends_the_run(loop: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    ended: list[tuple[Phase, Cause | None]] = []
+    ended: list[tuple[Phase, AbortCause | None]] = []
     poll_of, ended_of = ExperimentRunner.poll, Pretuning._ended
 
     def poll(self: ExperimentRunner, now_s: float) -> None:
@@ -208,7 +208,7 @@ def test_ctrl_c_takes_the_step_back_before_it_ends_the_run(loop: Made, monkeypat
     monkeypatch.setattr(ExperimentRunner, "poll", poll)
     monkeypatch.setattr(Pretuning, "_ended", note_end)
     assert ran(loop())[0] == 130
-    assert ended == [(Phase.RESTORED, Cause.INTERRUPTED)]
+    assert ended == [(Phase.RESTORED, AbortCause.INTERRUPTED)]
 
 
 def stepped() -> list[LoopSample]:

@@ -12,7 +12,7 @@ from retuner.adaptive.supervision.pretune import pretune
 from retuner.adaptive.supervision.response_finder import Completed, ResponseFinder
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.without_model.pattern_rule import MOVING, PatternSettings, Reading, pattern_rule
+from retuner.adaptive.without_model.pattern_rule import MOVING, PatternReading, PatternSettings, pattern_rule
 from retuner.adaptive.without_model.slow_oscillation_step import SlowReading, SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -46,7 +46,7 @@ def test_a_real_response_is_admitted_and_its_pattern_read(servo: tuple[ResponseF
     window = finder.window(seen.response)
     assert admit(window, finder.samples, seen.response, AdmissionSettings()).admitted
     advice = pattern_rule(seen.response, window, gains, None, PatternSettings())
-    assert advice.reading is Reading.CALM  # it overshoots by two percent
+    assert advice.reading is PatternReading.CALM  # it overshoots by two percent
     assert advice.numbers["overshoot"] == pytest.approx(0.02, abs=0.01)
     assert advice.reading in MOVING
 

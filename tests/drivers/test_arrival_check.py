@@ -11,7 +11,7 @@ from retuner.drivers.telemetry.telemetry_quality import (
     Arrival,
     ArrivalCheck,
     Stream,
-    Verdict,
+    TelemetryVerdict,
 )
 
 
@@ -71,12 +71,12 @@ def test_silence_forgets() -> None:
 
 def test_the_table_has_no_way_that_is_not_meant() -> None:
     stays = {
-        (Stream.NO_DATA, Verdict.SILENCE),
-        (Stream.INIT, Verdict.FEW),
-        (Stream.VALID, Verdict.FEW),
-        (Stream.VALID, Verdict.ENOUGH),
-        (Stream.INVALID, Verdict.FEW),
-        (Stream.INVALID, Verdict.WRONG),
+        (Stream.NO_DATA, TelemetryVerdict.SILENCE),
+        (Stream.INIT, TelemetryVerdict.FEW),
+        (Stream.VALID, TelemetryVerdict.FEW),
+        (Stream.VALID, TelemetryVerdict.ENOUGH),
+        (Stream.INVALID, TelemetryVerdict.FEW),
+        (Stream.INVALID, TelemetryVerdict.WRONG),
     }
-    assert set(itertools.product(Stream, Verdict)) - set(TRANSITIONS) == stays
+    assert set(itertools.product(Stream, TelemetryVerdict)) - set(TRANSITIONS) == stays
     assert all(new is not old for (old, _), new in TRANSITIONS.items())

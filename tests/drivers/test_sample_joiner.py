@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from retuner.drivers.protocol.checksum import sample_crc
 from retuner.drivers.protocol.frames import TelemetryPv, TelemetrySp
-from retuner.drivers.telemetry.sample_assembly import Joined, SampleJoiner
+from retuner.drivers.telemetry.sample_assembly import AssembledSample, SampleJoiner
 
 
 def halves(number: int, revision: int = 1) -> tuple[TelemetryPv, TelemetrySp]:
@@ -19,7 +19,7 @@ def halves(number: int, revision: int = 1) -> tuple[TelemetryPv, TelemetrySp]:
     return pv, replace(sp, crc=sample_crc(1, pv, sp))
 
 
-def feed(joiner: SampleJoiner, number: int) -> list[Joined]:
+def feed(joiner: SampleJoiner, number: int) -> list[AssembledSample]:
     return [joined for half in halves(number) if (joined := joiner.take(half)) is not None]
 
 

@@ -11,7 +11,19 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.protocol.checksum import commit_crc, set_crc, to_wire
 from retuner.drivers.protocol.codec import Codec
-from retuner.drivers.protocol.frames import Abort, Ack, Commit, Confirm, Item, Kind, Lease, Reason, Stage, Store, newer
+from retuner.drivers.protocol.frames import (
+    Abort,
+    Ack,
+    Commit,
+    Confirm,
+    Item,
+    Kind,
+    Lease,
+    Reason,
+    Stage,
+    Store,
+    newer,
+)
 from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 

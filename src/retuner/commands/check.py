@@ -6,7 +6,7 @@ import sys
 import typer
 
 from retuner.commands.options import ConfigFile, Json
-from retuner.config.loading import Finding, UnusableError, parse_config, read_text, usable_here
+from retuner.config.loading import ConfigFlaw, UnusableError, parse_config, read_text, usable_here
 from retuner.config.model import Config
 from retuner.errors import ConfigError
 from retuner.schedule.axis import Axis
@@ -79,7 +79,7 @@ def _region_lines(config: Config) -> list[str]:
     return lines
 
 
-def _problem(finding: Finding) -> dict[str, object]:
+def _problem(finding: ConfigFlaw) -> dict[str, object]:
     return {"line": finding.line, "key": finding.key, "message": finding.message}
 
 

@@ -36,7 +36,7 @@ app = typer.Typer(add_completion=False)
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DiagnosedRecord:
     """A diagnosed record with everything that is shown.
 
     gains : the settings in force, given or read off. read_off : how they were, None when they were given.
@@ -84,7 +84,7 @@ def diagnose(options: DiagnoseOptions) -> int:
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0
 
 
-def _found(recording: Recording, given: PidGains | None, options: RecordOptions) -> Finding:
+def _found(recording: Recording, given: PidGains | None, options: RecordOptions) -> DiagnosedRecord:
     """The diagnosis with all that belongs to it."""
     window = recording.window()
     read_off = None
@@ -95,7 +95,7 @@ def _found(recording: Recording, given: PidGains | None, options: RecordOptions)
     seen = screen(window, gains, options.co_min, options.co_max)
     evidence = {**seen.evidence, **result.diagnosis.evidence}
     notes = shortcomings(window, seen, _model(result))
-    return Finding(recording.source, window, result, gains, read_off, seen, evidence, notes)
+    return DiagnosedRecord(recording.source, window, result, gains, read_off, seen, evidence, notes)
 
 
 def _model(result: RecordDiagnosis) -> ProcessModel | None:
@@ -104,7 +104,7 @@ def _model(result: RecordDiagnosis) -> ProcessModel | None:
     return estimate.log.model() if estimate is not None and estimate.identifiable else None
 
 
-def document(found: Finding) -> dict[str, object]:
+def document(found: DiagnosedRecord) -> dict[str, object]:
     """Keys cause, confidence, retune, evidence, gains, form, margins, reason, gains_in_force, model, std, notes."""
     result = found.result
     settings = result.settings.to_dict() if result.settings is not None and result.diagnosis.retune else {}
@@ -131,7 +131,7 @@ def _mapping(value: object) -> dict[str, object]:
     return value
 
 
-def _in_force(found: Finding) -> dict[str, object] | None:
+def _in_force(found: DiagnosedRecord) -> dict[str, object] | None:
     """The settings in force and where they come from."""
     if found.read_off is not None:
         return {"source": "record", **found.read_off.to_dict()}
@@ -140,7 +140,7 @@ def _in_force(found: Finding) -> dict[str, object] | None:
     return {"source": "given", "parallel": {"kp": found.gains.kp, "ki": found.gains.ki, "kd": found.gains.kd}}
 
 
-def described(found: Finding) -> list[str]:
+def described(found: DiagnosedRecord) -> list[str]:
     """The finding in lines."""
     told = found.result.diagnosis
     lines = [f"{str(told.cause).replace('_', ' ').upper()} (confidence {told.confidence:.0%}): {told.reason}"]
@@ -155,7 +155,7 @@ def described(found: Finding) -> list[str]:
     return [*lines, "evidence", *evidence_lines(found.evidence)]
 
 
-def _by_eye(found: Finding) -> list[str]:
+def _by_eye(found: DiagnosedRecord) -> list[str]:
     """What the visual rules say of the trend."""
     model, cause, lines = _model(found.result), found.result.diagnosis.cause, []
     period_s = found.evidence.get("period_s", 0.0)
@@ -168,7 +168,7 @@ def _by_eye(found: Finding) -> list[str]:
     return lines
 
 
-def _controller_lines(found: Finding) -> list[str]:
+def _controller_lines(found: DiagnosedRecord) -> list[str]:
     """The settings in force in a line."""
     if found.gains is None:
         return [f"settings in force: not known; {found.read_off.reason}"] if found.read_off is not None else []
@@ -178,7 +178,7 @@ def _controller_lines(found: Finding) -> list[str]:
     return [line]
 
 
-def _process_lines(found: Finding) -> list[str]:
+def _process_lines(found: DiagnosedRecord) -> list[str]:
     """The process in a line."""
     model = _model(found.result)
     if model is None or found.result.estimate is None:
@@ -197,14 +197,14 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The explanation that is believed, besides the loop by itself."""
 
 
-def _picture(found: Finding, options: RecordOptions) -> bytes:
+def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
     """The record with what was found."""
-    from retuner.report.record_plots import Explanation, RecordPicture, record_png  # noqa: PLC0415  slow to load
+    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png  # noqa: PLC0415  slow to load
 
     told, estimate = found.result.diagnosis, found.result.estimate
     lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]
     names = [name for name in ("linear", WINNER.get(told.cause, "")) if name in found.result.fits]
-    curves = [Explanation.of(SHOWN[name], found.window, found.result.fits[name]) for name in names]
+    curves = [ExplainedCurve.of(SHOWN[name], found.window, found.result.fits[name]) for name in names]
     title = f"{Path(found.source).name}: {str(told.cause).replace('_', ' ')} ({told.confidence:.0%})"
     picture = RecordPicture(
         found.window,

@@ -60,7 +60,7 @@ class RecordedOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TestOptions(RecordedOptions):
+class OnDemandOptions(RecordedOptions):
     """A test on a controller, or a recorded one."""
 
     config: Annotated[
@@ -83,14 +83,14 @@ class TestOptions(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StepOptions(TestOptions):
+class StepOptions(OnDemandOptions):
     """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent, slope."""
 
     amplitude: Annotated[float | None, typer.Option(help="Step of co, percent; default 5 % of its range.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SetpointOptions(TestOptions):
+class SetpointOptions(OnDemandOptions):
     """Setpoint step under proportional control. Methods: fit, two-step; --rule setpoint-overshoot needs no model."""
 
     amplitude: Annotated[float | None, typer.Option(help="Step of sp, pv units; default 5 % of the range.")] = None
@@ -98,7 +98,7 @@ class SetpointOptions(TestOptions):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RelayOptions(TestOptions):
+class RelayOptions(OnDemandOptions):
     """Relay feedback: Ku and Pu, and a model. Methods: fit, asymmetric; rules zn-ultimate ... take Ku and Pu."""
 
     amplitude: Annotated[float | None, typer.Option(help="Of the relay, percent of co; default 5 % of range.")] = None
@@ -116,7 +116,7 @@ class UltimateOptions(RecordedOptions):
     rule: Rule = "zn-ultimate"
 
 
-class Shape(NamedTuple):
+class ExperimentSignal(NamedTuple):
     """What a test does to the loop. amplitude : co percent (setpoint: pv units), None for the default share."""
 
     amplitude: float | None = None
@@ -134,7 +134,7 @@ class Shape(NamedTuple):
 @signed_by(StepOptions)
 def step(options: StepOptions) -> int:
     """A step of co; the exit status."""
-    return _test(Kind.STEP, options, question_for(Kind.STEP, options), Shape(options.amplitude))
+    return _test(Kind.STEP, options, question_for(Kind.STEP, options), ExperimentSignal(options.amplitude))
 
 
 @app.command(
@@ -146,7 +146,7 @@ def step(options: StepOptions) -> int:
 def setpoint(options: SetpointOptions) -> int:
     """A step of the setpoint; the exit status."""
     question = question_for(Kind.SETPOINT, options, options.kc0)
-    return _test(Kind.SETPOINT, options, question, Shape(options.amplitude, kc0=options.kc0))
+    return _test(Kind.SETPOINT, options, question, ExperimentSignal(options.amplitude, kc0=options.kc0))
 
 
 @app.command(
@@ -158,7 +158,7 @@ def setpoint(options: SetpointOptions) -> int:
 def relay(options: RelayOptions) -> int:
     """Relay feedback; the exit status."""
     question = question_for(Kind.RELAY, options, None, options.hysteresis)
-    shape = Shape(options.amplitude, options.cycles, options.bias, options.hysteresis)
+    shape = ExperimentSignal(options.amplitude, options.cycles, options.bias, options.hysteresis)
     return _test(Kind.RELAY, options, question, shape)
 
 
@@ -169,7 +169,7 @@ def ultimate(options: UltimateOptions) -> int:
     return from_recording(options.file, options, question_for(ULTIMATE, options, options.kc))
 
 
-def _test(kind: Kind, options: TestOptions, question: Question, shape: Shape) -> int:
+def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
     """A recording, or a controller."""
     if options.file is not None and options.config is not None:
         raise UserError("give CONFIG to run the test, or --from FILE to evaluate a recording, not both")
@@ -229,7 +229,7 @@ def question_for(
     return Question(experiment, method, rule, options.kind, kc, hysteresis or 0.0, from_rest=at_rest)
 
 
-def on_demand(path: Path, kind: Kind, options: TestOptions, question: Question, shape: Shape) -> int:
+def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
     """Conduct an experiment, evaluate it, and write the settings if they are confirmed; the exit status.
 
     Raises
@@ -260,7 +260,7 @@ def on_demand(path: Path, kind: Kind, options: TestOptions, question: Question, 
         raise
 
 
-def plan_for(config: Config, kind: Kind, options: TestOptions, shape: Shape) -> Plan:
+def plan_for(config: Config, kind: Kind, options: OnDemandOptions, shape: ExperimentSignal) -> Plan:
     """The plan that options and configuration make.
 
     Raises

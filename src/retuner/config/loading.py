@@ -67,7 +67,7 @@ LARGEST_FILE = 1 << 20  # bytes; a configuration of 64 regions and a thousand st
 PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
-class Finding(NamedTuple):
+class ConfigFlaw(NamedTuple):
     """One problem with its place: line from 1, key as a person writes it (empty for the whole file), message."""
 
     line: int
@@ -82,7 +82,7 @@ class Finding(NamedTuple):
 class UnusableError(Exception):
     """A text that is no usable configuration; findings has every problem found."""
 
-    def __init__(self, findings: list[Finding]) -> None:
+    def __init__(self, findings: list[ConfigFlaw]) -> None:
         self.findings = findings
         super().__init__(findings)
 
@@ -129,15 +129,17 @@ def read_text(path: str | FilePath) -> str:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"{path}: cannot be read: {reason}") from None
     if len(raw) > LARGEST_FILE:
-        raise UnusableError([Finding(1, "", f"the file is larger than {LARGEST_FILE} bytes; is it a configuration?")])
+        raise UnusableError(
+            [ConfigFlaw(1, "", f"the file is larger than {LARGEST_FILE} bytes; is it a configuration?")]
+        )
     if raw.startswith(b"\xef\xbb\xbf"):
-        raise UnusableError([Finding(1, "", "starts with a byte order mark; save it as UTF-8 without one")])
+        raise UnusableError([ConfigFlaw(1, "", "starts with a byte order mark; save it as UTF-8 without one")])
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         message = f"byte 0x{raw[error.start]:02x} is not UTF-8; save the file as UTF-8"
-        raise UnusableError([Finding(line, "", message)]) from None
+        raise UnusableError([ConfigFlaw(line, "", message)]) from None
 
 
 def parse_config(text: str) -> Config:
@@ -194,7 +196,7 @@ def _parsed(text: str) -> dict[str, object]:
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise UnusableError([Finding(1, "", "brackets are nested too deeply; no setting needs that")]) from None
+        raise UnusableError([ConfigFlaw(1, "", "brackets are nested too deeply; no setting needs that")]) from None
     except ValueError as error:
         message = str(error)
         place = PLACE.search(message)
@@ -202,7 +204,7 @@ def _parsed(text: str) -> dict[str, object]:
         told = PLACE.sub("", message)
         told = told[:1].lower() + told[1:]
         column = f", column {place[2]}" if place and place[2] else ""
-        raise UnusableError([Finding(line, "", f"is not TOML: {told}{column}; correct the line")]) from None
+        raise UnusableError([ConfigFlaw(line, "", f"is not TOML: {told}{column}; correct the line")]) from None
 
 
 def _check_schema(document: dict[str, object], text: str) -> None:
@@ -211,15 +213,15 @@ def _check_schema(document: dict[str, object], text: str) -> None:
     if type(schema) is int and schema != SCHEMA:
         line = toml_lines(text)[("schema",)]
         message = f"= {schema} is not known; this release reads schema {SCHEMA}; `retuner init` writes one"
-        raise UnusableError([Finding(line, "schema", message)])
+        raise UnusableError([ConfigFlaw(line, "schema", message)])
 
 
-def _placed(problem: Problem, lines: dict[Path, int]) -> Finding:
+def _placed(problem: Problem, lines: dict[Path, int]) -> ConfigFlaw:
     """The problem with the line of its key, or of the nearest table round it that is written down."""
     path = problem.path
     while path not in lines:
         path = path[:-1]
-    return Finding(lines[path], key_name(problem.path), problem.message)
+    return ConfigFlaw(lines[path], key_name(problem.path), problem.message)
 
 
 # A configuration as it was run: the whole text, with what the command line changed written into it.

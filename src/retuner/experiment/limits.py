@@ -1,6 +1,6 @@
 """What ends an experiment: each limit a function or small watch that names the cause and what was seen, or nothing."""
 
-from retuner.adaptive.experiments.phases import Cause
+from retuner.adaptive.experiments.phases import AbortCause
 from retuner.adaptive.experiments.plan import Kind, Plan, RelayState, Rest
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.experiment.target import CO_SHOWN, Helm, Target
@@ -8,26 +8,26 @@ from retuner.experiment.target import CO_SHOWN, Helm, Target
 LIMITED_MOST = 2
 """Samples for which the output may stand at a limit during a setpoint experiment."""
 
-Trouble = tuple[Cause, str]
+Trouble = tuple[AbortCause, str]
 
 
 def out_of_band(plan: Plan, sample: LoopSample) -> Trouble | None:
     """pv outside its band."""
     if plan.pv_low <= sample.pv <= plan.pv_high:
         return None
-    return Cause.PV_BAND, f"pv = {sample.pv:.6g}, band {plan.pv_low:.6g} to {plan.pv_high:.6g}"
+    return AbortCause.PV_BAND, f"pv = {sample.pv:.6g}, band {plan.pv_low:.6g} to {plan.pv_high:.6g}"
 
 
 def cannot_begin(plan: Plan, rest: Rest, sample: LoopSample) -> Trouble | None:
     """No room for the amplitude, or the wrong mode."""
     low, high = plan.co_levels(rest.co)
     if not (plan.co_low <= low and high <= plan.co_high):
-        return Cause.NO_ROOM, (
+        return AbortCause.NO_ROOM, (
             f"co = {rest.co:.4g} % would go to {low:.4g} and {high:.4g} %, its range is "
             f"{plan.co_low:g} to {plan.co_high:g} %"
         )
     if plan.kind == Kind.SETPOINT and sample.mode != LoopMode.AUTO:
-        return Cause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual"
+        return AbortCause.WRONG_MODE, "a setpoint experiment needs auto, it is in manual"
     return None
 
 
@@ -36,11 +36,11 @@ def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | No
     if excited_s <= plan.time_s:
         return None
     if plan.kind == Kind.RELAY and relay.switches < 2:
-        return Cause.NEVER_SWITCHED, (
+        return AbortCause.NEVER_SWITCHED, (
             f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
             "sign of the gains in force right?"
         )
-    return Cause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
+    return AbortCause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
 
 
 class Following:
@@ -65,14 +65,14 @@ class Following:
         self._shown = self._shown or not differs
         self._foreign = self._foreign + 1 if differs else 0
         if self._foreign > (0 if self._shown else self._patience):
-            return Cause.FOREIGN, differs
+            return AbortCause.FOREIGN, differs
         if self._kind == Kind.SETPOINT:
             self._limited = self._limited + 1 if sample.limited else 0
             if self._limited > LIMITED_MOST:
-                return Cause.SATURATED, f"co stands at {sample.co:.4g} %; give a smaller amplitude or kc0"
+                return AbortCause.SATURATED, f"co stands at {sample.co:.4g} %; give a smaller amplitude or kc0"
             return None
         off = wanted.co is not None and sample.mode == LoopMode.MANUAL and abs(sample.co - wanted.co) > CO_SHOWN
         self._limited = self._limited + 1 if off else 0
         if self._limited > self._patience:
-            return Cause.SATURATED, f"co stands at {sample.co:.4g} %, it was told {wanted.co:.4g} %"
+            return AbortCause.SATURATED, f"co stands at {sample.co:.4g} %, it was told {wanted.co:.4g} %"
         return None

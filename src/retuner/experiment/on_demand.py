@@ -9,7 +9,7 @@ from pathlib import Path
 
 import typer
 
-from retuner.adaptive.experiments.phases import Cause, Phase
+from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.config import Config
@@ -30,9 +30,9 @@ FEWEST_SAMPLES = 20
 AFTER = {Phase.PARKING, Phase.RESTORING, Phase.RESTORED}
 """Phases behind the excitation."""
 OPTION_AT_FAULT = {
-    Cause.NO_ROOM: "--amplitude",
-    Cause.WRONG_MODE: "setpoint",
-    Cause.PV_BAND: "--pv-low, --pv-high",
+    AbortCause.NO_ROOM: "--amplitude",
+    AbortCause.WRONG_MODE: "setpoint",
+    AbortCause.PV_BAND: "--pv-low, --pv-high",
 }
 """Causes that are a matter of the options as long as nothing was touched."""
 
@@ -100,7 +100,7 @@ class OnDemandExperiment:
             sys.stdout.write(json.dumps(outcome.to_dict(), indent=2, allow_nan=False) + "\n")
         if runner.lost_ledger is not None:
             raise runner.lost_ledger
-        if runner.cause is Cause.INTERRUPTED:
+        if runner.cause is AbortCause.INTERRUPTED:
             return INTERRUPTED
         return 0 if runner.cause is None and usable and not outcome.written else 1
 
@@ -115,7 +115,7 @@ class OnDemandExperiment:
             except KeyboardInterrupt:
                 if runner.phase.touched:
                     self._screen.say("stopping: the old state is being restored")
-                runner.abort(Cause.INTERRUPTED)
+                runner.abort(AbortCause.INTERRUPTED)
 
     def _record(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         """A row of the ledger; phases are told on the screen."""

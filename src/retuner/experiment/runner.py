@@ -8,7 +8,7 @@ on the phase, not on the edge that led to it. Everything is told to the recorder
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from retuner.adaptive.experiments.phases import Cause, Happening, Phase, after
+from retuner.adaptive.experiments.phases import AbortCause, Happening, Phase, after
 from retuner.adaptive.experiments.plan import (
     Kind,
     Plan,
@@ -37,7 +37,7 @@ from retuner.drivers.device import (
 from retuner.drivers.host.connection import CanDevice
 from retuner.errors import LedgerError
 from retuner.experiment.limits import Following, cannot_begin, out_of_band, out_of_time
-from retuner.experiment.target import Before, Helm, Target, target
+from retuner.experiment.target import Helm, OldState, Target, target
 from retuner.ledger import Recorder
 
 FEWEST_PATIENT = 6
@@ -87,9 +87,9 @@ class ExperimentRunner:
     ) -> None:
         self.device, self.plan = device, plan
         self.phase = Phase.CONNECTING
-        self.cause: Cause | None = None
+        self.cause: AbortCause | None = None
         self.detail = ""
-        self.before: Before | None = None
+        self.before: OldState | None = None
         self.rest: Rest | None = None
         self.samples: list[LoopSample] = []
         self.excited_from = self.excited_to = 0
@@ -137,7 +137,7 @@ class ExperimentRunner:
             self._watch_time()
             self._steer()
 
-    def abort(self, cause: Cause, detail: str = "") -> None:
+    def abort(self, cause: AbortCause, detail: str = "") -> None:
         """Leave for the old state; the first cause is the one that is told."""
         if self.phase.over:
             return
@@ -160,7 +160,7 @@ class ExperimentRunner:
             self._relay = relay_start()
         if self.phase is Phase.PARKING:
             last = self.samples[-1] if self.samples else None
-            self._parking = last is not None and last.mode == LoopMode.MANUAL and self.cause is not Cause.RESTARTED
+            self._parking = last is not None and last.mode == LoopMode.MANUAL and self.cause is not AbortCause.RESTARTED
         self._note({"phase": self.phase.name.lower(), "cause": self.text if self.cause else None})
 
     def _note(self, body: Mapping[str, object]) -> None:
@@ -171,29 +171,29 @@ class ExperimentRunner:
             self._record("experiment", self.samples[-1].t_s if self.samples else 0.0, body)
         except LedgerError as error:
             self.lost_ledger = error
-            self.abort(Cause.RECORDER, str(error))
+            self.abort(AbortCause.RECORDER, str(error))
 
     def _event(self, event: Event) -> None:
         """Everything that is not a sample."""
         match event:
             case LinkChanged() if event.state is not LinkState.UP:
-                self.abort(Cause.SILENT, event.reason)
+                self.abort(AbortCause.SILENT, event.reason)
             case DeviceRestarted():
                 self._helm.forget()
                 self._parking = False
-                self.abort(Cause.RESTARTED, f"boot epoch {event.epoch}")
+                self.abort(AbortCause.RESTARTED, f"boot epoch {event.epoch}")
             case RunningChanged():
                 if self.before is not None:  # theirs from now on, and none of ours to undo
                     self.before = self.before._replace(gains=event.running.gains)
-                self.abort(Cause.FOREIGN, "another gain set was written")
+                self.abort(AbortCause.FOREIGN, "another gain set was written")
             case LeaseChanged() if not event.ours:
-                self.abort(Cause.FOREIGN, f"host {event.owner} holds the lease")
+                self.abort(AbortCause.FOREIGN, f"host {event.owner} holds the lease")
             case CommandFailed() | WriteFailed() if self.phase in TAKING_OVER:
-                self.abort(Cause.REFUSED, event.reason)
+                self.abort(AbortCause.REFUSED, event.reason)
             case Reverted() if self.phase in TAKING_OVER:
-                self.abort(Cause.REFUSED, "it went back to its confirmed gains")
+                self.abort(AbortCause.REFUSED, "it went back to its confirmed gains")
             case SamplesLost() if event.count > LOST_MOST and self.phase is Phase.EXCITING:
-                self.abort(Cause.SILENT, f"{event.count} samples are missing at {event.t_s:g} s")
+                self.abort(AbortCause.SILENT, f"{event.count} samples are missing at {event.t_s:g} s")
 
     def _watch_time(self) -> None:
         """Limits that count even when nothing arrives."""
@@ -201,7 +201,7 @@ class ExperimentRunner:
         if self.phase in LIMITED:
             age = self._now_s - self._heard_s
             if age > self._silent_s:
-                self.abort(Cause.SILENT, f"no sample for {age:.3g} s")
+                self.abort(AbortCause.SILENT, f"no sample for {age:.3g} s")
         if self.phase in {Phase.PARKING, Phase.RESTORING} and since > self._patience_s:
             self._move(Happening.GIVEN_UP)
 
@@ -209,7 +209,7 @@ class ExperimentRunner:
         """One sample of the loop."""
         self._heard_s = self._now_s
         if not finite(sample):
-            self.abort(Cause.SILENT, "telemetry is not a number")
+            self.abort(AbortCause.SILENT, "telemetry is not a number")
             return
         self.samples.append(sample)
         if self._on_sample is not None:
@@ -244,11 +244,11 @@ class ExperimentRunner:
         if rest is None:
             watched = self._now_s - self._phase_s
             if watched > self.plan.rest_time_s + self.plan.rest_samples * self._dt_s:
-                self.abort(Cause.NOT_AT_REST, f"pv still moves after {watched:.4g} s; wait, or widen the pv band")
+                self.abort(AbortCause.NOT_AT_REST, f"pv still moves after {watched:.4g} s; wait, or widen the pv band")
             return
         self.rest, self.plan = rest, self.plan.about(rest.pv)
         co = sample.co if sample.mode == LoopMode.MANUAL else rest.co
-        self.before = Before(running.gains, sample.sp, sample.mode, co)
+        self.before = OldState(running.gains, sample.sp, sample.mode, co)
         trouble = cannot_begin(self.plan, rest, sample)
         if trouble:
             self.abort(*trouble)
@@ -272,7 +272,7 @@ class ExperimentRunner:
         if self._helm.shows(self._target(), sample):
             self._move(Happening.PREPARED)
         elif self._now_s - self._phase_s > self._patience_s:
-            self.abort(Cause.REFUSED, "it does not show what it was told")
+            self.abort(AbortCause.REFUSED, "it does not show what it was told")
 
     def _excite(self, sample: LoopSample) -> None:
         """Play the experiment, and see whether it has shown enough or has to end."""
@@ -311,4 +311,4 @@ class ExperimentRunner:
         last = self.samples[-1] if self.samples else None
         refusal = self._helm.steer(self._target(), last, self._now_s, insist=self.phase is not Phase.EXCITING)
         if refusal and self.phase in TAKING_OVER:
-            self.abort(Cause.REFUSED, refusal)
+            self.abort(AbortCause.REFUSED, refusal)

@@ -20,7 +20,7 @@ AGAIN_SAMPLES = 5
 """Samples to wait before what is not shown is sent once more."""
 
 
-class Before(NamedTuple):
+class OldState(NamedTuple):
     """The state to come back to. co counts when the mode is manual."""
 
     gains: PidGains
@@ -44,7 +44,7 @@ class Target(NamedTuple):
 
 
 def target(
-    phase: Phase, plan: Plan, before: Before | None, rest: Rest | None, relay: RelayState, *, parking: bool
+    phase: Phase, plan: Plan, before: OldState | None, rest: Rest | None, relay: RelayState, *, parking: bool
 ) -> Target:
     """The target of a phase; nothing before the loop has been seen at rest."""
     if before is None or rest is None:
@@ -66,7 +66,7 @@ def target(
     return Target()
 
 
-def p_only(plan: Plan, before: Before) -> PidGains:
+def p_only(plan: Plan, before: OldState) -> PidGains:
     """The proportional controller of the setpoint experiment; its sign is that of the gains in force."""
     return PidGains(before.gains.kp if plan.kc0 is None else plan.kc0, 0.0)
 

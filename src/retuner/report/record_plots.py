@@ -23,7 +23,7 @@ LINE_WIDTH, MOST_LINES = 72, 27
 
 
 @dataclass(frozen=True, slots=True)
-class Explanation:
+class ExplainedCurve:
     """pv as something explains it. t_s, pv : shape (m,), m samples of the record or as many as it was condensed to."""
 
     name: str
@@ -31,7 +31,7 @@ class Explanation:
     pv: FloatArray
 
     @classmethod
-    def of(cls, name: str, window: Window, pv: FloatArray) -> "Explanation":
+    def of(cls, name: str, window: Window, pv: FloatArray) -> "ExplainedCurve":
         """An explanation of every n-th sample of a window."""
         every = -(-len(window.t_s) // len(pv))
         return cls(name, window.t_s[::every], np.asarray(pv, dtype=np.float64))
@@ -51,7 +51,7 @@ class RecordPicture:
     title: str
     subtitle: str
     lines: Sequence[str]
-    explanations: Sequence[Explanation] = ()
+    explanations: Sequence[ExplainedCurve] = ()
     loads_s: Sequence[float] = ()
     limits: tuple[float | None, float | None] = (None, None)
     noise_std: float = 0.0

@@ -9,7 +9,7 @@ the record goes whole into the ledger, and from there into the retuner, live as 
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from retuner.adaptive.experiments.phases import Cause, Phase
+from retuner.adaptive.experiments.phases import AbortCause, Phase
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
@@ -92,7 +92,7 @@ class Pretuning:
                 with unstoppable():
                     conductor.poll(now_s)
             except KeyboardInterrupt:
-                conductor.abort(Cause.INTERRUPTED)
+                conductor.abort(AbortCause.INTERRUPTED)
         self._ended(conductor)
 
     def _ended(self, conductor: ExperimentRunner) -> None:
@@ -105,7 +105,7 @@ class Pretuning:
                 f"pretune: NOT RESTORED ({conductor.text}), the run does not begin; bring back by hand: "
                 f"{before.words if before else 'the state of before'}"
             )
-        if conductor.cause is Cause.INTERRUPTED:
+        if conductor.cause is AbortCause.INTERRUPTED:
             raise KeyboardInterrupt
         if conductor.cause is not None and not conductor.touched:
             raise UserError(f"pretune: {conductor.text}; nothing was changed")

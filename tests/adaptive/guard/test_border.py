@@ -8,7 +8,7 @@ from guard_cases import BEST, GAINS, MODEL, SETTINGS, known, request, times
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.guard import Border, GuardSettings, Ruling, borders_of, prove
+from retuner.adaptive.guard import GuardSettings, NeighbourBorder, Ruling, borders_of, prove
 from retuner.adaptive.guard.border import at_border, between_models
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -63,8 +63,10 @@ def test_what_has_no_mean_is_not_asked() -> None:
     assert between_models(MODEL, replace(MODEL, k=-2.0), 0.5) is None
 
 
-def border(model: ProcessModel | None, reach: float = 0.5, gains: PidGains = GAINS, mixed: bool = False) -> Border:
-    return Border("hot", gains, (Plausible(model, 0.0),) if model else (), reach, mixed)
+def border(
+    model: ProcessModel | None, reach: float = 0.5, gains: PidGains = GAINS, mixed: bool = False
+) -> NeighbourBorder:
+    return NeighbourBorder("hot", gains, (Plausible(model, 0.0),) if model else (), reach, mixed)
 
 
 OWN = (Plausible(MODEL, 0.0),)
@@ -128,7 +130,7 @@ def test_an_interpolation_into_the_unknown_is_proved_half_way_on_the_own_process
 
 
 def test_every_model_of_both_sides_is_asked() -> None:
-    one = Border("hot", GAINS, (Plausible(MODEL, 0.0), Plausible(HOT, 3.0)), 0.5)
+    one = NeighbourBorder("hot", GAINS, (Plausible(MODEL, 0.0), Plausible(HOT, 3.0)), 0.5)
     assert not at_border(one, OWN, GAINS, times(0.5, 0.5), 2.1, 1.0)[1]
     two = (Plausible(MODEL, 0.0), Plausible(HOT, 3.0))
     assert not at_border(border(MODEL), two, GAINS, times(0.5, 0.5), 2.1, 1.0)[1]
@@ -178,4 +180,4 @@ def test_the_table_says_how_far_the_gains_reach() -> None:
 
 def test_a_border_reaches_no_farther_than_the_neighbour() -> None:
     with pytest.raises(ValueError, match="reach"):
-        Border("hot", GAINS, (), 1.1)
+        NeighbourBorder("hot", GAINS, (), 1.1)

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.guard import (
     KC_ONLY,
-    Border,
     ChangeRequest,
     Evidence,
     GuardSettings,
     Locks,
+    NeighbourBorder,
     Ruling,
     Support,
     Verdict,
@@ -184,8 +184,8 @@ def test_a_loop_over_its_limit_is_not_written_what_it_has() -> None:
     assert prove(request(times(1.5, 1.5), same), SETTINGS).ruling == Ruling.TOO_SMALL
 
 
-def neighbour(model: ProcessModel, gains: PidGains = GAINS, interpolated: bool = False) -> Border:
-    return Border("hot", gains, (Plausible(model, 0.0),), 1.0 if interpolated else 0.6, interpolated)
+def neighbour(model: ProcessModel, gains: PidGains = GAINS, interpolated: bool = False) -> NeighbourBorder:
+    return NeighbourBorder("hot", gains, (Plausible(model, 0.0),), 1.0 if interpolated else 0.6, interpolated)
 
 
 FASTER = replace(MODEL, k=6.0)
