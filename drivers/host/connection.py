@@ -121,10 +121,11 @@ class CanDevice:
     Parameters
     ----------
     link : open bus of its own, or this node's port of a shared one.
-    settings : address and patience.
+    settings : address and patience. after_s : time of the newest sample that an earlier session has seen, s: a device
+    that has restarted since and counts anew goes on behind it.
     """
 
-    def __init__(self, link: FramePort, settings: CanDeviceSettings) -> None:
+    def __init__(self, link: FramePort, settings: CanDeviceSettings, after_s: float | None = None) -> None:
         self.link, self.settings = link, settings
         self.machine = StateMachine(CONNECTION, ConnectPhase.SEARCHING)
         self.foreign_commands = 0  # frames to this node from another host
@@ -134,6 +135,7 @@ class CanDevice:
         self._belief = RunningBelief(settings.node)
         self._requests = HostRequests(settings, self._reader, self._codec.encode)
         self._joiner = SampleJoiner(settings.sample_time_s, settings.variable, settings.node)
+        self._joiner.go_on_after(after_s)
         self._contact = Contact(settings.silent_s, settings.connect_s)
         self._sample_s = self._ask_s = float("-inf")
         self._events: list[Event] = []

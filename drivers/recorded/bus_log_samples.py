@@ -28,7 +28,7 @@ class Overhearing:
     ----------
     node : of the controller. sample_time_s : of the controller, s. variable : what goes into LoopSample.x.
     as_host : listen as the host that recorded the log, see the head of this file. gaps : samples over which time went
-    on at each restart of the device, as the host had it; without them the log's own times tell.
+    on at each restart of the device, as the host had it; without them the log's own times tell. after_s : as CanDevice.
 
     Raises
     ------
@@ -44,11 +44,13 @@ class Overhearing:
         *,
         as_host: bool = True,
         gaps: Iterable[int] = (),
+        after_s: float | None = None,
     ) -> None:
         self._codec = Codec(node)
         self._reader = PageReader()
         self._belief = RunningBelief(node)
         self._joiner = SampleJoiner(sample_time_s, variable, node)
+        self._joiner.go_on_after(after_s)
         self._sample_time_s, self._as_host = sample_time_s, as_host
         self._identified = self._connected = not as_host
         self._sample_s = 0.0

@@ -55,6 +55,7 @@ class SampleJoiner:
         self.tap = SignalTap(inputs.signals)
         self._offset = 0
         self._reference: int | None = None
+        self._after: int | None = None  # number of a sample of an earlier session that all of this one come behind
         self._last: int | None = None
         self._behind: int | None = None
         self._halves: dict[int, tuple[int, TelemetryPv | TelemetrySp]] = {}
@@ -62,6 +63,10 @@ class SampleJoiner:
         self.arrivals = ArrivalCheck()
         self.running = 0  # sequence number of the set last known to run
         self.ordered: int | None = None  # and of the one that is being written
+
+    def go_on_after(self, t_s: float | None) -> None:
+        """Before the first sample: an earlier session has seen samples up to this time."""
+        self._after = None if t_s is None else round(t_s / self._sample_time_s)
 
     def set_reference(self, sample: int) -> None:
         """The device says that its counter stands here; see the head of this file for when it moves back."""
@@ -73,6 +78,9 @@ class SampleJoiner:
                 self._behind = sample
             return
         self._behind = None
+        after, self._after = self._after, None
+        if after is not None and sample <= after:
+            self._offset = after + 1 - sample
         if self._reference is None or sample > self._reference:
             self._reference = sample
 

@@ -22,8 +22,9 @@ from retuner.drivers.recorded.frame_log import read_frames
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 from retuner.ledger import Row
-from retuner.session.assembly import make_retuner, schedule_inputs
+from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
 from retuner.session.ledger_rows import feed
+from retuner.session.memory_file import started_with
 from retuner.session.recorded_session import RecordedSession, canonical, without_place
 from retuner.session.session_identity import file_sha256
 
@@ -81,10 +82,18 @@ class Replay:
 
     def __init__(self, session: RecordedSession) -> None:
         self._session = session
-        self._retuner = make_retuner(session.config, session.mode)
+        settings = retuner_settings(session.config, session.mode)
+        begun = started_with(session.folder, session.rows, session.config, settings)
+        self._retuner = begun.retuner if begun is not None else make_retuner(session.config, session.mode)
         loop, bus = session.config.loop, session.config.bus
         gaps = [int(row.body["gap"]) for row in session.rows if row.kind == "restart"]
-        self._heard = Overhearing(bus.node, loop.sample_time_s, schedule_inputs(session.config), gaps=gaps)
+        self._heard = Overhearing(
+            bus.node,
+            loop.sample_time_s,
+            schedule_inputs(session.config),
+            gaps=gaps,
+            after_s=begun.last_s if begun is not None else None,
+        )
         self._rows = [row for row in session.rows if row.kind != "session"]
         self._next = 0
         self._t_s = 0.0

@@ -1,5 +1,6 @@
 """What a run leaves in its folder: config.toml (as it was run), ledger.sqlite, bus.blf, trend, gains.toml,
-summary.json and report.html; and orders/, into which people's orders to it are put (orders.py).
+summary.json and report.html; on a real bus memory.json (memory_file.py); and orders/, into which people's orders to it
+are put (orders.py).
 
 A folder that holds an earlier run is moved aside under a number, never written over: a ledger is evidence.
 """
@@ -21,8 +22,9 @@ LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
     "trend",
     "config.toml",
 )
+MEMORY, MEMORY_BEFORE, MEMORY_START = "memory.json", "memory-before.json", "memory-start.json"
 ORDERS = "orders"
-OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG}
+OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG, MEMORY, MEMORY_BEFORE, MEMORY_START}
 
 
 class FreshFolder(NamedTuple):

@@ -22,9 +22,17 @@ from retuner.drivers.host.can_settings import OWNERS
 from retuner.drivers.host.connection import CanDevice
 from retuner.errors import UserError
 from retuner.ledger import Recorder
-from retuner.session.assembly import device_settings, link_settings, make_plant, make_retuner, virtual_device_settings
+from retuner.session.assembly import (
+    device_settings,
+    link_settings,
+    make_plant,
+    make_retuner,
+    retuner_settings,
+    virtual_device_settings,
+)
 from retuner.session.decision_worker import DecideInWorker
 from retuner.session.decisions import DecideHere, Decider
+from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
 from retuner.session.pretuning import LOG_PREFIX, Pretuning
@@ -125,7 +133,8 @@ class Run:
         self._record = record
         self._log = log
         self._on_sample = on_sample
-        self._folder, self._before = folder, before
+        self._folder, self._before, self._tell = folder, before, tell
+        self._why_no_memory = ""
         self._pretuning = Pretuning(config, record, tell) if config.adaptation.pretune else None
         self.session: Session | None = None
 
@@ -181,7 +190,7 @@ class Run:
             DecideInWorker(deadline_s) as worker,
             CanLink(link_settings(self.config, speed), clock, self._log) as link,
         ):
-            session = self._session(link, worker, speed)
+            session = self._session(link, worker, speed, self._recalled())
 
             def once() -> None:
                 with unstoppable():
@@ -221,11 +230,33 @@ class Run:
         finally:
             device.release(clock.now_s())
 
-    def _session(self, link: CanLink, decider: Decider, speed: float = 1.0) -> Session:
+    def _recalled(self) -> Remembered | None:
+        """What the session before this one has learned, if it can be trusted; why not is said in a line."""
+        try:
+            return recall(self._before, self.config, retuner_settings(self.config, self.mode))
+        except NoMemoryError as why_not:
+            self._why_no_memory = str(why_not)
+            if self._tell is not None and self._why_no_memory:
+                self._tell(self._why_no_memory)
+            return None
+
+    def _keep_memory(self, session: Session, remembered: Remembered | None, folder: Path) -> None:
+        """From now on, write down what is learned before it is recorded as decided."""
+        memory = MemoryFile(folder, self.config, self._record)
+        memory.begin(remembered, self._why_no_memory)
+        session.remember = lambda t_s: memory.save(session.retuner, t_s)
+
+    def _session(
+        self, link: CanLink, decider: Decider, speed: float = 1.0, remembered: Remembered | None = None
+    ) -> Session:
         """The host's side on an open link."""
-        device = CanDevice(link, device_settings(self.config, speed))
-        retuner = make_retuner(self.config, self.mode)
-        session = Session(device, retuner, ScenarioPlayer(self.config.scenario), self._record, self._sampled, decider)
+        after_s = remembered.last_s if remembered is not None else None
+        device = CanDevice(link, device_settings(self.config, speed), after_s)
+        retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self.mode)
+        scenario = ScenarioPlayer(self.config.scenario)
+        session = Session(device, retuner, scenario, self._record, self._sampled, decider)
+        if isinstance(decider, DecideInWorker) and self._folder is not None:
+            self._keep_memory(session, remembered, self._folder)
         if self._folder is not None:
             session.orders = OrderDesk(
                 OrderBox(self._folder),

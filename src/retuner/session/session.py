@@ -75,6 +75,11 @@ def no_orders(t_s: float) -> Iterable[Decision]:
     return ()
 
 
+def no_memory(t_s: float) -> None:
+    """Nothing is kept beyond this session."""
+    del t_s
+
+
 class Session:
     """See the head of this file.
 
@@ -103,6 +108,7 @@ class Session:
         self._record = record
         self._on_sample = on_sample
         self.frozen = ""
+        self.remember: Callable[[float], None] = no_memory
         self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
         self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
@@ -234,6 +240,7 @@ class Session:
     def _decided(self, decision: Decision) -> None:
         """Record a decision; what it wants written waits for the wire."""
         self.decisions.append(decision)
+        self.remember(self.writer.t_s)  # before the row: what the ledger says was decided is never forgotten
         self._record("decision", decision.t_s, decision.to_dict())
         judged = decision.judgement
         if judged is not None:
