@@ -52,7 +52,7 @@ class Remembered(NamedTuple):
     @property
     def last_s(self) -> float | None:
         """Time of the newest sample that it knows, s; None without any."""
-        samples = self.retuner.state().watcher.samples
+        samples = self.retuner.state().finder.samples
         return samples[-1].t_s if samples else None
 
 
@@ -177,8 +177,8 @@ def _tell_again(retuner: Retuner, rows: Sequence[Row]) -> int:
             feed(retuner, row.kind, row.body, row.clock_s)
         except (KeyError, TypeError, ValueError) as error:
             raise NoMemoryError(f"row {row.seq} of the ledger is not what a session writes: {error}") from error
-    for region in retuner.desk.undecided:  # a write that nobody knows the end of: the table says what shall run
-        if retuner.desk.phase(region) is TrialPhase.WRITING:
+    for region in retuner.trials.undecided:  # a write that nobody knows the end of: the table says what shall run
+        if retuner.trials.phase(region) is TrialPhase.WRITING:
             retuner.not_written(region)
     return told
 
