@@ -22,7 +22,7 @@ ORDER = (
         "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
     )),
     *(f"drivers.{name}" for name in (
-        "clock", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
+        "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
     )),
     "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "", "ledger",
     "decision_page", "report", "experiment", "session", "replay", "commands", "cli", "__main__",
