@@ -50,9 +50,9 @@ def nested(table: Mapping[Enum, Mapping[Enum, Enum]]) -> list[Way]:
 
 def matrix() -> list[Way]:
     """Of the recogniser's, which is a matrix of numbers; what stays where it is is left out."""
-    phases, events = list(recogniser.Phase), list(recogniser.Event)
+    phases, events = list(recogniser.RecogniserPhase), list(recogniser.Event)
     return [
-        (old.name, event.name, recogniser.Phase(new).name)
+        (old.name, event.name, recogniser.RecogniserPhase(new).name)
         for old, row in zip(phases, recogniser.TABLE, strict=True)
         for event, new in zip(events, row, strict=True)
         if new != old
@@ -64,7 +64,7 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
         "The recogniser",
         "Finds the peaks of a response, sample by sample.",
         "adaptive/signals/recogniser.py",
-        recogniser.Phase.SETTLE,
+        recogniser.RecogniserPhase.SETTLE,
         matrix(),
     ),
     lambda: Machine(
