@@ -30,7 +30,8 @@ SECTOR = 512
 DEVICE = "retuner-flakey"
 EVER = 1 << 20  # seconds
 MODES = {"drop": "drop_writes", "refuse": "error_writes"}
-LONGEST_LIFE_S = 0.6  # of a job; a row takes about 5 ms there
+MOST_ROWS = 60  # that a job acknowledges before the cut: counted, for on a busy machine a time says nothing
+LONGEST_LIFE_S = 0.01  # after that; a row takes about 5 ms there
 CUTS_PER_DISK = 20
 
 
@@ -82,8 +83,8 @@ class Disk:
         sh("losetup", "-d", self.loop)
 
 
-def interrupted(folder: Path, promised: Promised, life_s: float, synchronous: str) -> None:
-    """A job in a forked child, killed after life_s; what it acknowledged."""
+def interrupted(folder: Path, promised: Promised, lines: int, life_s: float, synchronous: str) -> None:
+    """A job in a forked child, killed life_s after it has acknowledged so many lines; what it acknowledged."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
@@ -93,11 +94,12 @@ def interrupted(folder: Path, promised: Promised, life_s: float, synchronous: st
         finally:
             os._exit(0)
     os.close(into)
-    time.sleep(life_s)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
     with os.fdopen(out) as answers:
-        promised.take(answers.read())
+        read = "".join(line for line, _ in zip(answers, range(lines), strict=False))
+        time.sleep(life_s)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        promised.take(read + answers.read())
 
 
 def cuts(count: int, seed: int, synchronous: str) -> dict[str, object]:
@@ -113,7 +115,7 @@ def cuts(count: int, seed: int, synchronous: str) -> dict[str, object]:
             folder.mkdir()
             sh("sync")
             for _ in range(min(CUTS_PER_DISK, count - made.total())):
-                interrupted(folder, promised, rng.uniform(0.02, LONGEST_LIFE_S), synchronous)
+                interrupted(folder, promised, rng.randrange(MOST_ROWS), rng.uniform(0, LONGEST_LIFE_S), synchronous)
                 mode = ("drop", "refuse")[made.total() % 2]
                 disk.cut(MODES[mode])
                 made[mode] += 1
