@@ -21,9 +21,9 @@ STABLE = "0x030B0000"
 ENGINE = ("modes", "lanes", "misfit", "refine", "search", "valves")
 flags = ["/O2", "/std:c11"] if sys.platform == "win32" else ["-std=c11", "-O3", "-ffp-contract=off"]
 engine = Extension(
-    "retuner.adaptive.identification._engine",
-    sources=["adaptive/identification/_engine.c"],
-    depends=[f"adaptive/identification/engine_c/{part}.h" for part in ENGINE],
+    "retuner.adaptive.fit._engine",
+    sources=["adaptive/fit/_engine.c"],
+    depends=[f"adaptive/fit/engine_c/{part}.h" for part in ENGINE],
     define_macros=[("Py_LIMITED_API", STABLE)],
     extra_compile_args=flags + os.environ.get("RETUNER_CFLAGS", "").split(),
     py_limited_api=True,

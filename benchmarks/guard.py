@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import ChangeRequest, GuardSettings, NeighbourBorder, allowed, prove
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains

@@ -219,7 +219,7 @@ def run(engine: ModuleType, seed: int, calls: int) -> dict[str, int]:
 def loaded(path: str | None) -> ModuleType:
     """The extension, from a file of its own if given."""
     if path is None:
-        return importlib.import_module("retuner.adaptive.identification._engine")
+        return importlib.import_module("retuner.adaptive.fit._engine")
     spec = importlib.util.spec_from_file_location("_engine", path)
     assert spec is not None
     assert spec.loader is not None

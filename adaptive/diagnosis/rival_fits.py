@@ -17,15 +17,15 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from retuner.adaptive.fit.dynamics import Dynamics
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.fit.misfit import USEFUL, Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import Fit, refine
+from retuner.adaptive.fit.search import with_second_lag
+from retuner.adaptive.fit.structure import SLOPE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
-from retuner.adaptive.identification.dynamics import Dynamics
-from retuner.adaptive.identification.engine import compiled
 from retuner.adaptive.identification.loads import improved
-from retuner.adaptive.identification.misfit import USEFUL, Misfit
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.refine import Fit, refine
-from retuner.adaptive.identification.search import with_second_lag
-from retuner.adaptive.identification.structure import SLOPE
 from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import model_at, parameters_of
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import OUT, Plausible
-from retuner.adaptive.identification.structure import model_at, parameters_of
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import FloatArray
 

@@ -1,1 +1,1 @@
-"""The fit: one family of processes and one misfit, shared by identification and by the rivals of diagnosis."""
+"""Identification: the structure and its loads, what a record allows, and the settings that follow; its fit is fit/."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.identification.misfit import Colour, colour, criterion
-from retuner.adaptive.identification.refine import EXACT, Fit, Prior, refine
-from retuner.adaptive.identification.structure import SIZE
+from retuner.adaptive.fit.misfit import Colour, colour, criterion
+from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
+from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.process.model import ProcessType
 
 MODEL_ERROR = 0.005

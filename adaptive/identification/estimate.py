@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import LAG, SIZE, model_at
 from retuner.adaptive.identification.candidate import MODEL_ERROR
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.structure import LAG, SIZE, model_at
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray

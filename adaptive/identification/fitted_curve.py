@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import ModelEstimate
-from retuner.adaptive.identification.misfit import Misfit
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 

@@ -18,6 +18,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import Fit, Prior
+from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import (
     Alternative,
@@ -27,9 +30,6 @@ from retuner.adaptive.identification.estimate import (
     proper_covariance,
 )
 from retuner.adaptive.identification.plausible import Plausible, plausible
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.refine import Fit, Prior
-from retuner.adaptive.identification.structure import SIZE
 from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import without_second_lag

@@ -17,11 +17,11 @@ from functools import partial
 
 import numpy as np
 
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.fit.misfit import LOAD_COST, Misfit
+from retuner.adaptive.fit.refine import refine
+from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
-from retuner.adaptive.identification.engine import compiled
-from retuner.adaptive.identification.misfit import LOAD_COST, Misfit
-from retuner.adaptive.identification.refine import refine
-from retuner.adaptive.identification.structure import SIZE, dynamics_at
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 

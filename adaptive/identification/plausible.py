@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.refine import Fit, Prior, bounds, pinned, refine
+from retuner.adaptive.fit.search import long_lag
+from retuner.adaptive.fit.structure import SECOND, SIZE, THETA, model_at
 from retuner.adaptive.identification.candidate import Candidate, Priors
-from retuner.adaptive.identification.misfit import Misfit
-from retuner.adaptive.identification.refine import Fit, Prior, bounds, pinned, refine
-from retuner.adaptive.identification.search import long_lag
-from retuner.adaptive.identification.structure import SECOND, SIZE, THETA, model_at
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from retuner.adaptive.fit.misfit import MOST_ORDER, Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import EXACT, Fit, refine
+from retuner.adaptive.fit.search import long_lag, starts, with_second_lag
+from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.loads import improved
-from retuner.adaptive.identification.misfit import MOST_ORDER, Misfit
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.refine import EXACT, Fit, refine
-from retuner.adaptive.identification.search import long_lag, starts, with_second_lag
-from retuner.adaptive.identification.structure import SIZE
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import LogModel, proper_covariance
 from retuner.adaptive.identification.plausible import OUT, Plausible
-from retuner.adaptive.identification.structure import model_at
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings, predicted_all

@@ -26,8 +26,8 @@ from enum import StrEnum
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.estimate import LOG_STEP, LogModel, proper_covariance
-from retuner.adaptive.identification.structure import model_at
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel
 from retuner.adaptive.rules.simc import simc, without_second_lag
 from retuner.adaptive.signals.sample import FloatArray

@@ -28,10 +28,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import FitSettings, estimate_of, fitted, inflation_of
-from retuner.adaptive.identification.refine import Prior
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened

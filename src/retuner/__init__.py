@@ -5,8 +5,11 @@
 Names are loaded when they are first used, so that importing the package costs nothing.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING
+
+from retuner.adaptive.fit import engine
 
 if TYPE_CHECKING:
     from retuner.adaptive.loop.margins import margins as margins
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
     from retuner.schedule.gains import PidGains as PidGains
     from retuner.schedule.table import GainTable as GainTable
     from retuner.tuning import tune as tune
+
+engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
 
 _HOMES = {
     "Decision": "adaptive.supervision.decision",

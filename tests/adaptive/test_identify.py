@@ -11,7 +11,7 @@ from effort import examples, sized
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.identification.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Clock, Dynamics
 from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, estimate_of, fitted, identify_window
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.identification.identify import FitSettings, fitted, identify_window
-from retuner.adaptive.identification.misfit import Misfit
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.kalman import update
 from retuner.adaptive.region_model.region_model import RegionModel

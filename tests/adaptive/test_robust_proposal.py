@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.from_neighbours import spread

@@ -19,7 +19,7 @@ ORDER = (
     "schedule",
     *(f"adaptive.{name}" for name in (
         "setting", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
-        "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
+        "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -34,9 +34,9 @@ EMPTY = ("adaptive", "drivers")  # what holds packages and nothing else
 PURE = ("schedule", "adaptive")
 # fmt: off
 PURE_MAY_IMPORT = {
-    "abc", "bisect", "cmath", "collections", "contextlib", "dataclasses", "enum", "functools", "hashlib", "heapq",
-    "itertools", "json", "math", "operator", "re", "string", "sys", "textwrap", "tomllib", "types", "typing",
-    "filterpy", "numpy", "scipy", "retuner",
+    "abc", "array", "bisect", "cmath", "collections", "contextlib", "contextvars", "dataclasses", "enum", "functools",
+    "hashlib", "heapq", "importlib", "itertools", "json", "math", "operator", "re", "string", "sys", "textwrap",
+    "tomllib", "types", "typing", "filterpy", "numpy", "scipy", "retuner",
 }
 IMPURE_NAMES = {"open", "print", "input", "exec", "eval", "compile", "breakpoint", "__import__", "id", "hash"}
 IMPURE_ATTRIBUTES = {

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from retuner import adaptive, drivers, schedule
-from retuner.adaptive.identification.engine import engine_name
+from retuner.adaptive.fit.engine import engine_name
 from retuner.config.loading import text_as_run
 from retuner.config.model import Config
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import ChangeRequest, GuardSettings, allowed
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from guard_cases import MODEL, SETTINGS
 
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import allowed
 from retuner.adaptive.guard.model_set import MOST_LOG_STEP
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 
 RECORD = replace(MODEL, k=2.2)

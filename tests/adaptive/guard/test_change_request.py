@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from guard_cases import BEST, GAINS, MODEL, times
 
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, GuardSettings, Ruling, Support, allowed, prove
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig
 
+from retuner.adaptive.fit.structure import parameters_of
 from retuner.adaptive.identification.estimate import LogModel
-from retuner.adaptive.identification.structure import parameters_of
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel

@@ -1,11 +1,10 @@
 """Which engine computes the fits: the compiled one where it was built, else numpy. Chosen here and nowhere else.
 
-RETUNER_ENGINE says which: auto (the default), c, or numpy. Both do the same mathematics, equal to rounding; numpy is
-the reference, and all that a machine without a compiler needs. An engine built for another version of this package
-is not used.
+`prefer` says which: auto (the default), c, or numpy; when the package is imported it hands RETUNER_ENGINE over. Both do
+the same mathematics, equal to rounding; numpy is the reference, and all that a machine without a compiler needs. An
+engine that was built for another version of this package is not used.
 """
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -13,14 +12,13 @@ from functools import cache
 from importlib import import_module
 from types import ModuleType
 
-import numpy as np
-
 VARIABLE = "RETUNER_ENGINE"
 CHOICES = ("auto", "c", "numpy")
 COMPILED_VERSION = "1"
 """Version of the compiled engine that belongs to this package."""
 
-_asked: ContextVar[str | None] = ContextVar("engine", default=None)
+_preferred = ["auto"]
+_within: ContextVar[str | None] = ContextVar("engine", default=None)
 
 
 def compiled() -> ModuleType | None:
@@ -31,22 +29,27 @@ def compiled() -> ModuleType | None:
     ValueError
         RETUNER_ENGINE names no engine, or asks for the compiled one where there is none.
     """
-    return _chosen(_asked.get() or os.environ.get(VARIABLE, "auto"))
+    return _chosen(_within.get() or _preferred[0])
+
+
+def prefer(name: str) -> None:
+    """From now on fits are computed by the engine of this name; a wrong name is refused by the first fit."""
+    _preferred[0] = name
 
 
 @contextmanager
 def using(name: str) -> Iterator[None]:
     """Within the block, in this thread or task, fits are computed by the engine of this name."""
-    token = _asked.set(name)
+    token = _within.set(name)
     try:
         yield
     finally:
-        _asked.reset(token)
+        _within.reset(token)
 
 
 def engine_name() -> str:
     """Name and version for the ledger: "c 1", or "numpy" with its version."""
-    return f"numpy {np.__version__}" if compiled() is None else f"c {COMPILED_VERSION}"
+    return f"numpy {import_module('numpy').__version__}" if compiled() is None else f"c {COMPILED_VERSION}"
 
 
 @cache
@@ -64,9 +67,9 @@ def _chosen(name: str) -> ModuleType | None:
 def _built() -> tuple[ModuleType | None, str]:
     """The compiled engine, or why there is none."""
     try:
-        extension = import_module("retuner.adaptive.identification._engine")
+        extension = import_module("retuner.adaptive.fit._engine")
     except ImportError as error:
         return None, f"the compiled engine cannot be loaded ({error})"
     if extension.version != COMPILED_VERSION:
         return None, f"the compiled engine has version {extension.version}; version {COMPILED_VERSION} is needed"
-    return import_module("retuner.adaptive.identification.compiled"), ""
+    return import_module("retuner.adaptive.fit.compiled"), ""

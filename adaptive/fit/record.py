@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.identification.dynamics import Clock
+from retuner.adaptive.fit.dynamics import Clock
 from retuner.adaptive.signals.noise import noise_sigma, quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 

@@ -10,20 +10,17 @@ import math
 from array import array
 from collections.abc import Iterator, Sequence
 from itertools import chain, product
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from retuner.adaptive.identification import _engine
-from retuner.adaptive.identification.misfit import Misfit
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.refine import Prior
-from retuner.adaptive.identification.search import Grid, Node
+from retuner.adaptive.fit import _engine
+from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import Prior
+from retuner.adaptive.fit.search import Grid, Node
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
-
-if TYPE_CHECKING:
-    from retuner.adaptive.diagnosis.rival_fits import Nodes
 
 TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
 """In the order of their numbers."""
@@ -113,6 +110,30 @@ Valve = tuple[float, float, float, float]
 """Family (0 Kano, 1 He), stick, jump and start."""
 
 
+class ScanNodes(Protocol):
+    """First-order dynamics of a scan over valves: lags and dead times, the rows looked at, what is projected out."""
+
+    @property
+    def lags_s(self) -> FloatArray:
+        """Lags, s; every pair with a dead time is a node."""
+
+    @property
+    def thetas_s(self) -> FloatArray:
+        """Dead times, s."""
+
+    @property
+    def rows(self) -> slice:
+        """The rows of the record that the scan looks at."""
+
+    @property
+    def basis(self) -> FloatArray:
+        """Orthonormal columns of bias, start and trend, shape (lags, 3, rows)."""
+
+    @property
+    def free(self) -> FloatArray:
+        """pv without them, shape (lags, rows)."""
+
+
 def valve_travel(valve: Valve, co: FloatArray) -> FloatArray:
     """Position of a sticking valve, counted from its first value."""
     out = np.empty(len(co))
@@ -120,7 +141,7 @@ def valve_travel(valve: Valve, co: FloatArray) -> FloatArray:
     return out
 
 
-def valves_scanned(record: Record, valves: Sequence[Valve], nodes: "Nodes") -> tuple[FloatArray, FloatArray]:
+def valves_scanned(record: Record, valves: Sequence[Valve], nodes: ScanNodes) -> tuple[FloatArray, FloatArray]:
     """Sum of squares and slope gain with every valve's position as input, shape (valves, nodes)."""
     numbers = array("d", (record.clock.dt_s or 0.0, record.span_s, record.noise_std, 1, 0, 0, 0, 0, 0, 0, 0, 0))
     shape = (len(valves), len(nodes.lags_s) * len(nodes.thetas_s))

@@ -18,7 +18,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from retuner.adaptive.identification.dynamics import STILL, Clock, Dynamics, Reading, apart_from
+from retuner.adaptive.fit.dynamics import STILL, Clock, Dynamics, Reading, apart_from
 from retuner.adaptive.signals.recursion import Array, recursion
 from retuner.adaptive.signals.sample import FloatArray
 

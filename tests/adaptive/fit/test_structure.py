@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.identification.dynamics import Dynamics
-from retuner.adaptive.identification.structure import (
+from retuner.adaptive.fit.dynamics import Dynamics
+from retuner.adaptive.fit.structure import (
     LEAST_ZETA,
     SIZE,
     dynamics_at,

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lsim, lti
 
-from retuner.adaptive.identification.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.dynamics import Clock, Dynamics
 
 MEMBERS = {
     "first": (0.0, 0.1),

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retuner.adaptive.identification.dynamics import Clock, Dynamics
-from retuner.adaptive.identification.engine import compiled
-from retuner.adaptive.identification.misfit import Misfit
-from retuner.adaptive.identification.refine import LEAST_TIME, Fit, refine
-from retuner.adaptive.identification.structure import LAG, SECOND, SIZE, THETA
+from retuner.adaptive.fit.dynamics import Clock, Dynamics
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.refine import LEAST_TIME, Fit, refine
+from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, THETA
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 

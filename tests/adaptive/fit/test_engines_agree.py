@@ -9,22 +9,19 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.diagnosis.rival_fits import Nodes, StuckValve, _costs, _grid, _moved, _through, _travel
-from retuner.adaptive.identification import engine
+from retuner.adaptive.fit import engine
+from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import Prior, bounds, refine
+from retuner.adaptive.fit.search import Grid, _searched
+from retuner.adaptive.fit.slopes import told_apart
+from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.changes import changes_of
 from retuner.adaptive.identification.loads import _gains
-from retuner.adaptive.identification.misfit import Misfit, colour
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.refine import Prior, bounds, refine
-from retuner.adaptive.identification.search import Grid, _searched
-from retuner.adaptive.identification.slopes import told_apart
-from retuner.adaptive.identification.structure import SIZE, dynamics_at
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-compiled = pytest.importorskip(
-    "retuner.adaptive.identification.compiled", reason="the compiled engine was not built: no compiler"
-)
+compiled = pytest.importorskip("retuner.adaptive.fit.compiled", reason="the compiled engine was not built: no compiler")
 POINTS = 1000
 """Random points of every structure."""
 CLOSE = 1e-9

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retuner.adaptive.fit.misfit import Misfit, colour
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import bounds, pinned, refine
+from retuner.adaptive.fit.search import long_lag, with_second_lag
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.misfit import Misfit, colour
-from retuner.adaptive.identification.record import Record
-from retuner.adaptive.identification.refine import bounds, pinned, refine
-from retuner.adaptive.identification.search import long_lag, with_second_lag
 from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import Window

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from retuner.adaptive.identification.engine import compiled
-from retuner.adaptive.identification.misfit import Misfit, Projection
-from retuner.adaptive.identification.structure import LAG, SECOND, SIZE, SLOPE, THETA
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.fit.misfit import Misfit, Projection
+from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, SLOPE, THETA
 from retuner.adaptive.signals.sample import FloatArray
 
 GAIN_REACH = math.log(1e9)

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from retuner.adaptive.identification.dynamics import Dynamics
+from retuner.adaptive.fit.dynamics import Dynamics
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
