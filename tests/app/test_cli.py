@@ -70,6 +70,20 @@ def test_help_and_version_load_nothing_heavy() -> None:
     assert done.stdout.startswith("retuner ")
 
 
+def test_identify_loads_only_what_it_works_with(tmp_path: Path) -> None:
+    rows = [f"{i * 0.1:.1f},0,{pv:.3f},{i >= 100:d}" for i, pv in enumerate(0.1 * max(0, i - 120) for i in range(300))]
+    (tmp_path / "a.csv").write_text("t,sp,pv,co\n" + "\n".join(rows) + "\n")
+    script = f"""if True:
+        import sys
+        from retuner import Retuner, identify
+        from retuner.cli import main
+        main(["identify", {str(tmp_path / "a.csv")!r}, "--open-loop"])
+        print(sorted({set(HEAVY) - {"numpy", "pydantic"}!r} & set(sys.modules)), file=sys.stderr)"""
+    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+    assert "integrating" in done.stdout
+
+
 def test_init_then_check_then_init_again(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     assert (run("init", file).returncode, run("check", file).returncode) == (0, 0)
