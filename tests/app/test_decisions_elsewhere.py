@@ -17,11 +17,11 @@ from retuner.adaptive.supervision.pipeline_types import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
 from retuner.commands import run as run_command
+from retuner.decisions.decider import LATE, LOST, Answer, DecideHere
+from retuner.decisions.worker import DecideInWorker
 from retuner.drivers.clock import SimulatedClock
 from retuner.replay.recorded_trend import recorded_columns
 from retuner.session.assembly import make_retuner
-from retuner.session.decision_worker import DecideInWorker
-from retuner.session.decisions import LATE, LOST, Answer, DecideHere
 from retuner.session.recorded_session import read_session
 
 sys.path.append(str(Path(__file__).parent))

@@ -129,7 +129,7 @@ def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(
         assert beliefs(again) in allowed
         told = [gains_of(row.body["gains"]) for row in rows if row.kind in {"committed", "restore"}]
         assert again.table.gains_of(0) in [again.commissioned.gains_of(0), *told]
-        assert not [r for r in again.desk.undecided if again.desk.phase(r).name == "WRITING"]
+        assert not [r for r in again.trials.undecided if again.trials.phase(r).name == "WRITING"]
     assert without
     assert all(decided == 0 and (not line or "no memory of this hash" in line) for decided, line in without)
 

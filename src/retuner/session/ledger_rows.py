@@ -14,6 +14,7 @@ from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pretune import pretune
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
+from retuner.decisions.decider import Answer, without_decision
 from retuner.drivers.device import (
     CommandFailed,
     DeviceConflict,
@@ -30,7 +31,6 @@ from retuner.drivers.device import (
     WriteUnknown,
 )
 from retuner.schedule.gains import PidGains
-from retuner.session.decisions import Answer, without_decision
 
 HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
 """Events after which no decision is written for a while."""

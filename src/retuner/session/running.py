@@ -14,6 +14,8 @@ from pathlib import Path
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
+from retuner.decisions.decider import DecideHere, Decider
+from retuner.decisions.worker import DecideInWorker
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
@@ -30,8 +32,6 @@ from retuner.session.assembly import (
     retuner_settings,
     virtual_device_settings,
 )
-from retuner.session.decision_worker import DecideInWorker
-from retuner.session.decisions import DecideHere, Decider
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox

@@ -14,13 +14,13 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
+from retuner.decisions.decider import DecideHere, Decider
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews
 from retuner.drivers.device import CommandDone, Device, Event, Reverted, WriteDone, WriteFailed
 from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.report.trend import Trend
 from retuner.schedule.table import GainTable
-from retuner.session.decisions import DecideHere, Decider
 from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
 from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble
 from retuner.session.scenario import ScenarioPlayer

@@ -1,6 +1,6 @@
 """The worker: a process of low priority that answers questions from its standard input on its standard output.
 
-Started by decision_worker.py as `python -m`, so that it shares nothing with the loop but two pipes: what it does to
+Started by worker.py as `python -m`, so that it shares nothing with the loop but two pipes: what it does to
 itself (a crash in a compiled fit, no memory left) it does to itself alone. It ends when its input does.
 """
 

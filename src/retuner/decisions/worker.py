@@ -17,9 +17,9 @@ import threading
 from types import TracebackType
 
 from retuner.adaptive.supervision.pipeline_types import Question, StageResult
+from retuner.decisions.decider import LATE, LOST, Answer, without_decision
+from retuner.decisions.worker_process import receive, send
 from retuner.drivers.clock import Clock, MonotonicClock
-from retuner.session.decisions import LATE, LOST, Answer, without_decision
-from retuner.session.worker_process import receive, send
 
 NICE = 3
 """How much the worker gives way: beside two programs that keep two cores busy it still gets a quarter of one."""
@@ -34,7 +34,7 @@ class _Worker:
 
     def __init__(self, nice: int, memory_bytes: int) -> None:
         self.process = subprocess.Popen(  # noqa: S603  this program itself
-            [sys.executable, "-m", "retuner.session.worker_process", str(nice), str(memory_bytes)],
+            [sys.executable, "-m", "retuner.decisions.worker_process", str(nice), str(memory_bytes)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
