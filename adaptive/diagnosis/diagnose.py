@@ -22,6 +22,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sticking, turns
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
+from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.coincident_loads import setpoint_changes
@@ -158,6 +159,10 @@ def diagnose_window(
     obvious = _obvious(seen, settings)
     if obvious is not None:
         return Found(obvious)
+    parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
+    if parts:
+        each = [diagnose_window(part, gains, co_min, co_max, settings, direction=direction) for part in parts]
+        return over_time(parts, each)
     sign = gains.direction if gains else direction
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
