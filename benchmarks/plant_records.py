@@ -1,39 +1,78 @@
-"""What does diagnose say of real loops? Counts by record and by tag, and a picture a record.
+"""What do identify and diagnose say of real loops? A line a record, counts by tag, and pictures.
 
-    python benchmarks/plant_records.py --data FOLDER [--pictures FOLDER] [--only TAG]
+    python benchmarks/plant_records.py --data FOLDER [--also FILE] [--only TAG] [--out FILE] [--sheets FOLDER]
+    python benchmarks/plant_records.py --from FILE --data FOLDER --sheets FOLDER
 
 FOLDER holds index.csv (file, tag, sampling_time_s, samples, label) and the records (t, sp, pv, co). Labels are
-"stiction" and "no stiction"; "no stiction" does not mean healthy. A tag's verdict is stiction when at least half of its
-records are called so. The settings in force are not known: gains are left out where diagnose allows it.
+"stiction" and "no stiction"; "no stiction" does not mean healthy. --also names a record outside it, of a loop of its
+own. The settings in force are not known: they are read off the record where it shows them.
+
+Named: called stiction, or said to stand still while co travels. Settings that are given are held to two models that do
+not know of each other: identification's, and a plain first order with dead time fitted to pv after the setpoint steps
+alone (the recorded co as input, no load, no filter). --out keeps every answer as a line of JSON, from which --from
+draws again without a fit.
 """
 
 import argparse
 import csv
 import functools
+import json
+import math
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from cases.case import FloatArray, Record
 from cases.counting import spread
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from retuner import api
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+STANDS = "stands still while co travels"
+TAGS_A_SHEET, RECORDS_A_TAG = 4, 3
+MS_MOST = 2.5
+STEP_SHARE = 0.05
+"""A setpoint step of less than this share of pv's range shows nothing."""
+START_LAGS, START_DELAYS = (0.5, 3.0, 20.0), (0.0, 1.0, 5.0)
+"""Starts of the plain fit, in samples."""
 
 
-class Row(NamedTuple):
-    """One record of the index with its verdict."""
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One record with what is said of it. ms : of the settings given, on identification's model and the plain one."""
 
     file: str
     tag: str
     label: str
-    answer: str
+    identifiable: bool
+    identified: str
+    cause: str
     confidence: float
     retune: bool
     reason: str
-    evidence: dict[str, float]
-    seconds: float
+    factor: float | None = None
+    ms: list[float] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def named(self) -> bool:
+        """Whether the valve is named."""
+        return self.cause == "stiction" or STANDS in self.reason
+
+    @property
+    def told(self) -> str:
+        """Cause and confidence, with the change of gain where there is one."""
+        change = f", Kc x {self.factor:.2f}" if self.factor is not None else ""
+        return f"{self.cause} ({self.confidence:.0%}{change})"
 
 
 def read(path: Path) -> Record:
@@ -45,100 +84,195 @@ def read(path: Path) -> Record:
     return Record(columns["t"][new], columns["sp"][new], columns["pv"][new], columns["co"][new])
 
 
-def judge(data: Path, pictures: Path | None, entry: dict[str, str]) -> Row:
-    """Diagnose one record."""
-    record = read(data / entry["file"])
+def judge(entry: dict[str, str]) -> Row:
+    """What is said of one record."""
+    record = read(Path(entry["path"]))
+    window = Window(record.t, record.sp, record.pv, record.co)
+    gains = settings_in_force(window).gains
     begun = time.process_time()
-    fits: dict[str, FloatArray] = {}
     try:
-        result = api.diagnose(record.t, record.sp, record.pv, record.co, gains=None)
+        found = api.identify(record.t, record.sp, record.pv, record.co, gains=gains)
+        told = api.diagnose(record.t, record.sp, record.pv, record.co)
     except ValueError as error:
-        row = Row(entry["file"], entry["tag"], entry["label"], "refused", 1.0, False, str(error), {}, 0.0)
-    else:
-        found, seconds = result.diagnosis, time.process_time() - begun
-        fits = _fits(result, len(record.t))
-        row = Row(
-            entry["file"],
-            entry["tag"],
-            entry["label"],
-            str(found.cause),
-            found.confidence,
-            found.retune,
-            found.reason,
-            dict(found.evidence),
-            seconds,
-        )
-    if pictures is not None:
-        _picture(record, fits, row, pictures / f"{Path(entry['file']).stem}.png")
-    return row
-
-
-def _fits(result: object, n: int) -> dict[str, FloatArray]:
-    """Fitted pv of the hypotheses, where the result carries any."""
-    found = getattr(result, "fits", None) or {}
-    return {str(name): np.asarray(fit) for name, fit in found.items() if len(fit) == n}
-
-
-def _picture(record: Record, fits: dict[str, FloatArray], row: Row, path: Path) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 5.5), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    above.plot(record.t, record.pv, lw=0.8, label="pv")
-    above.plot(record.t, record.sp, lw=0.8, label="sp")
-    for name, fit in fits.items():
-        above.plot(record.t, fit, lw=0.7, ls="--", label=name)
-    below.plot(record.t, record.co, lw=0.8, color="C2", label="co")
-    numbers = [f"{k} {v:.3g}" for k, v in row.evidence.items()]
-    told = "\n".join("  ".join(numbers[i : i + 9]) for i in range(0, len(numbers), 9))
-    above.set_title(
-        f"{row.file} [{row.label}] called {row.answer} ({row.confidence:.2f})\n{row.reason}\n{told}",
-        fontsize=7,
-        loc="left",
+        return Row(entry["file"], entry["tag"], entry["label"], False, str(error), *_refused(record, error))
+    given = [s.tuning.gains for s in (found.settings, told.settings) if s is not None]
+    changed = told.settings.tuning.gains.kp / gains.kp if told.settings is not None and gains is not None else None
+    said = told.diagnosis
+    return Row(
+        entry["file"],
+        entry["tag"],
+        entry["label"],
+        found.estimate.identifiable,
+        found.estimate.reason,
+        str(said.cause),
+        said.confidence,
+        said.retune,
+        said.reason,
+        changed,
+        [ms for g in given for ms in _held_to(g, found.estimate.log.model(), window)],
+        time.process_time() - begun,
     )
-    for axes in (above, below):
-        axes.tick_params(labelsize=7)
-        axes.legend(fontsize=7)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=80)
 
 
-def by_tag(rows: list[Row]) -> list[str]:
-    """A line a tag: label, verdicts, right or not."""
+def _refused(record: Record, error: ValueError) -> tuple[str, float, bool, str]:
+    """Cause, confidence, retune and reason where identification has nothing to work on."""
+    try:
+        said = api.diagnose(record.t, record.sp, record.pv, record.co).diagnosis
+    except ValueError:
+        return "refused", 1.0, False, str(error)
+    return str(said.cause), said.confidence, said.retune, said.reason
+
+
+def _held_to(gains: PidGains, model: ProcessModel, window: Window) -> Iterator[float]:
+    """Ms on both models, infinite where unstable; half a sampling interval counts as dead time."""
+    for process in (model, plain_model(window)):
+        if process is not None:
+            delayed = ProcessModel(
+                process.type, process.k, process.tau1_s, process.tau2_s, process.theta_s + window.sample_time_s / 2
+            )
+            yield min(sensitivity_peak(delayed.linear(), gains), 99.0)
+
+
+def plain_model(window: Window) -> ProcessModel | None:
+    """First order with dead time, fitted to pv after the setpoint steps alone; None where there are none."""
+    steps = np.flatnonzero(np.abs(np.diff(window.sp)) > STEP_SHARE * np.ptp(window.pv)) + 1
+    if not steps.size or steps.size > len(window.sp) / 10:
+        return None
+    dt, n = window.sample_time_s, len(window.sp)
+    counted = np.zeros(n, dtype=bool)
+    for at in steps:
+        counted[max(at - 5, 0) : min(at + 40, n)] = True
+
+    def left(p: FloatArray) -> FloatArray:
+        moved = _first_order(window.co, math.exp(p[0]), math.exp(p[1]))
+        columns = np.column_stack([moved, np.ones(n)])[counted]
+        return window.pv[counted] - columns @ np.linalg.lstsq(columns, window.pv[counted], rcond=None)[0]
+
+    fits = [
+        least_squares(left, np.log([lag, delay + 0.1]), bounds=([-3, -3], [7, 5]))
+        for lag in START_LAGS
+        for delay in START_DELAYS
+    ]
+    p = min(fits, key=lambda f: f.cost).x
+    columns = np.column_stack([_first_order(window.co, math.exp(p[0]), math.exp(p[1])), np.ones(n)])[counted]
+    k = float(np.linalg.lstsq(columns, window.pv[counted], rcond=None)[0][0])
+    return ProcessModel(ProcessType.FOPDT, k, math.exp(p[0]) * dt, 0.0, math.exp(p[1]) * dt) if k else None
+
+
+def _first_order(co: FloatArray, lag: float, delay: float) -> FloatArray:
+    """Response of a unit gain; lag and delay in samples."""
+    late = np.interp(np.arange(len(co)) - delay - 1, np.arange(len(co)), co)
+    a = math.exp(-1 / lag)
+    return np.asarray(lfilter([1 - a], [1, -a], late - late[0]), dtype=np.float64)
+
+
+def summary(rows: list[Row]) -> list[str]:
+    """Counts, then a line a tag, then a line a record."""
     lines = []
+    for label in sorted({r.label for r in rows}):
+        own = [r for r in rows if r.label == label]
+        lines.append(
+            f"{label}: {sum(r.named for r in own)} of {len(own)} records named as a valve, "
+            f"{sum(r.cause == 'stiction' for r in own)} of them called stiction, "
+            f"gains changed in {sum(r.retune for r in own)}"
+        )
+    judged = [r for r in rows if r.ms]
+    lines.append(
+        f"settings given for {len(judged)} records; Ms over {MS_MOST:g} on one of the models: "
+        + (", ".join(f"{r.file} ({max(r.ms):.2f})" for r in judged if max(r.ms) > MS_MOST) or "none")
+    )
+    lines.append("")
     for tag in sorted({r.tag for r in rows}):
         own = [r for r in rows if r.tag == tag]
-        called = sum(r.answer == "stiction" for r in own)
-        said = "stiction" if 2 * called >= len(own) else "no stiction"
-        mark = "right" if said == own[0].label else ("MISSED" if own[0].label == "stiction" else "FALSE ALARM")
-        lines.append(f"{tag:<12}{own[0].label:<13}{mark:<12}" + ", ".join(r.answer for r in own))
+        lines.append(f"{tag:<12}{own[0].label:<13}named {sum(r.named for r in own)} of {len(own)}  " + _counted(own))
+    lines.append("")
+    for r in rows:
+        settings = "  Ms " + ", ".join(f"{ms:.2f}" for ms in r.ms) if r.ms else ""
+        lines.append(f"{r.file:<26}{r.told:<34}{r.seconds:5.1f}s  {r.reason}{settings}")
+        lines.append(f"{'':<26}identify: {'yes' if r.identifiable else 'no'}, {r.identified}")
     return lines
+
+
+def _counted(rows: list[Row]) -> str:
+    """The causes with their numbers."""
+    causes = [r.cause for r in rows]
+    return ", ".join(f"{cause} {causes.count(cause)}" for cause in dict.fromkeys(causes))
+
+
+def sheets(rows: list[Row], paths: dict[str, Path], folder: Path) -> None:
+    """Pictures of the records, pv and co over time and pv over co, a few tags a sheet."""
+    tags = sorted({r.tag for r in rows})
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, first in enumerate(range(0, len(tags), TAGS_A_SHEET), 1):
+        shown = [r for tag in tags[first : first + TAGS_A_SHEET] for r in _of_tag(rows, tag)]
+        _sheet(shown, paths, folder / f"real-records-{number}.png")
+
+
+def _of_tag(rows: list[Row], tag: str) -> list[Row]:
+    """A few records of a tag, one of each answer first."""
+    own = [r for r in rows if r.tag == tag]
+    firsts = list({r.cause: r for r in reversed(own)}.values())
+    return [*firsts, *(r for r in own if r not in firsts)][:RECORDS_A_TAG]
+
+
+def _sheet(rows: list[Row], paths: dict[str, Path], path: Path) -> None:
+    """One picture, a row a record."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 1.9 * len(rows)), layout="constrained")
+    axes = figure.subplots(len(rows), 2, squeeze=False, width_ratios=[3, 1])
+    for (over_time, over_co), row in zip(axes, rows, strict=True):
+        record = read(paths[row.file])
+        over_time.plot(record.t, record.sp, lw=0.7, color="C1")
+        over_time.plot(record.t, record.pv, lw=0.7, color="C0")
+        second = over_time.twinx()
+        second.plot(record.t, record.co, lw=0.6, color="C2")
+        over_co.plot(record.co, record.pv, lw=0.5, color="C0")
+        said = f"{row.file.removesuffix('.csv')} [{row.label}]: {row.told}. {row.reason}"
+        over_time.set_title(_wrapped(said), fontsize=6, loc="left")
+        for each in (over_time, second, over_co):
+            each.tick_params(labelsize=5)
+    axes[0, 1].set_title("pv over co", fontsize=6)
+    figure.savefig(path, dpi=75, pil_kwargs={"optimize": True})
+
+
+def _wrapped(text: str, width: int = 150, lines: int = 2) -> str:
+    """The beginning of a sentence in so many lines."""
+    pieces = [text[i : i + width] for i in range(0, len(text), width)]
+    return "\n".join(pieces[:lines]) + ("..." if len(pieces) > lines else "")
+
+
+def entries_of(data: Path, also: list[Path], only: str | None) -> list[dict[str, str]]:
+    """The records to look at."""
+    with (data / "index.csv").open(encoding="utf-8") as lines:
+        found = [{**e, "path": str(data / e["file"])} for e in csv.DictReader(lines)]
+    found += [{"file": p.name, "tag": p.stem, "label": "no stiction", "path": str(p)} for p in also]
+    return [e for e in found if only in {None, e["tag"]}]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", required=True, type=Path)
-    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--also", type=Path, action="append", default=[], metavar="FILE")
     parser.add_argument("--only", metavar="TAG")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--from", type=Path, dest="kept")
+    parser.add_argument("--sheets", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    if not hasattr(api, "diagnose"):
-        sys.stderr.write("this retuner has no diagnose(t, sp, pv, co, gains=, co_min=, co_max=): nothing to measure\n")
-        return 1
     if not (options.data / "index.csv").is_file():
         sys.stderr.write(f"{options.data / 'index.csv'} is not there; give the folder of the records with --data\n")
         return 2
-    with (options.data / "index.csv").open(encoding="utf-8") as lines:
-        entries = [e for e in csv.DictReader(lines) if options.only in {None, e["tag"]}]
-    rows = list(spread(functools.partial(judge, options.data, options.pictures), entries, options.jobs))
-    for label in ("stiction", "no stiction"):
-        of_label = [r for r in rows if r.label == label]
-        called = sum(r.answer == "stiction" for r in of_label)
-        sys.stdout.write(f"{label}: {called} of {len(of_label)} records called stiction\n")
-    sys.stdout.write(f"gain changes advised: {sum(r.retune for r in rows)} of {len(rows)}\n\n")
-    sys.stdout.write("\n".join(by_tag(rows)) + "\n\n")
-    for r in rows:
-        sys.stdout.write(f"{r.file:<28}{r.label:<13}{r.answer:<17}{r.confidence:.2f} {r.seconds:5.2f}s  {r.reason}\n")
+    entries = entries_of(options.data, options.also, options.only)
+    if options.kept is not None:
+        rows = [Row(**json.loads(line)) for line in options.kept.read_text(encoding="utf-8").splitlines()]
+    else:
+        rows = list(spread(functools.partial(judge), entries, options.jobs))
+    if options.out is not None:
+        options.out.write_text("".join(json.dumps(asdict(r)) + "\n" for r in rows), encoding="utf-8")
+    sys.stdout.write("\n".join(summary(rows)) + "\n")
+    if options.sheets is not None:
+        sheets(rows, {e["file"]: Path(e["path"]) for e in entries}, options.sheets)
     return 0
 
 

@@ -32,6 +32,7 @@ class Diagnosis:
     """One cause with its evidence.
 
     cause : the cause. confidence : 0 to 1. evidence : numbers by name. reason : one sentence.
+    settled : whether the process is known well enough for settings to follow, where the cause is one of tuning.
 
     Raises
     ------
@@ -43,6 +44,7 @@ class Diagnosis:
     confidence: float
     evidence: dict[str, float]
     reason: str
+    settled: bool = True
 
     def __post_init__(self) -> None:
         if not 0 <= self.confidence <= 1:
@@ -53,8 +55,8 @@ class Diagnosis:
 
     @property
     def retune(self) -> bool:
-        """Whether this cause may change gains."""
-        return self.cause in TUNING_CAUSES
+        """Whether gains may be changed for it: a cause of tuning, and a process that is known."""
+        return self.cause in TUNING_CAUSES and self.settled
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason."""

@@ -19,9 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sticking
+from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sticking, turns
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
+from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.indexes.screening import Screening, screen
@@ -35,14 +38,23 @@ from retuner.schedule.gains import PidGains
 
 
 def rival_verdict(
-    best: Candidate, tone: Candidate, valve: Sticking, evidence: dict[str, float], settings: DiagnosisSettings
+    best: Candidate,
+    tone: Candidate,
+    valve: Sticking,
+    evidence: dict[str, float],
+    settings: DiagnosisSettings,
+    changes: int = 0,
 ) -> Diagnosis | None:
-    """Stiction or external, where one of them explains the record clearly better than the loop by itself."""
+    """Stiction or external, where one of them explains the record clearly better than the loop by itself.
+
+    changes : of the setpoint. A valve that turns no more than so many times for each of them goes where it is sent.
+    """
     needed = max(settings.least_lead, settings.lead_per_sample * len(best.fit.misfit.record.pv))
     leads = {Cause.EXTERNAL: evidence["external_lead"], Cause.STICTION: evidence["stuck_lead"]}
     tone_left, stuck_left = evidence["external_left"], evidence["stuck_left"]
     allowed = handicap(evidence, settings)
-    if tone_left <= settings.tone_explains and tone_left < stuck_left:
+    sent = turns(valve) <= settings.turns_per_change * changes or not _within(valve)
+    if sent or (tone_left <= settings.tone_explains and tone_left < stuck_left):
         cause = Cause.EXTERNAL
     elif stuck_left < settings.stuck_helps * evidence["linear_left"] and stuck_left < allowed * tone_left:
         cause = Cause.STICTION
@@ -55,6 +67,11 @@ def rival_verdict(
     apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else allowed)))
     confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed / 2, 4 * apart))
     return Diagnosis(cause, confidence, evidence, _reason(cause, tone, valve, evidence))
+
+
+def _within(valve: Sticking) -> bool:
+    """Whether the band is one that the record's co crosses: a valve that never moves explains nothing."""
+    return valve.valve.stick < valve.fit.fit.misfit.record.co_range
 
 
 def handicap(evidence: dict[str, float], settings: DiagnosisSettings) -> float:
@@ -142,6 +159,10 @@ def diagnose_window(
     obvious = _obvious(seen, settings)
     if obvious is not None:
         return Found(obvious)
+    parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
+    if parts:
+        each = [diagnose_window(part, gains, co_min, co_max, settings, direction=direction) for part in parts]
+        return over_time(parts, each)
     sign = gains.direction if gains else direction
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
@@ -168,16 +189,40 @@ def _compared(
     window: Window, gains: PidGains | None, found: list[Candidate], seen: Screening, settings: DiagnosisSettings
 ) -> Found:
     """The linear explanation against its rivals, where they are worth asking."""
-    evidence = dict(seen.evidence) | {"linear_left": _left(found[0]), "loads": float(found[0].fit.misfit.loads)}
-    fits = {"linear": found[0]}
-    loads = found[0].fit.misfit.loads
+    best = found[0]
+    evidence = dict(seen.evidence) | {"linear_left": _left(best), "loads": float(best.fit.misfit.loads)}
+    fits = {"linear": best}
+    stood = _stood(window, gains, best, settings)
+    loads = best.fit.misfit.loads
     by_loads = loads >= SEVERAL_LOADS or (loads > 0 and not seen.evidence.get("setpoint_steps"))
-    if seen.oscillates or by_loads or _left(found[0]) > settings.oscillating_residual:
-        against = against_rivals(found[0], seen, settings)
+    if seen.oscillates or by_loads or _left(best) > settings.oscillating_residual:
+        against = against_rivals(best, seen, settings, len(setpoint_changes(window)))
         evidence, fits = against.evidence, against.fits
-        if against.verdict is not None:
-            return Found(against.verdict, fits=fits)
+        verdict = against.verdict
+        if verdict is not None and (stood is None or _outweighs(verdict, seen)):
+            return Found(verdict, fits=fits)
+    if stood is not None:
+        return Found(standing_verdict(stood, evidence), fits=fits)
     return linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
+
+
+def _outweighs(verdict: Diagnosis, seen: Screening) -> bool:
+    """Whether a rival's verdict counts for more than that pv stands: a valve of one band, or a regular oscillation."""
+    return verdict.cause == Cause.STICTION or (verdict.cause == Cause.EXTERNAL and seen.oscillates)
+
+
+def _stood(window: Window, gains: PidGains | None, best: Candidate, settings: DiagnosisSettings) -> Standing | None:
+    """What the plateaus of a record show, where pv stands or does not answer; None otherwise.
+
+    best : the linear explanation; where it is by far the likelier one, plateaus are what a slow loop leaves.
+    """
+    found = stand_still(window, gains, settings.standing)
+    if found is None or not (found.stands or found.dead):
+        return None
+    record = best.fit.misfit.record
+    left = float(np.mean((record.pv - best.fit.at.explained) ** 2))
+    lead = found.lead_of(left, best.fit.misfit.loads)
+    return None if lead > settings.standing.likelier else found
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +234,10 @@ class Against:
     fits: dict[str, Candidate]
 
 
-def against_rivals(best: Candidate, seen: Screening, settings: DiagnosisSettings) -> Against:
+def against_rivals(best: Candidate, seen: Screening, settings: DiagnosisSettings, changes: int = 0) -> Against:
     """Does a tone from outside, or a valve that sticks, explain a record better than the loop by itself?
 
-    best : the linear explanation. seen : the record's screening.
+    best : the linear explanation. seen : the record's screening. changes : of the setpoint in it.
     """
     period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
     tone = external(best, _frequencies(best, period_s), settings.fit.choice.most_loads)
@@ -206,7 +251,7 @@ def against_rivals(best: Candidate, seen: Screening, settings: DiagnosisSettings
         "stuck_lead": best.criterion - valve.fit.criterion,
     }
     fits = {"linear": best, "external": tone, "stuck": valve.fit}
-    return Against(rival_verdict(best, tone, valve, evidence, settings), evidence, fits)
+    return Against(rival_verdict(best, tone, valve, evidence, settings, changes), evidence, fits)
 
 
 def _left(candidate: Candidate) -> float:

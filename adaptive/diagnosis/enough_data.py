@@ -5,6 +5,7 @@ the field's rules of thumb (Skogestad 2003 on sampling; Thornhill, Huang & Zhang
 """
 
 from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.indexes.doubtful_units import doubtful_units
 from retuner.adaptive.indexes.screening import Screening
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
@@ -32,6 +33,7 @@ def shortcomings(window: Window, seen: Screening, model: ProcessModel | None = N
     """
     found: list[str] = []
     n, dt = len(window.t_s), window.sample_time_s
+    found += doubtful_units(window)
     if seen.condition.condition not in {Condition.NORMAL, Condition.MOVING_SETPOINT}:
         found.append(seen.condition.sentence)
     if n < FEWEST_SAMPLES:

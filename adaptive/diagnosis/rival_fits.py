@@ -191,6 +191,13 @@ class Sticking:
     fit: Candidate
 
 
+def turns(sticking: Sticking) -> int:
+    """How often the valve of an explanation turns round in its record."""
+    moved = np.diff(sticking.valve.position(sticking.fit.fit.misfit.record.co))
+    ways = np.sign(moved[moved != 0])
+    return int(np.sum(np.diff(ways) != 0))
+
+
 def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
     """The best explanation with a stuck valve.
 

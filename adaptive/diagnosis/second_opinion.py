@@ -19,7 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.oscillation_online import Standing, SwingSettings, is_recent, stretch
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
@@ -173,10 +173,12 @@ def unconfirmed(
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
-    if found.retune and _other_way(found.cause, wanted):
+    if found.cause in TUNING_CAUSES and _other_way(found.cause, wanted):
         reason = f"the model of this region says {wanted}, and the stretch by itself {found.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
-    return (None, excitation) if found.retune else (found, replace(excitation, asked=excitation.loads))
+    if found.cause in TUNING_CAUSES:  # the settings are those of the region's model, which the guard proves
+        return None, excitation
+    return found, replace(excitation, asked=excitation.loads)
 
 
 def _other_way(found: Cause, wanted: Cause | None) -> bool:

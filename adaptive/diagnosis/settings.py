@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.diagnosis.rival_fits import WHITE
+from retuner.adaptive.diagnosis.standing_valve import StandingSettings
 from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.identification.structure_choice import ChoiceSettings
@@ -25,6 +26,8 @@ class DiagnosisSettings:
     jump_share : share of pv's travel in its largest jumps beyond co's, from which an irregular valve is told where no
         single band explains the record; 0.02 to 0.3, default 0.04 (real flow loops 0.05 to 0.21, levels below 0.02).
     stuck_helps : a valve must leave less than this share of what the loop by itself leaves; 0.5 to 1, default 0.87.
+    turns_per_change : a valve that turns no more than so many times for each setpoint change goes where it is sent;
+        1 to 3, default 2.
     rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
         rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
@@ -38,6 +41,8 @@ class DiagnosisSettings:
         many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
         identification alone would not give settings; 0.2 to 1, default 0.5.
+    second_explained : what a fit may leave, in times the noise, for a doubt by load steps or by a tone to be put to a
+        second opinion; 1 to 2, default 1.2. second_loads : load steps that this may need; 0 to 3, default 1.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
     """
 
@@ -49,6 +54,7 @@ class DiagnosisSettings:
     stuck_handicap_triangle: float = 3.0
     jump_share: float = 0.04
     stuck_helps: float = 0.87
+    turns_per_change: float = 2.0
     rival_explains: float = 2.0
     oscillating_residual: float = 1.12
     explained: float = 1.5
@@ -59,9 +65,12 @@ class DiagnosisSettings:
     many_loads: int = 5
     many_loads_beside: int = 4
     spread_limit: float = 0.5
+    second_explained: float = 1.2
+    second_loads: int = 1
     majority: float = 0.75
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=1000)
     )
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.75, weak=4.0))
     robust: RobustSettings = field(default_factory=RobustSettings)
+    standing: StandingSettings = field(default_factory=StandingSettings)

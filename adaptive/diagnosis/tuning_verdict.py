@@ -13,10 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, CauseSettings, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.fit.coincident_loads import apart
 from retuner.adaptive.identification.candidate import Candidate
-from retuner.adaptive.identification.estimate import ModelEstimate, gain_spread
-from retuner.adaptive.identification.identify import estimate_of
+from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
+from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -27,13 +29,14 @@ class Found:
     """A diagnosis with what it rests on.
 
     estimate : the process, where it could be told. tuning : settings that would cure it, for causes of tuning.
-    fits : explanations of pv by name.
+    fits : explanations of pv by name. aim : where tuning is a first step only, the settings that it leads to.
     """
 
     diagnosis: Diagnosis
     estimate: ModelEstimate | None = None
     tuning: RobustTuning | None = None
     fits: Mapping[str, Candidate] = field(default_factory=dict)
+    aim: RobustTuning | None = None
 
 
 def linear_verdict(
@@ -57,37 +60,128 @@ def linear_verdict(
     if not estimate.identifiable and spread > settings.spread_limit:
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate, fits=fits)
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
-    verdict = _weighed(estimate, gains, tuning, window.sample_time_s, settings.cause)
+    verdict = weighed(estimate, gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | evidence)
-    doubt = _doubt(verdict, window, oscillates, settings) if verdict.cause in TUNING_CAUSES else None
-    if doubt is not None:
-        return Found(replace(verdict, cause=doubt[0], confidence=0.5, reason=doubt[1]), estimate, fits=fits)
-    return Found(verdict, estimate, tuning if verdict.retune else None, fits)
+    loop = Loop(window, gains, found[0], Fits(window, (gains.direction,), FitSettings()), settings)
+    if verdict.cause not in TUNING_CAUSES:
+        return _if_agreed(loop, Found(verdict, estimate, fits=fits))
+    doubt = _doubt(verdict, window, oscillates, settings)
+    if doubt is not None and (not doubt.may_be_asked or not second_opinion(loop, verdict)):
+        return Found(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate, fits=fits)
+    return _if_agreed(loop, Found(verdict, estimate, tuning, fits), asked=doubt is not None)
 
 
-def _doubt(
-    verdict: Diagnosis, window: Window, oscillates: bool, settings: DiagnosisSettings
-) -> tuple[Cause, str] | None:
-    """Why a verdict may not change gains, if so, and what the cause is then."""
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """What a verdict is about. best : the linear explanation that it rests on. fits : as identification makes them."""
+
+    window: Window
+    gains: PidGains
+    best: Candidate
+    fits: Fits
+    settings: DiagnosisSettings
+
+
+def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
+    """The verdict, unless another model of the record, as good as its own, gives other settings.
+
+    asked : identification has confirmed the cause already, with a model of its own.
+    """
+    estimate, verdict, settings = found.estimate, found.diagnosis, loop.settings
+    assert estimate is not None
+    rival = loop.fits.rival(loop.best)
+    if rival is not None:
+        estimate = replace(estimate, rival=rival)
+        if rival.apart > settings.fit.apart_limit:
+            estimate = replace(estimate, identifiable=False, reason=rival.sentence)
+            torn = replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=rival.sentence)
+            return replace(found, diagnosis=torn, estimate=estimate, tuning=None)
+    if verdict.cause not in TUNING_CAUSES:
+        return replace(found, estimate=estimate)
+    return _with_settings(loop, replace(found, estimate=estimate), asked)
+
+
+def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
+    """The settings that would cure it, where identification knows the process as well and means the same."""
+    estimate, verdict = found.estimate, found.diagnosis
+    assert estimate is not None
+    other = loop.fits.estimate()
+    between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
+    unsure = next((e.reason for e in (estimate, other) if not e.identifiable), "")
+    if not unsure and between > loop.settings.fit.apart_limit:
+        unsure = (
+            f"the record can be explained in two ways, as white noise beside load steps and as a drift: two models, "
+            f"gains apart by a factor of {factor_text(between)}"
+        )
+        if not asked:
+            torn = replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=unsure)
+            return replace(found, diagnosis=torn, tuning=None)
+    if unsure:
+        reason = f"{verdict.reason}; what the settings should be it does not show: {unsure}"
+        return replace(found, diagnosis=replace(verdict, reason=reason, settled=False), tuning=None)
+    return _first_step(loop, found)
+
+
+def _first_step(loop: Loop, found: Found) -> Found:
+    """No farther at once than the record carries."""
+    estimate, verdict = found.estimate, found.diagnosis
+    assert estimate is not None
+    assert found.tuning is not None
+    events = verdict.evidence.get("setpoint_steps", 0.0) + verdict.evidence["loads"]
+    step = first_step(found.tuning, loop.gains, events, estimate.log.model(), loop.window.sample_time_s)
+    if step is None:
+        return found
+    told = replace(verdict, reason=f"{verdict.reason}; {step.sentence}")
+    return replace(found, diagnosis=told, tuning=step.now, aim=step.aim)
+
+
+def second_opinion(loop: Loop, verdict: Diagnosis) -> bool:
+    """Whether identification's own fit, with no load step at a setpoint change, names the same cause.
+
+    It whitens what is left instead of buying load steps, so a verdict that many of them, or a tone, put in doubt is
+    seen by it in another light.
+    """
+    settings = loop.settings
+    estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, FitSettings())
+    if len(estimate.load_times_s) > settings.second_loads:
+        return False
+    tuning = robust_simc(estimate, loop.window.sample_time_s, settings.robust)
+    other = weighed(estimate, loop.gains, tuning, loop.window.sample_time_s, settings.cause)
+    return other.cause == verdict.cause and other.confidence >= settings.majority
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why a verdict may not change gains, and what the cause is then. may_be_asked : a second opinion may dispel it."""
+
+    cause: Cause
+    reason: str
+    may_be_asked: bool = False
+
+
+def _doubt(verdict: Diagnosis, window: Window, oscillates: bool, settings: DiagnosisSettings) -> Doubt | None:
+    """The first doubt of a verdict that would change gains."""
     evidence = verdict.evidence
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
     if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
-        return Cause.UNKNOWN, reason
+        return Doubt(Cause.UNKNOWN, reason)
+    explained = left < settings.second_explained
     if left > (settings.explained_steps if steps > 1 else settings.explained) or loads >= (
         settings.many_loads_beside if steps else settings.many_loads
     ):
         reason = f"an unexplained disturbance: {loads:.0f} load steps and still {left:.1f} times the noise is left"
-        return Cause.UNKNOWN, reason
+        return Doubt(Cause.UNKNOWN, reason, explained)
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
-        return Cause.EXTERNAL, "load steps explain the record, but an oscillation from outside does it better"
+        reason = "load steps explain the record, but an oscillation from outside does it better"
+        return Doubt(Cause.EXTERNAL, reason, explained)
     if oscillates and not steps:
-        return Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning"
+        return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     if math.isinf(evidence["ms"]) and not _grows(window):
         reason = "the process that fits would be unstable with the gains in force, and the record does not grow"
-        return Cause.UNKNOWN, reason
+        return Doubt(Cause.UNKNOWN, reason)
     return None
 
 
@@ -121,7 +215,7 @@ NOISY = 0.5
 """Share of white noise in the movement of pv from which noise is what moves it."""
 
 
-def _weighed(
+def weighed(
     estimate: ModelEstimate, gains: PidGains, tuning: RobustTuning, sample_time_s: float, settings: CauseSettings
 ) -> Diagnosis:
     """The verdict that most of the models share that the record allows; its weight is the confidence."""

@@ -32,6 +32,7 @@ class Record:
         (a share of its range, or its quantum), as a standard deviation. pv_range, co_range : largest minus smallest.
     gaps_s : instants at which a gap in time ends. motion_at_start : how much pv moves at once when the record begins,
         as a share of its range: 0 from rest. The co of the time before the record will have moved as much, and no more.
+    barred_s : setpoint changes at which no load step is to stand (coincident_loads.py), from zero.
     """
 
     pv: FloatArray
@@ -45,6 +46,7 @@ class Record:
     co_range: float
     gaps_s: tuple[float, ...]
     motion_at_start: float
+    barred_s: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, window: Window, most_samples: int | None = None) -> "Record":

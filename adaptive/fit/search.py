@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive.fit.coincident_loads import LONGEST_LAG, near
 from retuner.adaptive.fit.dynamics import Clock, Dynamics
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import LEAST_TIME, Fit, refine
 from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, THETA
 from retuner.adaptive.process.model import ProcessType
@@ -41,9 +43,10 @@ def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatA
     """
     grid = Grid.of(misfit)
     engine = compiled()
-    nodes = (
-        engine.searched(grid, misfit.sigma, most_loads) if engine is not None else _searched(grid, misfit, most_loads)
-    )
+    if engine is None or misfit.record.barred_s:  # the engine's search knows no barred instants
+        nodes = _searched(grid, misfit, most_loads)
+    else:
+        nodes = iter(engine.searched(grid, misfit.sigma, most_loads))
     ranked: dict[int, list[Node]] = {m: [] for m in range(most_loads + 1)}
     for node in nodes:
         ranked[len(node.loads)].append(node)
@@ -98,8 +101,8 @@ def _point(node: Node, sign: int) -> FloatArray:
 
 
 def _searched(grid: Grid, misfit: Misfit, most_loads: int) -> Iterator[Node]:
-    """Every node with 0, 1, ... load steps."""
-    t = grid.clock.t_s
+    """Every node with 0, 1, ... load steps, none at a setpoint change that is barred to them."""
+    t, record = grid.clock.t_s, misfit.record
     for lag in grid.lags_s.tolist():
         dynamics = Dynamics(0.0, 1.0 / lag)
         steps = dynamics.step(t[:, None] - grid.at_s[None, :])
@@ -107,8 +110,14 @@ def _searched(grid: Grid, misfit: Misfit, most_loads: int) -> Iterator[Node]:
         rest = np.stack([np.ones_like(t), dynamics.step(t) / max(float(dynamics.step(t)[-1]), 1e-300)], axis=1)
         for theta in grid.thetas_s.tolist():
             x = dynamics.held(grid.clock, grid.co, theta)
-            for deviance, slope, loads in _node(grid.pv, x, rest, steps, grid.at_s, misfit.sigma, most_loads):
+            barred = near(grid.at_s, record.barred_s, _counted(lag, record), theta, record.sample_time_s)
+            for deviance, slope, loads in _node(grid.pv, x, rest, steps * ~barred, grid.at_s, misfit.sigma, most_loads):
                 yield Node(deviance, slope, lag, theta, loads)
+
+
+def _counted(lag_s: float, record: Record) -> float:
+    """A lag as it counts for what stands at a setpoint change; none for an integrator."""
+    return min(lag_s, LONGEST_LAG * record.span_s) if math.isfinite(lag_s) else 0.0
 
 
 def _thinned(misfit: Misfit) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from retuner.adaptive.fit.coincident_loads import are_coincident
 from retuner.adaptive.fit.misfit import Colour, colour, criterion
 from retuner.adaptive.fit.refine import EXACT, Fit, Prior, refine
 from retuner.adaptive.fit.structure import SIZE
@@ -12,6 +13,8 @@ from retuner.adaptive.process.model import ProcessType
 
 MODEL_ERROR = 0.005
 """What a second-order model leaves of a real response (order, nonlinearity): rms as a share of pv's range."""
+BARRED = 1e6
+"""Price of a load step at a setpoint change where none is to stand: any other explanation is cheaper."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +36,16 @@ def judged(fit: Fit, prior: Prior | None = None) -> Candidate:
     record = fit.misfit.record
     left = colour(record.pv - fit.explained, record.resolution, fit.misfit.most_order)
     known = 0.0 if prior is None else float(np.sum(prior.residuals(fit.x) ** 2))
-    return Candidate(
-        fit, left, criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range) + known
-    )
+    price = BARRED * loads_at(fit, record.barred_s) if record.barred_s else 0.0
+    weighed = criterion(left, len(record.pv), fit.misfit.unknowns, MODEL_ERROR * record.pv_range)
+    return Candidate(fit, left, weighed + known + price)
+
+
+def loads_at(fit: Fit, changes_s: tuple[float, ...]) -> int:
+    """How many load steps of a fit stand at setpoint changes. changes_s : in record time."""
+    record, times = fit.misfit.record, np.array(fit.load_times_s)
+    found = are_coincident(fit.misfit.type, fit.x, times, changes_s, record.span_s, record.sample_time_s)
+    return int(np.sum(found))
 
 
 class Seen:

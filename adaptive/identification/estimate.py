@@ -148,6 +148,45 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True)
+class RivalModel:
+    """Another model of the same record, without load steps at setpoint changes (coincident_loads.py).
+
+    model : the process. apart : how far the two are from each other, D of that page, >= 0, may be infinite.
+    change_s : the setpoint change at which the winner has a load step.
+    """
+
+    model: ProcessModel
+    apart: float
+    change_s: float
+
+    def __post_init__(self) -> None:
+        if not self.apart >= 0 or not math.isfinite(self.change_s):
+            raise ValueError(f"apart = {self.apart} must be 0 or more, and change_s = {self.change_s} finite")
+
+    @property
+    def sentence(self) -> str:
+        """What the two models leave open."""
+        return (
+            f"what moves pv after the setpoint change at {self.change_s:.5g} s is either a load or the process: "
+            f"two models, gains apart by a factor of {factor_text(self.apart)}"
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys model, apart (as a factor, null for opposite signs), at."""
+        ratio = math.exp(min(self.apart, MOST_LOG))
+        return {"model": self.model.to_dict(), "apart": ratio if self.apart < MOST_LOG else None, "at": self.change_s}
+
+
+MOST_LOG = math.log(1000)
+"""Factors above a thousand are not told apart."""
+
+
+def factor_text(log: float) -> str:
+    """A logarithm as the factor people think in."""
+    return f"{math.exp(log):.2f}" if log < MOST_LOG else "over 1000"
+
+
+@dataclass(frozen=True, slots=True)
 class ModelEstimate:
     """The outcome of identification of one record.
 
@@ -156,6 +195,7 @@ class ModelEstimate:
     alternatives : the structures, best first. coloured : order of the whitening filter that the remainder asked for.
     plausible : models that the record (and the prior) still allow, the best first.
     explained : share of pv's variance that the model explains.
+    rival : the model without load steps at setpoint changes, where the winner has such.
     """
 
     identifiable: bool
@@ -167,6 +207,7 @@ class ModelEstimate:
     coloured: int = 0
     plausible: tuple[Plausible, ...] = ()
     explained: float = 1.0
+    rival: RivalModel | None = None
 
     @property
     def best(self) -> Alternative:
@@ -185,12 +226,16 @@ class ModelEstimate:
         """
         return self.residual_std / max(self.noise_std, MODEL_ERROR * pv_range)
 
+    def is_contested(self, limit: float) -> bool:
+        """Whether a rival model lies farther away than a limit, as a logarithm."""
+        return self.rival is not None and self.rival.apart > limit
+
     def of(self, type_: ProcessType) -> Alternative:
         """A structure by name."""
         return next(a for a in self.alternatives if a.log.type == type_)
 
     def to_dict(self) -> dict[str, object]:
-        """Keys identifiable, model, std, reason, loads, residual, noise, coloured."""
+        """Keys identifiable, model, std, reason, loads, residual, noise, coloured, rival."""
         return {
             "identifiable": self.identifiable,
             "model": self.log.model().to_dict(),
@@ -200,4 +245,5 @@ class ModelEstimate:
             "residual": self.residual_std,
             "noise": self.noise_std,
             "coloured": self.coloured,
+            "rival": self.rival.to_dict() if self.rival is not None else None,
         }

@@ -15,17 +15,21 @@ extended Kalman update (Bell & Cathey 1993); see tracker.py.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
+from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Fit, Prior
-from retuner.adaptive.fit.structure import SIZE
-from retuner.adaptive.identification.candidate import Candidate, with_priors
+from retuner.adaptive.fit.structure import SIZE, model_at
+from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, loads_at, with_priors
 from retuner.adaptive.identification.estimate import (
     Alternative,
     LogModel,
     ModelEstimate,
+    RivalModel,
+    factor_text,
     gain_spread,
     proper_covariance,
 )
@@ -48,6 +52,13 @@ class FitSettings:
         factor of 2).
     lag_std_limit : the same of ln(tau) where tau decides (theta < tau < 8 theta); default 0.7.
     explained_limit : smallest share of pv's variance that must be explained; default 0.5.
+    remainder_limit : what the model may leave, in standard deviations of the noise; 3 to 10, default 5.
+    remainder_share : unless it is less than this share of pv's range; 0.005 to 0.03, default 0.01 (what a second-order
+        model leaves of a real response is half of that).
+    theta_share : longest effective dead time as a share of the record; 0.1 to 0.5, default 0.25: no event is seen for
+        long enough after a longer one.
+    apart_limit : largest distance of a rival model without load steps at setpoint changes (coincident_loads.py);
+        0.2 to 1, default 0.5.
     """
 
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
@@ -55,6 +66,10 @@ class FitSettings:
     gain_std_limit: float = 0.2
     lag_std_limit: float = 0.7
     explained_limit: float = 0.5
+    apart_limit: float = 0.5
+    remainder_limit: float = 5.0
+    remainder_share: float = 0.01
+    theta_share: float = 0.25
 
 
 OPEN_LOOP = FitSettings(ChoiceSettings(seeded_loads=0, most_loads=0, start_spread=0.0))
@@ -95,12 +110,12 @@ def identify_window(
     """
     settings = settings or FitSettings()
     signs = (sign,) if sign else tuple({log.sign for log in (priors or {}).values()}) or (1, -1)
-    found = fitted(window, signs, settings)
-    origin_s = float(window.t_s[0])
+    fits = Fits(window, signs, settings)
     if not priors:
-        return estimate_of(found, origin_s, {}, settings)
+        return fits.estimate()
+    found = fits.free
     known = {t: Prior.of(log.x, log.p) for t, log in priors.items() if log.sign == found[0].fit.misfit.sign}
-    return estimate_of(with_priors(found, known), origin_s, known, settings)
+    return estimate_of(with_priors(found, known), float(window.t_s[0]), known, settings)
 
 
 def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> list[Candidate]:
@@ -117,10 +132,59 @@ def fitted(window: Window, signs: tuple[int, ...], settings: FitSettings) -> lis
     return candidates(window, signs, settings.choice, settings.most_samples)
 
 
+class Fits:
+    """The fits of a record as identification makes them, each made once, when it is asked for.
+
+    window : the record. signs : of the process gain to try. settings : see FitSettings.
+    """
+
+    def __init__(self, window: Window, signs: tuple[int, ...], settings: FitSettings) -> None:
+        self._window, self._signs, self._settings = window, signs, settings
+        self._changes_s = setpoint_changes(window)
+
+    @cached_property
+    def free(self) -> list[Candidate]:
+        """With load steps wherever they pay, best first."""
+        return fitted(self._window, self._signs, self._settings)
+
+    @cached_property
+    def barred(self) -> list[Candidate]:
+        """With no load step at a setpoint change, best first."""
+        if not self._coincident(self.free[0]):
+            return self.free
+        settings = self._settings
+        return candidates(self._window, self._signs, settings.choice, settings.most_samples, self._changes_s)
+
+    def rival(self, best: Candidate) -> RivalModel | None:
+        """The model without load steps at setpoint changes; None where the best explanation has none there."""
+        at = self._coincident(best)
+        if not at:
+            return None
+        free, barred = (model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in (best, self.barred[0]))
+        distance = apart(free, barred, self._window.sample_time_s)
+        return RivalModel(barred, distance, float(self._window.t_s[0]) + at[0])
+
+    def estimate(self) -> ModelEstimate:
+        """What the record says by itself."""
+        rival = self.rival(self.free[0])
+        return estimate_of(self.free, float(self._window.t_s[0]), {}, self._settings, rival)
+
+    def _coincident(self, found: Candidate) -> list[float]:
+        """The setpoint changes at which an explanation has a load step."""
+        return [change for change in self._changes_s if loads_at(found.fit, (change,))]
+
+
 def estimate_of(
-    found: list[Candidate], origin_s: float, priors: Mapping[ProcessType, Prior], settings: FitSettings
+    found: list[Candidate],
+    origin_s: float,
+    priors: Mapping[ProcessType, Prior],
+    settings: FitSettings,
+    rival: RivalModel | None = None,
 ) -> ModelEstimate:
-    """The candidates, best first, as an estimate. origin_s : the record's zero in the user's time."""
+    """The candidates, best first, as an estimate.
+
+    origin_s : the record's zero in the user's time. rival : see Fits.
+    """
     best = found[0]
     record = best.fit.misfit.record
     firsts = {c.fit.misfit.type: c for c in reversed(found) if c.fit.misfit.sign == best.fit.misfit.sign}
@@ -132,6 +196,11 @@ def estimate_of(
     around = plausible(found, log.p, priors)
     explained = 1 - float(np.var(left) / np.var(record.pv))
     identifiable, reason = _judge(log, around, explained, record, settings)
+    unexplained = _unexplained(float(np.std(left)), record, settings)
+    if identifiable and unexplained:
+        identifiable, reason = False, unexplained
+    if rival is not None and rival.apart > settings.apart_limit:  # what it says of itself does not count then
+        identifiable, reason = False, rival.sentence
     loads = tuple(origin_s + t for t in fit.load_times_s)
     return ModelEstimate(
         identifiable,
@@ -143,6 +212,7 @@ def estimate_of(
         len(best.colour.ar),
         around,
         explained,
+        rival,
     )
 
 
@@ -165,7 +235,14 @@ def inflation_of(fit: Fit) -> float:
     """Factor on sigma with which a fit's residuals count: above the noise, correlated, finer than the resolution."""
     record = fit.misfit.record
     floor = record.resolution / fit.misfit.sigma
-    return max(_inflation(fit.at.r[: len(record.pv)], len(fit.p)), floor)
+    left = float(np.std(record.pv - fit.at.explained))
+    whitened_away = left / (FITTED * max(record.noise_std, MODEL_ERROR * record.pv_range))
+    return max(_inflation(fit.at.r[: len(record.pv)], len(fit.p)) * math.sqrt(max(whitened_away, 1.0)), floor)
+
+
+FITTED = 2.0
+"""A remainder of so many times the noise is what a good fit leaves at the most; a filter takes more of it away, and the
+estimate would pass for as sure as if it had been explained."""
 
 
 def _broad(d: int) -> FloatArray:
@@ -197,6 +274,17 @@ def _compress(jacobian: FloatArray, r: FloatArray, p: FloatArray, d: int) -> tup
     return np.asarray(triangle, dtype=np.float64), np.asarray(z, dtype=np.float64)
 
 
+def _unexplained(left_std: float, record: Record, settings: FitSettings) -> str:
+    """Why a model that explains most of pv does not explain the record; empty where it does."""
+    times, share = left_std / record.noise_std, left_std / record.pv_range
+    if times <= settings.remainder_limit or share <= settings.remainder_share:
+        return ""
+    return (
+        f"the model leaves {times:.0f} times the noise, {share:.1%} of pv's range: something moves pv that is not in "
+        "it (another structure, a nonlinearity, a load of another shape)"
+    )
+
+
 def _judge(
     log: LogModel, around: tuple[Plausible, ...], explained: float, record: Record, settings: FitSettings
 ) -> tuple[bool, str]:
@@ -210,16 +298,24 @@ def _judge(
             f"the effective dead time comes out as {short:.3g} s, less than the sampling interval of "
             f"{record.sample_time_s:.3g} s: sample at least {WANTED_SAMPLES_IN_THETA} times in it"
         )
+    if short > settings.theta_share * record.span_s:
+        return False, (
+            f"the effective dead time comes out as {short:.3g} s, {short / record.span_s:.0%} of the record: no event "
+            "is followed by enough of it"
+        )
     gain_std = max(log.gain_uncertainty(record.sample_time_s), gain_spread(around, record.sample_time_s))
     if gain_std > settings.gain_std_limit:
         return False, (
-            f"the controller gain that follows is known to a factor of {_factor(gain_std)}; "
-            f"{_factor(settings.gain_std_limit)} is needed: the record moves the process too little"
+            f"the controller gain that follows is known to a factor of {factor_text(gain_std)}; "
+            f"{factor_text(settings.gain_std_limit)} is needed: the record moves the process too little"
         )
     plain = without_second_lag(model)
     lag_std = log.lag_uncertainty()
     if plain.theta_s < plain.tau1_s < 8 * plain.theta_s and lag_std > settings.lag_std_limit:
-        return False, f"the lag is known to a factor of {_factor(lag_std)}; {_factor(settings.lag_std_limit)} is needed"
+        return (
+            False,
+            f"the lag is known to a factor of {factor_text(lag_std)}; {factor_text(settings.lag_std_limit)} is needed",
+        )
     return True, f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 
 
@@ -230,8 +326,3 @@ NAMES = {
     ProcessType.INTEGRATING_LAG: "integrating with lag + dead time",
 }
 """The structures in words."""
-
-
-def _factor(log_std: float) -> str:
-    """A standard deviation of a logarithm as the factor people think in."""
-    return f"{math.exp(log_std):.2f}" if log_std < math.log(1000) else "over 1000"

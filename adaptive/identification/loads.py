@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from retuner.adaptive.fit.coincident_loads import are_coincident
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST, Misfit
 from retuner.adaptive.fit.refine import refine
@@ -125,6 +126,9 @@ def _with_load(at: Candidate, most: int) -> Proposal | None:
     else:
         steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - instants[None, :])
         gains = _gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
+    record = misfit.record
+    if record.barred_s:
+        gains[are_coincident(misfit.type, p, instants, record.barred_s, record.span_s, record.sample_time_s)] = 0.0
     best = int(np.argmax(gains))
     if gains[best] < PROMISING * LOAD_COST * math.log(len(misfit.record.pv)):
         return None

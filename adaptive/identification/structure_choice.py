@@ -58,12 +58,19 @@ class ChoiceSettings:
     start_spread: float = 0.3
 
 
-def candidates(window: Window, signs: tuple[int, ...], settings: ChoiceSettings, most_samples: int) -> list[Candidate]:
+def candidates(
+    window: Window,
+    signs: tuple[int, ...],
+    settings: ChoiceSettings,
+    most_samples: int,
+    barred_s: tuple[float, ...] = (),
+) -> list[Candidate]:
     """Every structure at its best, the winner first, with all further rivals that came close.
 
-    window : the record. signs : of the gain to try. most_samples : of the final fits.
+    window : the record. signs : of the gain to try. most_samples : of the final fits. barred_s : setpoint changes, s
+    from the first sample, at which no load step is to stand.
     """
-    record = Record.of(window, settings.most_samples)
+    record = replace(Record.of(window, settings.most_samples), barred_s=barred_s)
     fits = [fit for sign in signs for fit in _structures(record, sign, settings)]
     rivals = sorted((judged(fit) for fit in fits), key=lambda c: c.criterion)
     seen = Seen(rivals)
@@ -72,7 +79,7 @@ def candidates(window: Window, signs: tuple[int, ...], settings: ChoiceSettings,
     winner = seen.best()
     for relative in _relatives(winner, seen):
         seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
-    whole = Record.of(window, most_samples)
+    whole = replace(Record.of(window, most_samples), barred_s=barred_s)
     return Seen([_on(whole, c) for c in seen.ranked(CLOSE)]).ranked(CLOSE)
 
 

@@ -8,7 +8,8 @@ a bent ridge of likely parameters, and its Gaussian dragged the gain to a tenth.
     known + record -> the record by itself; the record with the known in its fit; do the two belong together?
 
 A record that does not settle the process by itself still narrows it: whether settings may follow is asked of what is
-known after the record, never of the record alone. Only a record that shows nothing of the process teaches nothing.
+known after the record, never of the record alone. Only a record that shows nothing of the process teaches nothing, and
+one that a model without load steps at its setpoint changes explains in another way (coincident_loads.py).
 
 All of this is kept per structure (fit/structure.py), each with the sum of what its records said for it, n ln sigma^2
 plus the cost of loads and colour: information criteria add up, so the structure may change at any time and none is
@@ -31,7 +32,7 @@ from enum import StrEnum
 from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
-from retuner.adaptive.identification.identify import FitSettings, estimate_of, fitted, inflation_of
+from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened
@@ -48,7 +49,7 @@ class Agreement(StrEnum):
     CONTRADICTS = "contradicts what was known; kept as an alternative until another record decides"
     CHANGED = "a second record confirms the alternative: the process has changed"
     OPENED = "contradicts what was known, and the loop is in danger: believed at once, the other is the alternative"
-    SILENT = "shows nothing of the process; nothing is learned"
+    SILENT = "shows nothing of the process, or two that contradict each other; nothing is learned"
 
     @property
     def code(self) -> str:
@@ -163,9 +164,9 @@ def update_region_model(
     at : where the record lay, in the table's scheduling variables.
     """
     sign = in_force.direction
-    found = fitted(window, (sign,), fit)
-    record = NewRecord(window, found, estimate_of(found, float(window.t_s[0]), {}, fit), at, settings, fit)
-    if record.alone.explained < fit.explained_limit:
+    fits = Fits(window, (sign,), fit)
+    record = NewRecord(window, fits.free, fits.estimate(), at, settings, fit)
+    if record.alone.explained < fit.explained_limit or record.alone.is_contested(fit.apart_limit):
         kept = region_model if region_model is not None and region_model.records else None
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
     if region_model is None or region_model.log.sign != sign:

@@ -18,6 +18,7 @@ quiet               a constant setpoint and nothing but the last digit: noise, o
 manual              co moved by hand or not at all, whatever the gains: noise, ok, external or unknown
 cascade slave       a loop in order whose setpoint is noise from a master: ok, noise, external or unknown
 two pulses          two load pulses that look like one swing and its overshoot: ok, external, noise or unknown
+band anew, stuck and stepped, fast triangle, load after step: cases/fiction.py
 """
 
 from collections.abc import Iterator
@@ -33,9 +34,11 @@ from cases.diagnosis import (
     Maker,
     external_case,
     first_that_fits,
+    loop_for,
     stiction_case,
     tuning_case,
 )
+from cases.fiction import fast_triangle, load_after_step, standing_valve
 from cases.loop import Controller, Upsets, run, run_manual
 from cases.making import (
     Plan,
@@ -301,6 +304,10 @@ TRAPS: dict[str, Maker] = {
     "manual": manual,
     "cascade slave": cascade_slave,
     "two pulses": two_pulses,
+    "band anew": lambda rng: standing_valve(rng, stepped=False),
+    "stuck and stepped": lambda rng: standing_valve(rng, stepped=True),
+    "fast triangle": fast_triangle,
+    "load after step": lambda rng: load_after_step(rng, loop_for),
 }
 
 

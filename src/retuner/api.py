@@ -11,7 +11,7 @@ from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, identify_window
-from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
+from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -114,18 +114,23 @@ class RecordDiagnosis:
     """The cause of a loop's behaviour, the process where it could be told, and the settings that would cure it.
 
     fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
+    aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
     """
 
     diagnosis: Diagnosis
     estimate: ModelEstimate | None
     settings: TuneResult | None
     fits: Mapping[str, npt.NDArray[np.float64]]
+    aim: TuneResult | None = None
 
     def to_dict(self) -> dict[str, object]:
-        """Keys cause, confidence, retune, evidence, reason, gains, form, margins."""
+        """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival."""
         found = self.settings.to_dict() if self.settings else None
+        rival = self.estimate.rival if self.estimate is not None else None
         return {
             **self.diagnosis.to_dict(),
+            "aim": self.aim.to_dict()["gains"] if self.aim else None,
+            "rival": rival.to_dict() if rival is not None else None,
             "gains": found["gains"] if found else None,
             "form": found["form"] if found else None,
             "margins": found["margins"] if found else None,
@@ -168,9 +173,13 @@ def diagnose_record(
         read_off = settings_in_force(window, co_min, co_max)
         gains, direction = read_off.gains, read_off.direction
     found = diagnose_window(window, gains, co_min, co_max, direction=direction)
-    settings = None
-    if found.tuning is not None and found.estimate is not None:
-        tuning = found.tuning.tuning
-        settings = TuneResult(tuning, tuning.form, margins(found.estimate.log.model().linear(), tuning.gains))
     fits = {name: c.fit.at.explained for name, c in found.fits.items()}
-    return RecordDiagnosis(found.diagnosis, found.estimate, settings, fits)
+    now, aim = (_result(found.estimate, tuning) for tuning in (found.tuning, found.aim))
+    return RecordDiagnosis(found.diagnosis, found.estimate, now, fits, aim)
+
+
+def _result(estimate: ModelEstimate | None, found: RobustTuning | None) -> TuneResult | None:
+    """Settings with their margins on the best model, where there are any."""
+    if found is None or estimate is None:
+        return None
+    return TuneResult(found.tuning, found.tuning.form, margins(estimate.log.model().linear(), found.tuning.gains))

@@ -105,11 +105,11 @@ def _model(result: RecordDiagnosis) -> ProcessModel | None:
 
 
 def document(found: DiagnosedRecord) -> dict[str, object]:
-    """Keys cause, confidence, retune, evidence, gains, form, margins, reason, gains_in_force, model, std, notes."""
+    """Keys cause, confidence, retune, evidence, gains, form, margins, aim, rival, reason, gains_in_force, model, ..."""
     result = found.result
     settings = result.settings.to_dict() if result.settings is not None and result.diagnosis.retune else {}
     estimate = result.estimate.to_dict() if result.estimate is not None else {}
-    told = result.diagnosis.to_dict()
+    told = result.to_dict()
     return {
         **told,
         "evidence": {**found.seen.evidence, **_mapping(told["evidence"])},
@@ -148,7 +148,11 @@ def described(found: DiagnosedRecord) -> list[str]:
     lines += [f"  {line}" for line in _controller_lines(found)]
     lines += [f"  {line}" for line in _process_lines(found)]
     if told.retune and found.result.settings is not None:
-        lines += ["settings that would cure it:", *tuning_lines(found.result.settings)]
+        aim = found.result.aim
+        title = "settings that would cure it:" if aim is None else "settings for a first step:"
+        lines += [title, *tuning_lines(found.result.settings)]
+        if aim is not None:
+            lines += ["the aim behind it, for after the next record:", *tuning_lines(aim)]
     elif not told.retune:
         lines.append("no change of settings")
     lines += [f"by eye: {line}" for line in _by_eye(found)]

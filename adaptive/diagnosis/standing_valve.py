@@ -1,0 +1,270 @@
+"""A valve that sticks, over another band at every stop: pv stands while co travels, then steps to where co has gone.
+
+One or two slips a record and no cycle: no single band explains it, and likelihood alone does not decide it, because
+load steps and ramps explain as much. What decides is stand-still measured inside the plateaus of pv (plateaus.py):
+
+    leg       a run of one-signed error on one plateau, pv not drifting, co moving the way that the integral says
+    c         how far co goes in it, as a share of its range; idle = sum of c; dwell = the longest leg in units of tau_I
+    slip      pv goes from one plateau to the next; it agrees where co has gone that way since its last turning point
+
+    stands    idle >= 1 on two legs or more, dwell >= 10 tau_I, a slip agrees and twice as many agree as do not
+    sticks    and the slips are faster than the loop could be (its own crossing takes tau_I (1 + 1/(Kc k)) and more), or
+              a setpoint step is answered by nothing for 8 tau_I while co travels, and then by a step
+    does not answer    one leg over nearly all that co ever moves, 20 tau_I long, and no slip
+
+What stands changes no gains, whatever it is. Without the setpoint's or the slip's evidence it may as well be a load
+that drifts with co (a triangle in a fast loop), and that is said.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.indexes.autocovariance import running_mean
+from retuner.adaptive.indexes.plateaus import Plateau, Steps, as_steps, plateaus, price, runs
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+MOST_ROWS = 800
+"""Rows that are looked at; of a longer record means over several samples."""
+SMOOTHED = 100
+"""The error is smoothed over one part in so many of the record."""
+MOST_TOLD = 4
+"""Stands and slips that are told with their times."""
+FEWEST_ROWS = 10
+"""Rows of a leg."""
+STEPS_OF_A_PROCESS = 1
+"""A process, with its gain, lags and dead time, costs as much as so many steps beside the one lag of the plateaus."""
+ROUGHLY = LawSettings(explained_limit=0.5, std_limit=0.5, disagreement=2.0, slow_disagreement=2.0)
+"""A direction and a rough integral time are enough: a stuck valve hides the settings themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandingSettings:
+    """Settings.
+
+    leg_error : mean error of a leg as a share of pv's range; 0.01 to 0.1, default 0.02. leg_sigmas : and in standard
+        deviations of its mean; default 3. drift : how far pv may drift in a leg, share of its range; default 0.15.
+    travel : share of co's range from which a leg counts; 0.1 to 0.4, default 0.2.
+    idle : sum of the legs' travel in co's range from which pv stands; 0.6 to 2, default 1. legs : how many; default 2.
+    dwell : longest leg in units of tau_I; 3 to 30, default 10.
+    slip_travel : co's travel before a slip that agrees, share of its range; 0.05 to 0.3, default 0.1.
+    remainder : what the steps may leave in standard deviations of the noise; default 3. explained : or the share of
+        pv's variance that they must explain; default 0.93.
+    likelier : by how much a linear explanation must be the likelier one (Schwarz's criterion, both at the price of a
+        step for each of their loads) for the plateaus not to count; 25 to 200, default 100: load steps bought at
+        setpoint changes explain a stuck valve as well, at up to 77 in favour of the fiction.
+    quick : T of the slips in units of tau_I up to which no loop makes them; 0.5 to 1, default 0.75 (a load's triangle
+        in a fast loop was seen to leave 0.87).
+    silent : units of tau_I for which a setpoint step is not answered by a stuck valve; default 8. answered : share of
+        the step that counts as an answer; default 0.3. pushed : share of its range that co travels meanwhile, the kick
+        left out; default 0.4. step_sigmas : smallest setpoint step, in standard deviations; default 5.
+    dead_travel, dead_dwell : travel and dwell of the one leg in which pv does not answer at all; default 0.9 and 20.
+    """
+
+    leg_error: float = 0.02
+    leg_sigmas: float = 3.0
+    drift: float = 0.15
+    travel: float = 0.2
+    idle: float = 1.0
+    legs: int = 2
+    dwell: float = 10.0
+    slip_travel: float = 0.1
+    remainder: float = 3.0
+    explained: float = 0.93
+    likelier: float = 100.0
+    quick: float = 0.75
+    silent: float = 8.0
+    answered: float = 0.3
+    pushed: float = 0.4
+    step_sigmas: float = 5.0
+    dead_travel: float = 0.9
+    dead_dwell: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A stretch in which pv stands beside its setpoint and co travels. travel : share of co's range. dwell : tau_I."""
+
+    start_s: float
+    end_s: float
+    travel: float
+    dwell: float
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What the plateaus of a record show.
+
+    legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
+    slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps that were answered late and then at once.
+    stands, sticks, dead : the verdicts. rows, sigma, criterion : of the steps; see plateaus.py.
+    """
+
+    legs: tuple[Leg, ...]
+    slips_s: tuple[float, ...]
+    agreed: int
+    slip_lag: float
+    silent_s: tuple[float, ...]
+    stands: bool
+    sticks: bool
+    dead: bool
+    rows: int
+    sigma: float
+    criterion: float
+
+    def lead_of(self, variance: float, loads: int) -> float:
+        """By how much a linear explanation is the likelier one. variance, loads : what it leaves, and needs."""
+        return 2 * (self.criterion - price(variance * self.rows, self.rows, self.sigma, loads + STEPS_OF_A_PROCESS))
+
+    @property
+    def idle(self) -> float:
+        """Travel of co without an answer, in its range."""
+        return sum(leg.travel for leg in self.legs)
+
+    @property
+    def dwell(self) -> float:
+        """Of the longest leg, in units of tau_I."""
+        return max((leg.dwell for leg in self.legs), default=0.0)
+
+
+def stand_still(window: Window, gains: PidGains | None, settings: StandingSettings) -> Standing | None:
+    """The same with settings that are read off the record, as well as it shows them, where they are not known."""
+    gains = gains or settings_in_force(window, settings=ROUGHLY).gains
+    return None if gains is None else standing(window, gains, settings)
+
+
+def standing_verdict(found: Standing, evidence: Mapping[str, float]) -> Diagnosis:
+    """The cause, for what stands or does not answer."""
+    evidence = {
+        **evidence,
+        "stand_travel": found.idle,
+        "stand_dwell": found.dwell,
+        "stands": float(len(found.legs)),
+        "slips": float(len(found.slips_s)),
+        "slips_agreed": float(found.agreed),
+    }
+    seen = ", ".join(f"{leg.start_s:.5g} to {leg.end_s:.5g} s" for leg in found.legs[:MOST_TOLD])
+    if found.dead:
+        reason = f"pv does not answer ({seen}) while co goes through nearly all its range: a shut line, valve or sensor"
+        return Diagnosis(Cause.UNKNOWN, 0.7, evidence, reason)
+    slips = ", ".join(f"{t:.5g}" for t in found.slips_s[:MOST_TOLD])
+    told = f"pv stands still while co travels ({seen}), then steps to where co has gone (at {slips} s)"
+    if found.sticks:
+        return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a valve that sticks, over another band at every stop")
+    return Diagnosis(Cause.UNKNOWN, 0.6, evidence, f"{told}: a valve that sticks, or a load that drifts with co")
+
+
+def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Standing | None:
+    """Look for stand-still; None where the controller has no integral action or nothing moves.
+
+    window : the record. gains : in force, for the direction of the controller and its integral time.
+    """
+    if not gains.ki or np.ptp(window.pv) == 0 or np.ptp(window.co) == 0:
+        return None
+    rows = _thinned(window)
+    reset_s = abs(gains.kp / gains.ki)
+    tau_i = max(reset_s, window.sample_time_s) / rows.sample_time_s
+    steps = as_steps(rows.pv)
+    found = plateaus(rows.pv, steps)
+    legs = [leg for p in found for leg in _legs(rows, p, steps, gains, tau_i, settings)]
+    counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
+    slips = [b.first for a, b in pairwise(found)]
+    agreed = _agreed(rows, found, gains.direction, settings)
+    left = rows.pv - steps.fitted
+    explained = float(np.std(left)) <= settings.remainder * steps.sigma or float(np.var(left)) <= (
+        1 - settings.explained
+    ) * float(np.var(rows.pv))
+    enough = sum(leg.travel for leg in counted) >= settings.idle and len(counted) >= settings.legs
+    longest = max((leg.dwell for leg in counted), default=0.0)
+    slipped = agreed >= 1 and agreed >= 2 * (len(slips) - agreed)
+    stands = enough and longest >= settings.dwell and slipped and explained
+    silent = tuple(_silent(rows, steps, tau_i, settings))
+    dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
+    return Standing(
+        counted,
+        tuple(float(rows.t_s[s]) for s in slips),
+        agreed,
+        steps.lag / tau_i,
+        silent,
+        stands,
+        stands and (steps.lag <= settings.quick * tau_i or bool(silent)),
+        dead and not slips,
+        len(left),
+        steps.sigma,
+        steps.criterion,
+    )
+
+
+def _thinned(window: Window) -> Window:
+    """At most MOST_ROWS rows; each the mean of several samples."""
+    n = -(-len(window.t_s) // MOST_ROWS)
+    if n == 1:
+        return window
+    m = len(window.t_s) // n
+    means = [x[: m * n].reshape(m, n).mean(axis=1) for x in (window.t_s, window.sp, window.pv, window.co)]
+    return Window(*means)
+
+
+def _legs(
+    rows: Window, plateau: Plateau, steps: Steps, gains: PidGains, tau_i: float, settings: StandingSettings
+) -> list[Leg]:
+    """The legs on one plateau. tau_i : in rows."""
+    inside = slice(plateau.first, plateau.last)
+    if plateau.last - plateau.first < FEWEST_ROWS:
+        return []
+    width = max(len(rows.pv) // SMOOTHED, 1)
+    error = running_mean((rows.sp - rows.pv)[inside], width)
+    pv_range, co_range = float(np.ptp(rows.pv)), float(np.ptp(rows.co))
+    found = []
+    for sign in (1.0, -1.0):
+        for first, end in runs(sign * error > 0):
+            n = end - first
+            if n < FEWEST_ROWS:
+                continue
+            a, b = plateau.first + first, plateau.first + end
+            mean = float(np.mean(rows.sp[a:b] - rows.pv[a:b]))
+            least = max(settings.leg_sigmas * steps.sigma * (3 / n) ** 0.5, settings.leg_error * pv_range)
+            ends = max(n // 5, 1)
+            drift = abs(float(np.mean(rows.pv[b - ends : b]) - np.mean(rows.pv[a : a + ends])))
+            moved = float(rows.co[b - 1] - rows.co[a])
+            follows = moved * sign * np.sign(gains.ki) > 0
+            if abs(mean) > least and drift < max(settings.drift * pv_range, 3 * steps.sigma) and follows:
+                times = float(rows.t_s[a]), float(rows.t_s[b - 1])
+                found.append(Leg(*times, abs(moved) / co_range, n / tau_i))
+    return found
+
+
+def _agreed(rows: Window, found: Sequence[Plateau], direction: int, settings: StandingSettings) -> int:
+    """How many steps from plateau to plateau go where co has gone before."""
+    least, count, since = settings.slip_travel * float(np.ptp(rows.co)), 0, 0
+    for before, after in pairwise(found):
+        at = max(before.last, since + 1)
+        way = np.sign(after.level - before.level) * direction
+        co = way * rows.co[since:at]
+        count += bool(co[-1] - np.min(co) > least)
+        since = at
+    return count
+
+
+def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandingSettings) -> list[float]:
+    """Setpoint steps after which pv did not move for long while co did, and did move in the end."""
+    found = []
+    changes = [*(np.flatnonzero(np.diff(rows.sp)) + 1).tolist(), len(rows.sp)]
+    co_range = float(np.ptp(rows.co))
+    for at, until in pairwise(changes):
+        step = float(rows.sp[at] - rows.sp[at - 1])
+        if abs(step) <= settings.step_sigmas * steps.sigma:
+            continue
+        moved = (rows.pv[at:until] - float(np.median(rows.pv[max(at - 5, 0) : at]))) / step
+        answers = np.flatnonzero(running_mean(moved, 3) > settings.answered)
+        if not answers.size or answers[0] < settings.silent * tau_i:
+            continue
+        travel = abs(float(rows.co[at + answers[0]] - rows.co[at]))
+        if travel > settings.pushed * co_range:
+            found.append(float(rows.t_s[at]))
+    return found

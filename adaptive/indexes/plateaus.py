@@ -1,0 +1,173 @@
+"""pv as plateaus with steps between them: what a valve leaves that stands still and slips.
+
+    pv = b + c exp(-t/T) + sum_j a_j [1 - exp(-(t - s_j)/T)]+        one T for all, jumps at rows s_j
+
+Jumps are found one by one where they take away most (orthogonal least squares, Chen, Billings & Luo 1989), then moved
+to where they fit best. How many pay is told by
+
+    n/2 ln(RSS/n + sigma^2/4) + 2 ln n for every jump
+
+twice Schwarz's price, because what is left is coloured. sigma is the noise by the smaller of first and second
+differences, and no finer than 0.4 % of pv's range.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.signals.sample import FloatArray
+
+LAGS = (0.0, 3.0, 8.0, 20.0, 45.0, 100.0)
+"""T tried at first, in rows."""
+HALVINGS = 2
+"""Times that T is looked for halfway to its neighbours."""
+MOST_JUMPS = 16
+LEAST_SIGMA = 0.004
+"""Noise is at least this share of pv's range."""
+MEDIAN_TO_SIGMA = 1.4826
+NEW = 1e-6
+"""A column of which less than this share is not explained by the others is no further jump."""
+MOVED_PASSES = 2
+"""Times that every jump is moved to its best row."""
+MOVED_ROWS = 12
+"""How far, in rows."""
+LEVEL = 0.12
+"""Levels closer than this share of the fit's range are one plateau."""
+SETTLED = 2.5
+"""Time constants after a jump until a plateau counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plateau:
+    """A stretch in which pv has one level. first, last : rows, the transition before it left out. level : of pv."""
+
+    first: int
+    last: int
+    level: float
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """pv as steps. jumps : rows. lag : T in rows. fitted : shape (n,). sigma : of the noise. criterion : see above."""
+
+    jumps: tuple[int, ...]
+    lag: float
+    fitted: FloatArray
+    sigma: float
+    criterion: float
+
+    @property
+    def range(self) -> float:
+        """Of the fitted pv."""
+        return float(np.ptp(self.fitted))
+
+
+def rough_sigma(pv: FloatArray) -> float:
+    """Noise of pv by its first and second differences, in pv units, at least LEAST_SIGMA of the range."""
+    first, second = np.diff(pv), np.diff(pv, 2)
+    spreads = [MEDIAN_TO_SIGMA * float(np.median(np.abs(d - np.median(d)))) for d in (first, second)]
+    return max(min(spreads[0] / 2**0.5, spreads[1] / 6**0.5), LEAST_SIGMA * float(np.ptp(pv)))
+
+
+def price(rss: float, n: int, sigma: float, jumps: int) -> float:
+    """The criterion."""
+    return n / 2 * float(np.log(rss / n + sigma**2 / 4)) + 2 * jumps * float(np.log(n))
+
+
+def as_steps(pv: FloatArray) -> Steps:
+    """The best description of pv, shape (n,), by steps through one lag."""
+    sigma = rough_sigma(pv)
+    found = {lag: _with_lag(pv, lag, sigma) for lag in LAGS}
+    best = min(found, key=lambda lag: found[lag].criterion)
+    for _ in range(HALVINGS):
+        tried = sorted(found)
+        at = tried.index(best)
+        for other in (*tried[max(at - 1, 0) : at], *tried[at + 1 : at + 2]):
+            middle = (best * other) ** 0.5 if best * other else (best + other) / 2
+            found[middle] = _with_lag(pv, middle, sigma)
+        best = min(found, key=lambda lag: found[lag].criterion)
+    return found[best]
+
+
+def _with_lag(pv: FloatArray, lag: float, sigma: float) -> Steps:
+    """The best description with one lag."""
+    n = len(pv)
+    rows = np.arange(n)
+    since = rows[:, None] - rows[None, 1:]
+    steps = (since >= 0).astype(np.float64) if not lag else np.where(since > 0, -np.expm1(-since.clip(0) / lag), 0.0)
+    start = [np.ones(n), np.exp(-rows / lag)] if lag else [np.ones(n)]
+    rest, _ = np.linalg.qr(np.stack(start, axis=1))
+    chosen = _chosen(pv, steps, rest, sigma)
+    for _ in range(MOVED_PASSES):
+        chosen = _moved(pv, steps, rest, chosen)
+    columns = np.concatenate([rest, steps[:, chosen]], axis=1)
+    fitted = columns @ np.linalg.lstsq(columns, pv, rcond=None)[0]
+    found = price(float(np.sum((pv - fitted) ** 2)), n, sigma, len(chosen))
+    return Steps(tuple(sorted(j + 1 for j in chosen)), lag, np.asarray(fitted), sigma, found)
+
+
+def _chosen(pv: FloatArray, steps: FloatArray, rest: FloatArray, sigma: float) -> list[int]:
+    """Columns that pay, one by one; as many as the criterion asks for."""
+    n = len(pv)
+    left = pv - rest @ (rest.T @ pv)
+    whole = np.einsum("ij,ij->j", steps, steps)
+    free = whole - np.sum((rest.T @ steps) ** 2, axis=0)
+    basis = rest
+    found: list[int] = []
+    best, kept = price(float(left @ left), n, sigma, 0), 0
+    for _ in range(MOST_JUMPS):
+        usable = free > NEW * whole
+        taken = np.where(usable, (left @ steps) ** 2 / np.where(usable, free, 1.0), 0.0)
+        j = int(np.argmax(taken))
+        if taken[j] <= 0:
+            break
+        new = steps[:, j] - basis @ (basis.T @ steps[:, j])
+        new /= np.linalg.norm(new)
+        basis = np.column_stack([basis, new])
+        left = left - new * (new @ left)
+        free = free - (new @ steps) ** 2
+        found.append(j)
+        now = price(float(left @ left), n, sigma, len(found))
+        if now < best:
+            best, kept = now, len(found)
+    return found[:kept]
+
+
+def _moved(pv: FloatArray, steps: FloatArray, rest: FloatArray, chosen: list[int]) -> list[int]:
+    """Every jump at its best row nearby, the others held where they are."""
+    at = list(chosen)
+    for i, j in enumerate(at):
+        others = np.concatenate([rest, steps[:, at[:i] + at[i + 1 :]]], axis=1)
+        q, _ = np.linalg.qr(others)
+        near = np.arange(max(j - MOVED_ROWS, 0), min(j + MOVED_ROWS + 1, steps.shape[1]))
+        columns = steps[:, near] - q @ (q.T @ steps[:, near])
+        size = np.einsum("ij,ij->j", columns, columns)
+        usable = size > NEW * len(pv)
+        taken = np.where(usable, (pv @ columns) ** 2 / np.where(usable, size, 1.0), 0.0)
+        at[i] = int(near[np.argmax(taken)])
+    return at
+
+
+def plateaus(pv: FloatArray, steps: Steps) -> list[Plateau]:
+    """The plateaus of a record in order; neighbours of about one level are one."""
+    edges = [0, *steps.jumps, len(pv)]
+    found: list[Plateau] = []
+    for first, end in pairwise(edges):
+        settled = min(first + round(SETTLED * steps.lag), end - 1) if first else 0
+        if end <= first:
+            continue
+        level = float(np.median(pv[settled:end]))
+        if found and abs(level - found[-1].level) < LEVEL * steps.range:
+            merged = found.pop()
+            found.append(Plateau(merged.first, end, float(np.median(pv[merged.first : end]))))
+        else:
+            found.append(Plateau(settled, end, level))
+    return found
+
+
+def runs(condition: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Stretches in which a condition holds: first row, and row after the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
