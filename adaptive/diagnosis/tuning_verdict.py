@@ -176,7 +176,7 @@ def _doubt(verdict: Diagnosis, window: Window, oscillates: bool, settings: Diagn
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
         reason = "load steps explain the record, but an oscillation from outside does it better"
-        return Doubt(Cause.EXTERNAL, reason, explained)
+        return Doubt(Cause.EXTERNAL, reason, explained and not oscillates)
     if oscillates and not steps:
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     if math.isinf(evidence["ms"]) and not _grows(window):

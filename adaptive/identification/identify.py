@@ -57,6 +57,8 @@ class FitSettings:
         model leaves of a real response is half of that).
     theta_share : longest effective dead time as a share of the record; 0.1 to 0.5, default 0.25: no event is seen for
         long enough after a longer one.
+    hopeless : a rival model that leaves so many times as much is none; 1.3 to 3, default 1.5 (the fictions of three
+        real loops: up to 1.20; true loads soon after a setpoint change: 1.12 to 1.78).
     apart_limit : largest distance of a rival model without load steps at setpoint changes (coincident_loads.py);
         0.2 to 1, default 0.5.
     """
@@ -66,6 +68,7 @@ class FitSettings:
     gain_std_limit: float = 0.2
     lag_std_limit: float = 0.7
     explained_limit: float = 0.5
+    hopeless: float = 1.5
     apart_limit: float = 0.5
     remainder_limit: float = 5.0
     remainder_share: float = 0.01
@@ -156,9 +159,12 @@ class Fits:
         return candidates(self._window, self._signs, settings.choice, settings.most_samples, self._changes_s)
 
     def rival(self, best: Candidate) -> RivalModel | None:
-        """The model without load steps at setpoint changes; None where the best explanation has none there."""
+        """The model without load steps at setpoint changes.
+
+        None where the best explanation has none there, and where nothing else explains the record: then they are loads.
+        """
         at = self._coincident(best)
-        if not at:
+        if not at or self.barred[0].colour.std > self._settings.hopeless * self.free[0].colour.std:
             return None
         free, barred = (model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign) for c in (best, self.barred[0]))
         distance = apart(free, barred, self._window.sample_time_s)

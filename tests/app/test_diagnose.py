@@ -3,7 +3,6 @@
 import json
 import runpy
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,10 +50,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
         calls.append({"window": window, "gains": gains, "co_min": co_min, "co_max": co_max})
         if gains is None:
             nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the settings in force are not known")
-            return SimpleNamespace(diagnosis=nothing, settings=None, estimate=None, fits={})
+            return api.RecordDiagnosis(nothing, None, None, {})
         told = Diagnosis(Cause.AGGRESSIVE, 0.97, {"ms": 3.1, "gm": float("inf")}, "Ms 3.10 is over 1.8")
         cure = tune(ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 3.0))
-        return SimpleNamespace(diagnosis=told, settings=cure, estimate=None, fits={"linear": window.pv[::2]})
+        return api.RecordDiagnosis(told, None, cure, {"linear": window.pv[::2]})
 
     monkeypatch.setattr(api, "diagnose_record", double, raising=False)
     return calls

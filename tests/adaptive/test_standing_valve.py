@@ -1,0 +1,94 @@
+"""pv that stands while co travels: found in a real record and in simulated ones, and not where a loop is healthy."""
+
+import numpy as np
+import pytest
+from test_coincident_loads import recorded
+
+from retuner import api
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing
+from retuner.adaptive.indexes.plateaus import as_steps, plateaus, rough_sigma
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+
+GAINS = PidGains(0.2, 0.2 / 5.0)
+SETTINGS = StandingSettings()
+
+
+def flow_loop(positions: list[float] | None, sp: np.ndarray, load: np.ndarray, seed: int = 1) -> Window:
+    """A fast flow process of gain 2 under PI. positions : where a stuck valve comes to stand, when co is 8 away."""
+    rng = np.random.default_rng(seed)
+    n = len(sp)
+    pv, co, valve, integral, stands = 0.0, 0.0, 0.0, 0.0, list(positions or [])
+    rows = []
+    for i in range(n):
+        seen = pv + 0.02 * rng.standard_normal()
+        integral += GAINS.ki * (sp[i] - seen)
+        co = GAINS.kp * (sp[i] - seen) + integral
+        rows.append((float(i), sp[i], seen, co))
+        if positions is None:
+            valve = co
+        elif stands and abs(co - valve) > 8.0:
+            valve = stands.pop(0)
+        pv += (2 * (valve + load[i]) - pv) * 0.6
+    return Window(*np.array(rows).T)
+
+
+def test_pv_as_steps():
+    rng = np.random.default_rng(2)
+    pv = np.repeat([0.0, 3.0, 1.0], [100, 150, 80]) + 0.05 * rng.standard_normal(330)
+    found = as_steps(pv)
+    assert len(found.jumps) == 2
+    assert np.abs(np.array(found.jumps) - [100, 250]).max() <= 1
+    assert [round(p.level) for p in plateaus(pv, found)] == [0, 3, 1]
+    assert rough_sigma(pv) == pytest.approx(0.05, rel=0.3)
+
+
+def test_a_valve_that_stands_and_slips_is_named():
+    sp = np.repeat([0.0, 6.0, -4.0], 200)
+    found = standing(flow_loop([4.0, 2.4, -3.0, -1.4, 0.5], sp, np.zeros(600)), GAINS, SETTINGS)
+    assert found is not None
+    assert found.stands
+    assert found.sticks
+    assert found.idle > 1
+    assert found.agreed >= 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_valve_that_follows_is_not(seed):
+    rng = np.random.default_rng(seed)
+    load = np.cumsum(rng.standard_normal(600)) * 0.05
+    sp = np.repeat(rng.uniform(-5, 5, 6), 100)
+    found = standing(flow_loop(None, sp, load, seed), GAINS, SETTINGS)
+    assert found is not None
+    assert not found.stands
+    assert not found.dead
+
+
+def test_pv_that_does_not_answer_at_all():
+    sp = np.concatenate([np.zeros(100), np.full(400, 1.0)])
+    found = standing(flow_loop([0.0] * 500, sp, np.zeros(500)), GAINS, SETTINGS)
+    assert found is not None
+    assert found.dead
+    assert not found.stands
+
+
+def test_nothing_is_asked_of_a_controller_without_integral_action():
+    assert standing(flow_loop(None, np.zeros(100), np.zeros(100)), PidGains(0.2, 0.0), SETTINGS) is None
+
+
+def test_a_real_sticking_valve():
+    """One or two slips a record, another band at every stop; gains were changed in 4 of its 23 records."""
+    record = recorded("FIC20102_1016_12.csv")
+    found = api.diagnose(*record).diagnosis
+    assert found.cause == Cause.STICTION
+    assert not found.retune
+    assert "pv stands still while co travels" in found.reason
+    assert found.evidence["stand_travel"] > 1
+    assert not api.identify(*record).estimate.identifiable
+
+
+def test_a_real_healthy_flow_loop():
+    found = stand_still(Window(*recorded("FIC46002_1102_1.csv")), None, SETTINGS)
+    assert found is not None
+    assert not found.stands
