@@ -11,7 +11,7 @@ import pytest
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.adaptive.supervision.state_file import belief_out
+from retuner.adaptive.supervision.state_file import region_model_out
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
 from retuner.ledger import Ledger
@@ -39,7 +39,7 @@ class Life:
     def __init__(self, folder: Path, config: Config, fuse: int = 1 << 30) -> None:
         folder.mkdir(parents=True)
         self.folder, self.config, self.fuse = folder, config, fuse
-        self.known: list[dict[str, Any]] = []  # beliefs after each decision that the ledger has
+        self.known: list[dict[str, Any]] = []  # models after each decision that the ledger has
         self.session: Session | None = None
         self.ledger = Ledger(folder / LEDGER)
 
@@ -48,7 +48,7 @@ class Life:
         samples = self.session.samples if self.session else 0
         self.ledger.append(kind, {**body, "samples": samples}, t_s)
         if kind == "decision" and self.session is not None:
-            self.known.append(beliefs(self.session.retuner))
+            self.known.append(models(self.session.retuner))
 
     def burn(self) -> None:
         self.fuse -= 1
@@ -78,9 +78,9 @@ class Life:
         return self
 
 
-def beliefs(retuner: Retuner) -> dict[str, Any]:
+def models(retuner: Retuner) -> dict[str, Any]:
     """What is known, as plain values."""
-    return {str(region): belief_out(belief) for region, belief in retuner.beliefs.items()}
+    return {str(region): region_model_out(model) for region, model in retuner.region_models.items()}
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def recalled(folder: Path, config: Config) -> Retuner:
 def test_what_a_finished_session_has_learned_is_what_the_next_one_begins_with(whole: Life, config: Config) -> None:
     assert whole.session is not None
     again = recalled(whole.folder, config)
-    assert beliefs(again) == whole.known[-1]
+    assert models(again) == whole.known[-1]
     assert again.table == whole.session.table
     assert again.table.revision >= 1
     assert again.commissioned == whole.session.retuner.commissioned
@@ -126,7 +126,7 @@ def test_killed_at_any_row_or_file_the_next_session_knows_what_the_ledger_knows(
             without.append((decided, str(error)))
             continue
         allowed = [{}, *whole.known][decided : decided + 2]
-        assert beliefs(again) in allowed
+        assert models(again) in allowed
         told = [gains_of(row.body["gains"]) for row in rows if row.kind in {"committed", "restore"}]
         assert again.table.gains_of(0) in [again.commissioned.gains_of(0), *told]
         assert not [r for r in again.trials.undecided if again.trials.phase(r).name == "WRITING"]
@@ -206,7 +206,7 @@ def test_the_session_that_goes_on_is_replayed_from_what_it_began_with(
     rows = believed_rows(next_one.folder / LEDGER)
     begun = started_with(next_one.folder, rows, config, settings)
     assert begun is not None
-    assert beliefs(begun.retuner) == beliefs(remembered.retuner)
+    assert models(begun.retuner) == models(remembered.retuner)
     assert begun.last_s == remembered.last_s
     sample = LoopSample((begun.last_s or 0.0) + 1.0, 2.0, 2.0, 30.0, 1, 0, 2.0)
     assert begun.retuner.observe(sample) == remembered.retuner.observe(sample)

@@ -34,7 +34,7 @@ class _Worker:
 
     def __init__(self, nice: int, memory_bytes: int) -> None:
         self.process = subprocess.Popen(  # noqa: S603  this program itself
-            [sys.executable, "-m", "retuner.decisions.worker_process", str(nice), str(memory_bytes)],
+            [sys.executable, "-P", "-m", "retuner.decisions.worker_process", str(nice), str(memory_bytes)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
