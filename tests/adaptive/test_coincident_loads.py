@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retuner import api
-from retuner.adaptive.identification.coincident_loads import apart, near, setpoint_changes
+from retuner.adaptive.fit.coincident_loads import apart, near, setpoint_changes
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
