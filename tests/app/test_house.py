@@ -18,7 +18,7 @@ MAY_IMPORT = {
 ORDER = (
     "schedule",
     *(f"adaptive.{name}" for name in (
-        "setting", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
+        "setting", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
     )),
     *(f"drivers.{name}" for name in (
