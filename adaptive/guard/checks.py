@@ -9,9 +9,18 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from retuner.adaptive.guard.request import ChangeRequest
-from retuner.adaptive.guard.ruling import Check, Ruling, text
+from retuner.adaptive.guard.ruling import (
+    BorderNumbers,
+    Check,
+    DoubtNumbers,
+    LimitNumbers,
+    NotRobustNumbers,
+    Ruling,
+    text,
+)
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import MORE_WHEN_LARGER, Parameter, logs, step_limit
+from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 ROUNDING = 1e-9
@@ -55,7 +64,7 @@ def no_less(check: Check, in_force: float) -> Check:
     return _on_terms(check, met, f"no farther than in force, {text(check.name, in_force)}")
 
 
-def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, dict[str, float]] | None:
+def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, DoubtNumbers] | None:
     """The first of them that failed, as a ruling."""
     rulings = {
         "records": (Ruling.TOO_FEW_RECORDS, "records"),
@@ -66,7 +75,7 @@ def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Rul
     for check in evidence_checks(request, settings):
         if not check.passed:
             ruling, name = rulings[check.name]
-            return ruling, {name: check.value, "limit": check.limit}
+            return ruling, DoubtNumbers(check.limit, **{name: check.value})
     return None
 
 
@@ -177,15 +186,15 @@ def robustness_checks(ms: tuple[float, float], in_force: tuple[float, float], se
     ]
 
 
-def failed_checks(ruling: Ruling, numbers: dict[str, float]) -> Iterator[Check]:
+def failed_checks(numbers: Numbers) -> Iterator[Check]:
     """What was asked of the gentlest candidate and failed."""
-    if ruling == Ruling.NOT_ROBUST:
-        for name, words, value, limit in (
-            ("ms_nominal", "Ms on the process, at the gentlest step", "ms_tried", "ms_limit"),
-            ("ms_worst", "Ms on the worst model, at the gentlest step", "ms_tried_worst", "ms_worst_limit"),
-        ):
-            yield Check(name, words, numbers[value], numbers[limit], numbers[value] <= numbers[limit])
-    elif ruling == Ruling.NOT_ROBUST_AT_BORDER:
-        yield Check("ms_border", "Ms towards a neighbouring region", numbers["ms_tried"], numbers["ms_limit"], False)
-    elif {"wanted", "limit"} <= numbers.keys():
-        yield Check("limit", "what was wanted against its limit", numbers["wanted"], numbers["limit"], False)
+    match numbers:
+        case NotRobustNumbers(nominal, worst, limit, worst_limit):
+            asked = "ms_nominal", "Ms on the process, at the gentlest step"
+            yield Check(*asked, nominal, limit, nominal <= limit)
+            asked = "ms_worst", "Ms on the worst model, at the gentlest step"
+            yield Check(*asked, worst, worst_limit, worst <= worst_limit)
+        case BorderNumbers(ms, limit):
+            yield Check("ms_border", "Ms towards a neighbouring region", ms, limit, False)
+        case LimitNumbers(wanted, limit):
+            yield Check("limit", "what was wanted against its limit", wanted, limit, False)

@@ -7,12 +7,13 @@ would push a parameter, or the integral action, the other way than was wanted le
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from retuner.adaptive.guard.request import ChangeRequest
-from retuner.adaptive.guard.ruling import Ruling, text
+from retuner.adaptive.guard.ruling import LimitNumbers, Ruling, text
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor
+from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 
@@ -28,7 +29,7 @@ class Goal:
     tau_c_s: float
     notes: tuple[str, ...] = ()
     cut_by: Ruling | None = None
-    numbers: dict[str, float] = field(default_factory=dict)
+    numbers: Numbers = NO_NUMBERS
     no_room: bool = False
 
 
@@ -164,7 +165,7 @@ def _note(name: str, was: float, now: float, by: Bound) -> str:
 
 def _limiting(
     cuts: list[tuple[str, float, float, Bound | None]], request: ChangeRequest
-) -> tuple[bool, Ruling | None, dict[str, float]]:
+) -> tuple[bool, Ruling | None, Numbers]:
     """The bound that pushes a parameter away from where it was to go, or else the first that cuts one; and which."""
     old = request.in_force
     now = {
@@ -172,11 +173,11 @@ def _limiting(
         "tau_I": old.kp / old.ki if old.kp and old.ki else 0.0,
         "tau_D": old.kd / old.kp if old.kp else 0.0,
     }
-    first: tuple[bool, Ruling | None, dict[str, float]] = (False, None, {})
+    first: tuple[bool, Ruling | None, Numbers] = (False, None, NO_NUMBERS)
     for name, wanted, cut, by in cuts:
         if by is None or by.ruling is None:
             continue
-        start, numbers = now[name], {"wanted": wanted, "limit": by.value}
+        start, numbers = now[name], LimitNumbers(wanted, by.value)
         turned = start > 0 and (wanted > start) != (cut > start)
         if turned and (not cut or abs(math.log(cut / start)) > SLACK):
             return True, by.ruling, numbers

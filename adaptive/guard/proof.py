@@ -28,13 +28,25 @@ from retuner.adaptive.guard.checks import (
 )
 from retuner.adaptive.guard.limits import Goal, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
-from retuner.adaptive.guard.ruling import Check, Ruling, Verdict
+from retuner.adaptive.guard.ruling import (
+    BorderNumbers,
+    Check,
+    FactorNumbers,
+    LimitNumbers,
+    NotRobustNumbers,
+    ProofNumbers,
+    Ruling,
+    SignNumbers,
+    Verdict,
+    WantedNumbers,
+)
 from retuner.adaptive.guard.settings import GuardSettings
 from retuner.adaptive.guard.step_size import change_factor, extent, less_of_everything, within_factor, within_limits
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.rules.rule import ControllerKind, Tuning
 from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 # Ms of one set of gains on every model that is allowed, evaluated when asked and only once.
@@ -193,17 +205,16 @@ EVIDENCE = frozenset({Ruling.TOO_FEW_RECORDS, Ruling.TOO_OLD, Ruling.CONTRADICTE
 """Doubts that leave the way to less of everything open for a loop over its limit."""
 
 
-def _door(case: _Case) -> tuple[Ruling, dict[str, float]] | None:
+def _door(case: _Case) -> tuple[Ruling, Numbers] | None:
     """What no proof could make good."""
     request, wanted = case.request, case.request.proposal
     if wanted.gains.direction != request.in_force.direction:
-        signs = {"wanted": float(wanted.gains.direction), "in_force": float(request.in_force.direction)}
-        return Ruling.WRONG_SIGN, signs
+        return Ruling.WRONG_SIGN, SignNumbers(float(wanted.gains.direction), float(request.in_force.direction))
     ratios = [a / b for a, b in ((wanted.gains.kp, wanted.gains.ki), (wanted.gains.kd, wanted.gains.kp)) if a and b]
     if not all(0 < ratio < math.inf for ratio in ratios) or not math.isfinite(wanted.tau_c_s or 0.0):
-        return Ruling.NOT_FINITE, {"wanted": wanted.gains.kp}
+        return Ruling.NOT_FINITE, WantedNumbers(wanted.gains.kp)
     if not request.models and request.evidence.support != Support.PATTERN:
-        return Ruling.NO_MODEL, {}
+        return Ruling.NO_MODEL, NO_NUMBERS
     return None
 
 
@@ -217,7 +228,7 @@ def _goals(case: _Case) -> list[Goal]:
     )
 
 
-def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, dict[str, float]] | None:
+def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, Numbers] | None:
     """Why nothing worth a write is left of the goal, if so."""
     request, wanted = case.request, case.request.proposal.gains
     factor, wish = change_factor(request.in_force, goal.gains), change_factor(request.in_force, wanted)
@@ -229,8 +240,8 @@ def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, dict[str, float]] | Non
     if goal.cut_by is not None:
         return goal.cut_by, goal.numbers
     if wish >= limit and not goal.notes:
-        return Ruling.LOCKED, {"factor": wish}
-    return Ruling.TOO_SMALL, {"factor": factor, "limit": limit}
+        return Ruling.LOCKED, FactorNumbers(wish)
+    return Ruling.TOO_SMALL, FactorNumbers(factor, limit)
 
 
 def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[TriedSettings]:
@@ -274,7 +285,7 @@ def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Verdict | N
         factor = change_factor(old, candidate.gains)
         if factor < s.smallest_change and not case.over:
             if candidate.whole:
-                return _refused(case, Ruling.TOO_SMALL, {"factor": factor, "limit": s.smallest_change})
+                return _refused(case, Ruling.TOO_SMALL, FactorNumbers(factor, s.smallest_change))
             continue
         if loops.within(candidate.gains, s.ms_nominal, s.ms_worst) and _borders_hold(case, candidate.gains):
             return _accepted(case, candidate, Ruling.URGENT if candidate.beyond else Ruling.ACCEPTED)
@@ -311,27 +322,23 @@ def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Chec
     return Check("ms_border", f"Ms towards region {border.name} (or no worse than before)", ms, limit, passed)
 
 
-def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, dict[str, float]]:
+def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, Numbers]:
     """The refusal of the gentlest candidate, with its numbers."""
     s = case.settings
     if not tried:
         return _outside(case)
     gains = tried[-1].gains
     if case.at_border is not None and case.loops.within(gains, s.ms_nominal, s.ms_worst):
-        return Ruling.NOT_ROBUST_AT_BORDER, {"ms_tried": case.at_border.value, "ms_limit": case.at_border.limit}
-    return Ruling.NOT_ROBUST, {
-        "ms_tried": case.loops.nominal(gains),
-        "ms_tried_worst": case.loops.worst(gains),
-        "ms_limit": s.ms_nominal,
-        "ms_worst_limit": s.ms_worst,
-    }
+        return Ruling.NOT_ROBUST_AT_BORDER, BorderNumbers(case.at_border.value, case.at_border.limit)
+    tried_ms = case.loops.nominal(gains), case.loops.worst(gains)
+    return Ruling.NOT_ROBUST, NotRobustNumbers(*tried_ms, s.ms_nominal, s.ms_worst)
 
 
-def _outside(case: _Case) -> tuple[Ruling, dict[str, float]]:
+def _outside(case: _Case) -> tuple[Ruling, Numbers]:
     """The refusal of a change that no limit lets through."""
     if case.outside is not None:
-        return Ruling.OUTSIDE_LIMITS, {"wanted": case.outside.value, "limit": case.outside.limit}
-    return Ruling.OUTSIDE_LIMITS, {"wanted": abs(case.request.proposal.gains.kp), "limit": case.settings.kc_max}
+        return Ruling.OUTSIDE_LIMITS, LimitNumbers(case.outside.value, case.outside.limit)
+    return Ruling.OUTSIDE_LIMITS, LimitNumbers(abs(case.request.proposal.gains.kp), case.settings.kc_max)
 
 
 def _share(old: PidGains, new: PidGains, goal: Goal) -> float:
@@ -346,7 +353,7 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
     limit = math.inf if way_out else s.pattern_step_max
     gains = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
-    numbers = {"factor": change_factor(request.in_force, gains)} | ({} if way_out else {"limit": limit})
+    numbers = FactorNumbers(change_factor(request.in_force, gains), None if way_out else limit)
     checks = tuple(limit_checks(request, gains, s, factor=limit))
     case.outside = next((check for check in checks if not check.passed), None)
     if case.outside is not None:
@@ -361,14 +368,14 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
     """The verdict with its whole proof."""
     request, s, loops, gains = case.request, case.settings, case.loops, candidate.gains
     nominal, worst, before = loops.nominal(gains), loops.worst(gains), loops.nominal(request.in_force)
-    numbers = {"ms_nominal": nominal, "ms_worst": worst, "ms_before": before, "models": float(len(loops))}
-    if ruling == Ruling.SAFER:
-        numbers["ms_before_worst"] = loops.worst(request.in_force)
+    before_worst = loops.worst(request.in_force)
+    told = before_worst if ruling == Ruling.SAFER else None
+    numbers = ProofNumbers(nominal, worst, before, float(len(loops)), told)
     borders = (_border_check(case, border, gains) for border in request.borders)
     checks = (
         *evidence_checks(request, s, less=less_of_everything(request.in_force, gains)),
         *limit_checks(request, gains, s, over_limit=case.over, urgent=candidate.beyond),
-        *robustness_checks((nominal, worst), (before, loops.worst(request.in_force)), s),
+        *robustness_checks((nominal, worst), (before, before_worst), s),
         *(check for check in borders if check is not None),
     )
     urgent = case.urgent and _safe_direction(case, gains, candidate.goal)
@@ -389,11 +396,11 @@ def _accepted(case: _Case, candidate: TriedSettings, ruling: Ruling) -> Verdict:
     )
 
 
-def _refused(case: _Case, ruling: Ruling, numbers: dict[str, float], notes: tuple[str, ...] = ()) -> Verdict:
+def _refused(case: _Case, ruling: Ruling, numbers: Numbers, notes: tuple[str, ...] = ()) -> Verdict:
     """Nothing may be written: Ms as it stays."""
     request, s, loops = case.request, case.settings, case.loops
     nominal, worst = loops.nominal(request.in_force), loops.worst(request.in_force)
-    checks = (*evidence_checks(request, s), *failed_checks(ruling, numbers))
+    checks = (*evidence_checks(request, s), *failed_checks(numbers))
     return Verdict(
         ruling,
         None,

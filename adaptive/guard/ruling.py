@@ -1,10 +1,11 @@
 """What the guard rules, in words and numbers."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 
@@ -46,6 +47,80 @@ class Ruling(StrEnum):
     TOO_OLD = "refused: the last record of the process is {age_s} s old (limit {limit} s)"
     NOT_SETTLED = "refused: the process is not known well enough for settings"
     CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
+
+
+# What the sentences need, one value for the rulings of one kind.
+
+
+@dataclass(frozen=True, slots=True)
+class SignNumbers(Numbers):
+    """Directions, +1 or -1: of the proposal and of the gains in force."""
+
+    wanted: float
+    in_force: float
+
+
+@dataclass(frozen=True, slots=True)
+class WantedNumbers(Numbers):
+    """What was wanted, beyond what numbers hold."""
+
+    wanted: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimitNumbers(Numbers):
+    """What was wanted and the limit that cuts it, in the unit of its parameter."""
+
+    wanted: float
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class FactorNumbers(Numbers):
+    """Factor of a change, and what it is held against; None for no limit."""
+
+    factor: float
+    limit: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DoubtNumbers(Numbers):
+    """The one number of the evidence that fails, and its limit."""
+
+    limit: float
+    records: float | None = None
+    age_s: float | None = None
+    innovation: float | None = None
+    settled: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BorderNumbers(Numbers):
+    """Ms of the gentlest step towards a neighbouring region, and its limit."""
+
+    ms_tried: float
+    ms_limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotRobustNumbers(Numbers):
+    """Ms of the gentlest step, on the process and on the worst model, and their limits."""
+
+    ms_tried: float
+    ms_tried_worst: float
+    ms_limit: float
+    ms_worst_limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProofNumbers(Numbers):
+    """Ms of what is accepted and of the gains in force, and on how many models; ms_before_worst : where it is told."""
+
+    ms_nominal: float
+    ms_worst: float
+    ms_before: float
+    models: float
+    ms_before_worst: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +165,7 @@ class Verdict:
     ms_worst: float
     ms_before: float
     tau_c_s: float
-    numbers: dict[str, float] = field(default_factory=dict)
+    numbers: Numbers = NO_NUMBERS
     checks: tuple[Check, ...] = ()
     notes: tuple[str, ...] = ()
     allowed: tuple[Plausible, ...] = ()
@@ -109,7 +184,7 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """The ruling in words, with its numbers and what was cut."""
-        shown = {name: text(name, value) for name, value in self.numbers.items()}
+        shown = {name: text(name, value) for name, value in self.numbers.to_dict().items()}
         return "; ".join((self.ruling.value.format(**shown), *self.notes))
 
     def to_dict(self) -> dict[str, object]:
@@ -123,7 +198,7 @@ class Verdict:
             "ms": {name: plain(value) for name, value in ms.items()},
             "tau_c_s": self.tau_c_s,
             "reason": self.sentence,
-            "numbers": {name: plain(value) for name, value in self.numbers.items()},
+            "numbers": {name: plain(value) for name, value in self.numbers.to_dict().items()},
             "checks": [check.to_dict() for check in self.checks],
             "notes": list(self.notes),
             "allowed": [{"model": p.model.to_dict(), "excess": p.excess} for p in self.allowed],

@@ -10,10 +10,10 @@ control or its variable left the state being learned; what happens without such 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
+from retuner.adaptive.weighed import Numbers
 from retuner.schedule.regions import Regions
 
 
@@ -115,11 +116,35 @@ class AdmissionSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class AdmissionNumbers(Numbers):
+    """What the rules counted, as far as they were asked.
+
+    kept : samples that are kept. manual : of them in manual. lost_share, uneven_share, repeated_share, outside_share :
+    of the samples. changes : of the gains. moves, moving_share : of the setpoint. limited_share : of the response, with
+    the output at a limit. peak_bands : its height in noise bands. limit, limit_share : of the rule that refused it.
+    """
+
+    kept: float | None = None
+    manual: float | None = None
+    lost_share: float | None = None
+    uneven_share: float | None = None
+    repeated_share: float | None = None
+    outside_share: float | None = None
+    changes: float | None = None
+    moves: float | None = None
+    moving_share: float | None = None
+    limited_share: float | None = None
+    peak_bands: float | None = None
+    limit: float | None = None
+    limit_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Admission:
-    """The outcome: the ground, and the numbers that led to it by name (the limit among them)."""
+    """The outcome: the ground, and the numbers that led to it (the limit among them)."""
 
     ground: Ground
-    numbers: dict[str, float]
+    numbers: AdmissionNumbers
 
     @property
     def admitted(self) -> bool:
@@ -129,19 +154,19 @@ class Admission:
     @property
     def sentence(self) -> str:
         """The ground in words, with its numbers."""
-        return self.ground.value.format(**self.numbers)
+        return self.ground.value.format(**self.numbers.to_dict())
 
     def diagnosis(self) -> Diagnosis:
         """A refusal as a cause: saturation has a name there, a response in the noise too, the others are unknown."""
         causes = {Ground.SATURATED: Cause.SATURATION, Ground.LOW_EXCITATION: Cause.NOISE}
-        return Diagnosis(causes.get(self.ground, Cause.UNKNOWN), 1.0, dict(self.numbers), self.sentence)
+        return Diagnosis(causes.get(self.ground, Cause.UNKNOWN), 1.0, self.numbers.to_dict(), self.sentence)
 
     def to_dict(self) -> dict[str, object]:
         """Keys admitted, ground, numbers, reason."""
         return {
             "admitted": self.admitted,
             "ground": self.ground.name.lower(),
-            "numbers": dict(self.numbers),
+            "numbers": self.numbers.to_dict(),
             "reason": self.sentence,
         }
 
@@ -208,47 +233,52 @@ def admit(
         raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
     own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     seen = _Seen(window, list(samples)[-n:], response, own, inside, settings)
-    numbers: dict[str, float] = {}
+    numbers = AdmissionNumbers()
     for rule in _RULES:
-        ground = rule(seen, numbers)
-        if ground is not None:
-            return Admission(ground, numbers)
-        numbers.pop("limit", None)
-        numbers.pop("limit_share", None)
+        counted = rule(seen)
+        numbers = numbers.joined(counted.numbers)
+        if counted.against is not None:
+            return Admission(counted.against, numbers)
     return Admission(Ground.ADMITTED, numbers)
 
 
-def _kept_whole(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+class _Counted(NamedTuple):
+    """What a rule counted, with its limit where that is not kept; against : the ground then."""
+
+    numbers: AdmissionNumbers
+    against: Ground | None = None
+
+
+def _kept_whole(seen: _Seen) -> _Counted:
     """Nothing of it was forgotten before it ended."""
     if seen.window.t_s[0] <= seen.response.t_start_s and bool(np.any(seen.during)):
-        return None
-    numbers["kept"] = float(len(seen.samples))
-    return Ground.TOO_LONG
+        return _Counted(AdmissionNumbers())
+    return _Counted(AdmissionNumbers(kept=float(len(seen.samples))), Ground.TOO_LONG)
 
 
-def _in_automatic(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _in_automatic(seen: _Seen) -> _Counted:
     """Regulated all the time."""
-    numbers["manual"] = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
-    return Ground.MANUAL if numbers["manual"] else None
+    manual = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
+    return _Counted(AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None)
 
 
-def _telemetry(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _telemetry(seen: _Seen) -> _Counted:
     """Complete, even in time, and new at every sample."""
     steps = np.diff(seen.window.t_s) / seen.window.sample_time_s
     whole = np.maximum(np.round(steps), 1.0)
-    lost = float(np.sum(whole - 1.0))
-    numbers["lost_share"] = lost / (len(steps) + lost)
-    numbers["uneven_share"] = float(np.mean(np.abs(steps - whole) > seen.settings.uneven))
-    numbers["repeated_share"] = _repeated(seen)
-    for name, limit, ground in (
-        ("lost_share", seen.settings.lost_share, Ground.LOST_SAMPLES),
-        ("uneven_share", seen.settings.uneven_share, Ground.IRREGULAR),
-        ("repeated_share", seen.settings.repeated_share, Ground.REPEATED),
+    missing = float(np.sum(whole - 1.0))
+    lost = missing / (len(steps) + missing)
+    uneven = float(np.mean(np.abs(steps - whole) > seen.settings.uneven))
+    repeated = _repeated(seen)
+    numbers = AdmissionNumbers(lost_share=lost, uneven_share=uneven, repeated_share=repeated)
+    for share, limit, ground in (
+        (lost, seen.settings.lost_share, Ground.LOST_SAMPLES),
+        (uneven, seen.settings.uneven_share, Ground.IRREGULAR),
+        (repeated, seen.settings.repeated_share, Ground.REPEATED),
     ):
-        if numbers[name] > limit:
-            numbers["limit"] = limit
-            return ground
-    return None
+        if share > limit:
+            return _Counted(replace(numbers, limit=limit), ground)
+    return _Counted(numbers)
 
 
 def _repeated(seen: _Seen) -> float:
@@ -258,61 +288,54 @@ def _repeated(seen: _Seen) -> float:
     return sum(again) / len(again)
 
 
-def _in_region(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _in_region(seen: _Seen) -> _Counted:
     """It stayed inside."""
-    inside = seen.inside
-    outside = sum(inside is not None and not inside(sample) for sample in seen.samples)
-    numbers["outside_share"] = outside / len(seen.samples)
-    if numbers["outside_share"] <= seen.settings.outside_share:
-        return None
-    numbers["limit"] = seen.settings.outside_share
-    return Ground.LEFT_REGION
+    inside, limit = seen.inside, seen.settings.outside_share
+    outside = sum(inside is not None and not inside(sample) for sample in seen.samples) / len(seen.samples)
+    if outside <= limit:
+        return _Counted(AdmissionNumbers(outside_share=outside))
+    return _Counted(AdmissionNumbers(outside_share=outside, limit=limit), Ground.LEFT_REGION)
 
 
-def _same_gains(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _same_gains(seen: _Seen) -> _Counted:
     """One controller all the time, as the controller itself reports it."""
-    own = seen.own
-    numbers["changes"] = float(sum(a.revision != b.revision for a, b in pairwise(own)))
-    if numbers["changes"] <= seen.settings.changes_most:
-        return None
-    numbers["limit"] = float(seen.settings.changes_most)
-    return Ground.GAINS_CHANGED
+    changes, limit = float(sum(a.revision != b.revision for a, b in pairwise(seen.own))), seen.settings.changes_most
+    if changes <= limit:
+        return _Counted(AdmissionNumbers(changes=changes))
+    return _Counted(AdmissionNumbers(changes=changes, limit=float(limit)), Ground.GAINS_CHANGED)
 
 
-def _own_setpoint(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _own_setpoint(seen: _Seen) -> _Counted:
     """Not the slave of a cascade: its setpoint is the master's output, so it moves all the time."""
     steps = np.abs(np.diff(seen.window.sp))
     moving = steps > seen.settings.still_share * seen.response.band
     began = moving & ~np.concatenate(([False], moving[:-1]))
-    numbers["moves"], numbers["moving_share"] = float(np.sum(began)), float(np.mean(moving))
-    led = numbers["moves"] > seen.settings.moves_most or numbers["moving_share"] > seen.settings.moving_share
-    if not led or float(np.sum(steps)) <= seen.response.band:
-        return None
-    numbers["limit"], numbers["limit_share"] = float(seen.settings.moves_most), seen.settings.moving_share
-    return Ground.SETPOINT_LED
+    moves, share = float(np.sum(began)), float(np.mean(moving))
+    most, most_share = float(seen.settings.moves_most), seen.settings.moving_share
+    numbers = AdmissionNumbers(moves=moves, moving_share=share)
+    if (moves <= most and share <= most_share) or float(np.sum(steps)) <= seen.response.band:
+        return _Counted(numbers)
+    return _Counted(replace(numbers, limit=most, limit_share=most_share), Ground.SETPOINT_LED)
 
 
-def _free_output(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _free_output(seen: _Seen) -> _Counted:
     """Not at a limit for most of the time."""
-    own = seen.own
-    numbers["limited_share"] = sum(sample.limited != 0 for sample in own) / len(own)
-    if numbers["limited_share"] <= seen.settings.limited_share:
-        return None
-    numbers["limit"] = seen.settings.limited_share
-    return Ground.SATURATED
+    own, limit = seen.own, seen.settings.limited_share
+    share = sum(sample.limited != 0 for sample in own) / len(own)
+    if share <= limit:
+        return _Counted(AdmissionNumbers(limited_share=share))
+    return _Counted(AdmissionNumbers(limited_share=share, limit=limit), Ground.SATURATED)
 
 
-def _excited(seen: _Seen, numbers: dict[str, float]) -> Ground | None:
+def _excited(seen: _Seen) -> _Counted:
     """co and pv move, and the response stands out of the noise."""
     error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
-    numbers["peak_bands"] = float(np.max(error)) / seen.response.band
+    bands, least = float(np.max(error)) / seen.response.band, seen.settings.excitation_bands
+    numbers = AdmissionNumbers(peak_bands=bands)
     for ground, values in ((Ground.CO_FROZEN, seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
         if values.max() == values.min():
-            return ground
-    if numbers["peak_bands"] >= seen.settings.excitation_bands:
-        return None
-    numbers["limit"] = seen.settings.excitation_bands
-    return Ground.LOW_EXCITATION
+            return _Counted(numbers, ground)
+    return _Counted(numbers) if bands >= least else _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
 
 
 _RULES = (_kept_whole, _in_automatic, _telemetry, _in_region, _same_gains, _own_setpoint, _free_output, _excited)

@@ -6,7 +6,7 @@ A ledger keeps it, and a replay is compared with it byte for byte.
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement
 from retuner.adaptive.trial.phase import UNDOS
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 
 
@@ -75,6 +76,7 @@ class Decision:
     promise : what gains_after promise. judgement : of the response against the promise of the gains on trial, if any.
     trial : where the region stands after this decision. known : the process as it may be met in the region from now
     on, which is what the cause and the proof go by (`estimate` is what the record itself shows).
+    undos : changes undone in a row, told where this one restores.
     """
 
     number: int
@@ -95,12 +97,13 @@ class Decision:
     basis: Basis | None = None
     proposal: Tuning | None = None
     verdict: Verdict | None = None
-    numbers: dict[str, float] = field(default_factory=dict)
+    numbers: Numbers = NO_NUMBERS
     promise: Promise | None = None
     judgement: Judgement | None = None
     trial: str = "idle"
     known: LogModel | None = None
     delay: Delay | None = None
+    undos: int | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later."""
@@ -113,7 +116,7 @@ class Decision:
             "action": str(self.action),
             "code": self.code,
             "reason": self.reason,
-            "numbers": self.numbers,
+            "numbers": self.numbers.to_dict() | ({} if self.undos is None else {"undos": float(self.undos)}),
             "gains_before": gains_dict(self.gains_before),
             "gains_after": gains_dict(self.gains_after) if self.gains_after else None,
             "response": self.response.to_dict() if self.response else None,
@@ -168,7 +171,7 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
         action=Action.RESTORE,
         code=f"undo_{cause.name.lower()}",
         reason=reason,
-        numbers={**decision.numbers, "undos": float(trial.undos)},
+        undos=trial.undos,
         gains_before=trial.new or decision.gains_before,
         gains_after=trial.old,
         promise=trial.promise,

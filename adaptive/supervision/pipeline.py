@@ -43,6 +43,7 @@ from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import GainTable, Lookup
 
 NOT_KNOWN = "not_identifiable"
@@ -185,7 +186,7 @@ def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: s
     if not clear_case(found, learned):
         doubt, excitation = doubt_of(found)
         if doubt is not None:
-            found.excitation, found.numbers = excitation, {}
+            found.excitation, found.numbers = excitation, NO_NUMBERS
             found.doubted(doubt)
             return
     found.excitation, found.basis = excitation, proposed.basis

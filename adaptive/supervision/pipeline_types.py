@@ -22,6 +22,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
@@ -75,7 +76,7 @@ class StageResult:
     verdict: Verdict | None = None
     standing: Standing | None = None
     excitation: Excitation | None = None
-    numbers: dict[str, float] = field(default_factory=dict)
+    numbers: Numbers = NO_NUMBERS
     forget: bool = False
     promise: Promise | None = None
     posterior: PosteriorCheck | None = None
@@ -157,7 +158,7 @@ class Findings:
     verdict: Verdict | None = None
     standing: Standing | None = None
     excitation: Excitation | None = None
-    numbers: dict[str, float] = field(default_factory=dict)
+    numbers: Numbers = NO_NUMBERS
     forget: bool = False
     promise: Promise | None = None
     posterior: PosteriorCheck | None = None

@@ -15,6 +15,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.adaptive.without_model.pattern_rule import PatternSettings, pattern_rule
 from retuner.adaptive.without_model.slow_oscillation_step import SlowSettings, slow_oscillation_online
 from retuner.schedule.gains import PidGains
@@ -38,7 +39,7 @@ class Proposed:
 
     code: str
     sentence: str
-    numbers: dict[str, float]
+    numbers: Numbers
     tuning: Tuning | None = None
     basis: Basis | None = None
 
@@ -59,7 +60,7 @@ def without_model(
     gains : in force during it. diagnosis : what is known of the cause; None where nobody looked.
     """
     if not settings.allowed:
-        return Proposed("not_allowed", "without a model nothing is changed: the settings say so", {})
+        return Proposed("not_allowed", "without a model nothing is changed: the settings say so", NO_NUMBERS)
     slow = slow_oscillation_online(response, gains, diagnosis, settings.slow, locks)
     if slow.tuning is not None:
         return _locked(

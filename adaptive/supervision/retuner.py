@@ -382,7 +382,7 @@ class Retuner:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
             self.trials.event(case.region, TrialEvent.SATURATED, self._now_s)
-            return Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, dict(outcome.numbers))
+            return Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
         looked_at = seen_of(case, outcome)
         ask = self.settings.mode_of(case.region) == Mode.TRIAL
         return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)

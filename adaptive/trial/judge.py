@@ -23,6 +23,7 @@ The travel of the output is told, and not judged: in a recorded output it is mos
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +32,10 @@ from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.adaptive.signals.trapezoid import trapezoid
 from retuner.adaptive.trial.expectation import Expected, Promise
-from retuner.adaptive.trial.posterior_check import PosteriorCheck, against, in_favour
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, PosteriorNumbers, against, in_favour
 from retuner.adaptive.trial.response_numbers import storable, swing, three
 from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 MEAN_OF_NOISE = 0.8
@@ -54,16 +56,57 @@ class TrialFinding(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class SwingNumbers(Numbers):
+    """How the response swings (response_numbers.py), and what its decay is held against.
+
+    decay_promised, decay_before : as promised, and with the gains before. decay_sure : None with less than two peaks.
+    """
+
+    overshoot: float
+    damping: float
+    decay: float
+    decay_limit: float
+    decay_promised: float
+    decay_before: float
+    decay_sure: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class UpsetNumbers(Numbers):
+    """IAE and travel of the output per unit of the upset, and what they are held against; -1 for infinite."""
+
+    iae: float
+    iae_promised: float
+    iae_before: float
+    iae_limit: float
+    travel: float
+    travel_promised: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrialNumbers(Numbers):
+    """What was weighed. peaks : how many were seen. The others are None where the judge did not come to them."""
+
+    peaks: float
+    posterior: PosteriorNumbers | None = None
+    swing: SwingNumbers | None = None
+    upset: UpsetNumbers | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Judgement:
-    """finding : outcome. reason : the sentence. numbers : what was weighed (measured, promised, before)."""
+    """finding : outcome. reason : the sentence.
+
+    numbers : what was weighed: TrialNumbers, or what the response was refused by before the judge saw it.
+    """
 
     finding: TrialFinding
     reason: str
-    numbers: dict[str, float]
+    numbers: Numbers
 
     def to_dict(self) -> dict[str, object]:
         """Plain values."""
-        return {"finding": self.finding.name.lower(), "reason": self.reason, "numbers": dict(self.numbers)}
+        return {"finding": self.finding.name.lower(), "reason": self.reason, "numbers": self.numbers.to_dict()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,43 +126,62 @@ class JudgedResponse:
     posterior: PosteriorCheck | None = None
 
 
+class _Swings(NamedTuple):
+    """What the decay says against the set, empty for nothing."""
+
+    words: str
+    numbers: SwingNumbers
+
+
+class _Costs(NamedTuple):
+    """What the IAE says against the set, empty for nothing; numbers : None where it cannot be measured."""
+
+    words: str = ""
+    numbers: UpsetNumbers | None = None
+
+
 def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
     """Judge a response that ran under `gains`."""
-    numbers: dict[str, float] = {"peaks": float(len(seen.response.peaks))}
+    peaks = float(len(seen.response.peaks))
     nothing = _says_nothing(seen, settings)
     if nothing:
-        return Judgement(TrialFinding.INCONCLUSIVE, nothing, numbers)
-    worse = against(seen.posterior, promised, settings, numbers) if seen.posterior else ""
+        return Judgement(TrialFinding.INCONCLUSIVE, nothing, TrialNumbers(peaks))
+    objection = against(seen.posterior, promised, settings) if seen.posterior else None
+    worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
     if unlike and worse:
-        return Judgement(TrialFinding.WORSE, worse, numbers)
+        return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
     if unlike:
-        return _by_posterior(unlike, seen.posterior, settings, numbers)
+        return _by_posterior(unlike, seen.posterior, settings, TrialNumbers(peaks, posterior))
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
-    before = promised.decay_before(setpoint)
-    swings = _swings(seen.response, now, before, settings, numbers)
+    swings = _swings(seen.response, now, promised.decay_before(setpoint), settings)
     ran_away = promised.decay_seen is not None and promised.decay_seen > max(now.decay.high, settings.harmless_decay)
-    costs = _costs(
-        seen, gains, now, then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0, settings, numbers
-    )
-    if swings or costs or worse:
-        return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (swings, costs, worse))), numbers)
-    told = _told(numbers)
+    before = then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0
+    costs = _costs(seen, gains, now, before, settings)
+    numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
+    if swings.words or costs.words or worse:
+        return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (swings.words, costs.words, worse))), numbers)
+    return _not_worse(seen, now, swings.numbers, numbers, settings)
+
+
+def _not_worse(
+    seen: JudgedResponse, now: Expected, swing: SwingNumbers, numbers: TrialNumbers, settings: TrialSettings
+) -> Judgement:
+    """Better, as promised, or cut short before that can be said."""
+    upset = numbers.upset
+    told = _told(swing, upset)
     if seen.response.ending == Ending.SETPOINT:
-        why = f"{seen.response.ending}; until then {told}"
-        return _by_posterior(why, seen.posterior, settings, numbers)
-    better = numbers.get("iae", math.inf) < now.iae.low and numbers["decay"] <= max(now.decay.best, now.decay.low)
-    if better:
+        return _by_posterior(f"{seen.response.ending}; until then {told}", seen.posterior, settings, numbers)
+    cheaper = upset is not None and upset.iae < now.iae.low
+    if cheaper and swing.decay <= max(now.decay.best, now.decay.low):
         return Judgement(TrialFinding.BETTER, f"better than promised: {told}", numbers)
     return Judgement(TrialFinding.AS_PROMISED, f"as promised: {told}", numbers)
 
 
-def _by_posterior(
-    why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: dict[str, float]
-) -> Judgement:
+def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: TrialNumbers) -> Judgement:
     """Of a response that cannot speak for the promise: what is known with it of the tried set may be enough."""
     good = in_favour(seen, settings) if seen else ""
     if not good:
@@ -158,25 +220,19 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
     return ""
 
 
-def _swings(
-    response: Response, now: Expected, before: float, settings: TrialSettings, numbers: dict[str, float]
-) -> str:
-    """What speaks against the swing, if anything; its numbers are put down."""
+def _swings(response: Response, now: Expected, before: float, settings: TrialSettings) -> _Swings:
+    """What speaks against the swing, if anything."""
     peaks = [peak.e for peak in response.peaks]
-    overshoot, damping, decay = swing(peaks, response.band)
-    numbers |= {"overshoot": overshoot, "damping": damping, "decay": decay}
     limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
-    numbers |= {"decay_limit": limit, "decay_promised": now.decay.best, "decay_before": before}
-    if len(peaks) < 2:
-        return ""
-    sure = _surely(peaks, response.band, settings.level)
-    numbers["decay_sure"] = sure
-    if sure <= limit or sure <= before:
-        return ""
-    return (
-        f"worse than promised: successive peaks in the ratio {decay:.2f}, surely over {sure:.2f}; promised at most "
-        f"{now.decay.high:.2f}, the gains before have {before:.2f}"
+    sure = _surely(peaks, response.band, settings.level) if len(peaks) > 1 else None
+    numbers = SwingNumbers(*swing(peaks, response.band), limit, now.decay.best, before, sure)
+    if sure is None or sure <= limit or sure <= before:
+        return _Swings("", numbers)
+    words = (
+        f"worse than promised: successive peaks in the ratio {numbers.decay:.2f}, surely over {sure:.2f}; promised at "
+        f"most {now.decay.high:.2f}, the gains before have {before:.2f}"
     )
+    return _Swings(words, numbers)
 
 
 def _surely(peaks: list[float], band: float, level: float) -> float:
@@ -190,42 +246,30 @@ def _surely(peaks: list[float], band: float, level: float) -> float:
     )
 
 
-def _costs(
-    seen: JudgedResponse,
-    gains: PidGains,
-    now: Expected,
-    before: float,
-    settings: TrialSettings,
-    numbers: dict[str, float],
-) -> str:
-    """What speaks against the IAE, if anything; its numbers are put down."""
+def _costs(seen: JudgedResponse, gains: PidGains, now: Expected, before: float, settings: TrialSettings) -> _Costs:
+    """What speaks against the IAE, if anything."""
     response, window = seen.response, seen.window
     during = _during(seen)
     e, t = (window.sp - window.pv)[during], window.t_s[during]
     if len(t) < 3 or seen.limited_share > LIMITED:
-        return ""
+        return _Costs()
     noise = MEAN_OF_NOISE * response.band / NOISE_RISES * float(t[-1] - t[0])
     iae = max(_area(np.abs(e), t) - noise, 0.0)
     unit = _unit(seen, gains, e, t, iae / settings.iae_slack)
     if unit <= 0:
-        return ""
+        return _Costs()
     measured, limit = iae / unit, now.iae.high * settings.iae_slack
     travel = float(np.sum(np.abs(np.diff(window.co[during])))) / unit
-    numbers |= {
-        "iae": measured,
-        "iae_promised": storable(now.iae.best),
-        "iae_before": storable(before),
-        "iae_limit": storable(limit),
-        "travel": travel,
-        "travel_promised": storable(now.travel.best),
-    }
+    held_against = (storable(now.iae.best), storable(before), storable(limit))
+    numbers = UpsetNumbers(measured, *held_against, travel, storable(now.travel.best))
     if measured <= limit or measured <= before:
-        return ""
+        return _Costs("", numbers)
     kind = "setpoint step" if response.sp_changed else "load"
-    return (
+    words = (
         f"worse than promised: IAE {measured:.3g} per unit of the {kind}; promised at most {now.iae.high:.3g}, "
         f"the gains before have {before:.3g}"
     )
+    return _Costs(words, numbers)
 
 
 def _during(seen: JudgedResponse) -> NDArray[np.bool_]:
@@ -254,9 +298,9 @@ def _area(values: FloatArray, t: FloatArray) -> float:
     return float(trapezoid(values, t))
 
 
-def _told(numbers: dict[str, float]) -> str:
+def _told(swing: SwingNumbers, upset: UpsetNumbers | None) -> str:
     """The numbers in words."""
-    words = f"successive peaks {numbers['decay']:.2f} (limit {numbers['decay_limit']:.2f})"
-    if "iae" in numbers and numbers["iae_limit"] >= 0:
-        words += f", IAE {numbers['iae']:.3g} per unit (promised {numbers['iae_promised']:.3g})"
+    words = f"successive peaks {swing.decay:.2f} (limit {swing.decay_limit:.2f})"
+    if upset is not None and upset.iae_limit >= 0:
+        words += f", IAE {upset.iae:.3g} per unit (promised {upset.iae_promised:.3g})"
     return words

@@ -15,6 +15,7 @@ take up a load with hardly a swing. What was seen of the old set counts more tha
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -22,6 +23,7 @@ from retuner.adaptive.trial.batch_responses import Loop, Upset
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.response_numbers import shapes, storable
 from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
@@ -67,31 +69,74 @@ def check_posterior(
     return PosteriorCheck(min(ms_tried), max(ms_tried), max(ms_old), robuster, slower)
 
 
-def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
-    """What it says against the tried set, if anything; its numbers are put down."""
-    return _less_robust(found, promised, settings, numbers) or _slower(found, promised, settings, numbers)
+@dataclass(frozen=True, slots=True)
+class RobustnessNumbers(Numbers):
+    """ms : least Ms of the tried set. ms_limit, ms_before : what it was held against. ms_promised : if it was.
+
+    -1 where unstable.
+    """
+
+    ms: float
+    ms_limit: float
+    ms_before: float
+    ms_promised: float | None = None
 
 
-def _less_robust(found: PosteriorCheck, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
-    """The first test at the head of this file."""
+@dataclass(frozen=True, slots=True)
+class CostNumbers(Numbers):
+    """cost : least J, see the head of this file; with its limit, and as it was promised, if it was."""
+
+    cost: float
+    cost_limit: float
+    cost_promised: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorNumbers(Numbers):
+    """What the check weighed. cost : None where less robust decides before it, or J is not known."""
+
+    robustness: RobustnessNumbers
+    cost: CostNumbers | None = None
+
+
+class Objection(NamedTuple):
+    """What speaks against the tried set in words, empty for nothing, and what was weighed."""
+
+    words: str
+    numbers: PosteriorNumbers
+
+
+def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings) -> Objection:
+    """What it says against the tried set, if anything."""
+    robustness = _robustness(found, promised, settings)
+    words = _less_robust(found, robustness.ms_limit)
+    if words:
+        return Objection(words, PosteriorNumbers(robustness))
+    said = _promised_cost(promised)
+    limit = settings.iae_slack * max(said, 1.0)
+    cost = CostNumbers(found.slower, limit, said or None) if found.slower else None
+    return Objection(_slower(found, promised, limit, settings), PosteriorNumbers(robustness, cost))
+
+
+def _robustness(found: PosteriorCheck, promised: Promise, settings: TrialSettings) -> RobustnessNumbers:
+    """What the first test at the head of this file weighs."""
     said = promised.ms
     allowed = [ms for ms in (said.best, said.high) if math.isfinite(ms)] if said else []
     limit = max([settings.harmless_ms, *allowed])
-    numbers |= {"ms": storable(found.ms_tried), "ms_limit": limit, "ms_before": storable(found.ms_old)}
-    if said:
-        numbers["ms_promised"] = storable(said.best)
+    best = storable(said.best) if said else None
+    return RobustnessNumbers(storable(found.ms_tried), limit, storable(found.ms_old), best)
+
+
+def _less_robust(found: PosteriorCheck, limit: float) -> str:
+    """The first test at the head of this file."""
     if not found.robuster or found.ms_tried <= limit:
         return ""
     words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
     return f"worse than promised: by every model that is still allowed {words}, limit {limit:.2f}"
 
 
-def _slower(found: PosteriorCheck, promised: Promise, settings: TrialSettings, numbers: dict[str, float]) -> str:
+def _slower(found: PosteriorCheck, promised: Promise, limit: float, settings: TrialSettings) -> str:
     """The second test at the head of this file."""
-    said = _promised_cost(promised)
-    limit = settings.iae_slack * max(said, 1.0)
-    if found.slower:
-        numbers |= {"cost": found.slower, "cost_limit": limit} | ({"cost_promised": said} if said else {})
     swung = promised.decay_seen is not None and promised.decay_seen > settings.harmless_decay
     if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
         return ""

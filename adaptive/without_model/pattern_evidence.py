@@ -14,11 +14,14 @@ Of a setpoint response: tenth_s, until pv has made a tenth of its way; only wher
 and a little more: a second-order process takes 0.45 of its radians for that.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.adaptive.weighed import Numbers
 
 SMOOTHED = 5
 """Samples of the moving mean before extremes are taken: noise would make them larger."""
@@ -28,21 +31,78 @@ TENTH, MOVED_BANDS = 0.1, 2.0
 """pv has answered when it is this share of its way from where it rested, and at least so many noise bands."""
 
 
-def pattern_numbers(response: Response, window: Window) -> dict[str, float]:
-    """The numbers at the head of this file; those that a response does not show are missing.
+@dataclass(frozen=True, slots=True)
+class SecondPeak(Numbers):
+    """What the second peak shows; period_s is twice the time between the first two while there is no third."""
+
+    overshoot: float
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ThirdPeak(Numbers):
+    """What the third peak shows. first_s, second_s : from the first peak to the second, and on to the third."""
+
+    damping: float
+    first_s: float
+    second_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoadNumbers(Numbers):
+    """Of a load response, see the head of this file; co_overshoot : None where co stays or comes back."""
+
+    rise_s: float
+    tail_s: float
+    rebound: float
+    co_way: float
+    co_overshoot: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PatternNumbers(Numbers):
+    """The numbers at the head of this file; None for those that a response does not show."""
+
+    peaks: float
+    height_bands: float
+    limited_share: float
+    second: SecondPeak | None = None
+    third: ThirdPeak | None = None
+    tenth_s: float | None = None
+    load: LoadNumbers | None = None
+
+
+def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
+    """The numbers of a response.
 
     window : the response with some time before it.
     """
     during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     height = float(np.max(np.abs(window.sp - window.pv)[during], initial=0.0))
-    found = {"peaks": float(len(response.peaks)), "height_bands": height / response.band}
-    found["limited_share"] = _limited_share(window, during, response.band)
-    shown = {"overshoot": response.overshoot, "damping": response.damping, "period_s": response.period_s}
-    found |= {name: value for name, value in shown.items() if value is not None}
-    times = [peak.t_s for peak in response.peaks]
-    if len(times) == 3:
-        found |= {"first_s": times[1] - times[0], "second_s": times[2] - times[1]}
-    return found | (_of_setpoint(response, window) if response.sp_changed else _of_load(response, window))
+    return PatternNumbers(
+        peaks=float(len(response.peaks)),
+        height_bands=height / response.band,
+        limited_share=_limited_share(window, during, response.band),
+        second=_second_peak(response),
+        third=_third_peak(response),
+        tenth_s=_tenth_s(response, window) if response.sp_changed else None,
+        load=None if response.sp_changed else _of_load(response, window),
+    )
+
+
+def _second_peak(response: Response) -> SecondPeak | None:
+    """None without one."""
+    overshoot, period_s = response.overshoot, response.period_s
+    return None if overshoot is None or period_s is None else SecondPeak(overshoot, period_s)
+
+
+def _third_peak(response: Response) -> ThirdPeak | None:
+    """None without one."""
+    damping = response.damping
+    if damping is None:
+        return None
+    first, second, third = (peak.t_s for peak in response.peaks)
+    return ThirdPeak(damping, second - first, third - second)
 
 
 def _limited_share(window: Window, during: npt.NDArray[np.bool_], band: float) -> float:
@@ -55,32 +115,31 @@ def _limited_share(window: Window, during: npt.NDArray[np.bool_], band: float) -
     return still / co.size
 
 
-def _of_setpoint(response: Response, window: Window) -> dict[str, float]:
-    """How soon pv answers."""
+def _tenth_s(response: Response, window: Window) -> float | None:
+    """How soon pv answers; None where it did not rest before."""
     t_s = window.t_s - response.t_start_s
     before = window.pv[t_s < 0]
     if not len(before):
-        return {}
+        return None
     rest = float(np.median(before))
     if np.max(np.abs(before - rest)) > AT_REST_BANDS * response.band:
-        return {}
+        return None
     way = abs(float(window.sp[-1]) - rest)
     far = max(TENTH * way, MOVED_BANDS * response.band)
     moved = np.flatnonzero((t_s > 0) & (np.abs(window.pv - rest) > far))
-    return {"tenth_s": float(t_s[moved[0]])} if moved.size else {}
+    return float(t_s[moved[0]]) if moved.size else None
 
 
-def _of_load(response: Response, window: Window) -> dict[str, float]:
-    """Rise, tail, rebound, and the overshoot of co."""
+def _of_load(response: Response, window: Window) -> LoadNumbers | None:
+    """Rise, tail, rebound, and the overshoot of co; None of an error that stays inside the noise band."""
     during = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
     t_s, error = window.t_s[during] - response.t_start_s, (window.sp - window.pv)[during]
     outside = np.flatnonzero(np.abs(error) > response.band)
     if not outside.size or len(error) < 3 * SMOOTHED:
-        return {}
+        return None
     top = int(np.argmax(np.abs(error)))
-    found = {"rise_s": float(t_s[top]), "tail_s": float(t_s[outside[-1]] - t_s[top])}
-    found["rebound"] = _rebound(_smooth(error), response.band)
-    return found | _of_co(window.co, during)
+    rise_s, tail_s = float(t_s[top]), float(t_s[outside[-1]] - t_s[top])
+    return LoadNumbers(rise_s, tail_s, _rebound(_smooth(error), response.band), *_of_co(window.co, during))
 
 
 def _rebound(error: FloatArray, band: float) -> float:
@@ -91,7 +150,7 @@ def _rebound(error: FloatArray, band: float) -> float:
     return max(growth - band / 2, 0.0) / float(back[0]) if back[0] else 0.0
 
 
-def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> dict[str, float]:
+def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> tuple[float, float | None]:
     """How far co ended from where it began, as a share of its travel; how far it went beyond, as a share of that."""
     first, last = (int(i) for i in np.flatnonzero(during)[[0, -1]])
     own = _smooth(co[first : last + 1])
@@ -99,8 +158,8 @@ def _of_co(co: FloatArray, during: npt.NDArray[np.bool_]) -> dict[str, float]:
     way = float(np.mean(co[last + 1 - 2 * SMOOTHED : last + 1])) - before
     travel = max(float(np.max(own)), before) - min(float(np.min(own)), before)
     if way == 0 or travel == 0:
-        return {"co_way": 0.0}
-    return {"co_way": abs(way) / travel, "co_overshoot": float(np.max((own - before) / way)) - 1.0}
+        return 0.0, None
+    return abs(way) / travel, float(np.max((own - before) / way)) - 1.0
 
 
 def _smooth(values: FloatArray) -> FloatArray:

@@ -19,16 +19,17 @@ and may come from outside or from a sticking valve, and large steps. Inside a de
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.setting import Setting
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.without_model.pattern_evidence import pattern_numbers
+from retuner.adaptive.weighed import Numbers
+from retuner.adaptive.without_model.pattern_evidence import PatternNumbers, SecondPeak, pattern_numbers
 from retuner.schedule.gains import PidGains
 
 # Settings of the pattern rule: see pattern_rule.py.
@@ -195,12 +196,26 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
+class AdviceNumbers(Numbers):
+    """What was weighed. shown : by the response. margin : to the targets, the least; None where nothing is concluded.
+
+    period_over_tau_i : of a swing. kc_factor, tau_i_factor : what is to be moved by how much, None for nothing.
+    """
+
+    shown: PatternNumbers
+    margin: float | None = None
+    period_over_tau_i: float | None = None
+    kc_factor: float | None = None
+    tau_i_factor: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PatternAdvice:
     """What the rule says. tuning : new settings, None where nothing is to be moved. numbers : what was weighed."""
 
     reading: PatternReading
     sentence: str
-    numbers: dict[str, float]
+    numbers: AdviceNumbers
     tuning: Tuning | None = None
 
 
@@ -214,101 +229,123 @@ def pattern_rule(
     response, window : what was recognised, and its samples with some time before.
     diagnosis : what is known of the cause; None where nobody looked.
     """
-    numbers = pattern_numbers(response, window)
-    refused = _refusal(response, diagnosis, numbers, settings)
-    reading, move = (refused, Move()) if refused else _reading(gains, numbers, settings)
+    shown = pattern_numbers(response, window)
+    refused = _refusal(response, diagnosis, shown, settings)
+    read = _Read(refused, Move()) if refused else _reading(gains, shown, settings)
+    reading, move = read.reading, read.move
     if diagnosis is not None and move.direction * WANTED.get(diagnosis.cause, 0) < 0:
         reading = PatternReading.CONTRADICTED
     cause = diagnosis.reason if diagnosis else "nobody looked"
-    sentence = reading.value.format(cause=cause, seen=seen(numbers), moves=move.words, **numbers)
+    sentence = reading.value.format(cause=cause, seen=seen(shown), moves=move.words, **shown.to_dict())
+    numbers = AdviceNumbers(shown, read.margin, read.period_over_tau_i)
     if reading not in MOVING:
         return PatternAdvice(reading, sentence, numbers)
-    numbers |= {"kc_factor": move.kc, "tau_i_factor": move.tau_i}
+    numbers = replace(numbers, kc_factor=move.kc, tau_i_factor=move.tau_i)
     return PatternAdvice(reading, sentence, numbers, Tuning("pattern", "ideal", move.of(gains), None, (sentence,)))
 
 
-def seen(numbers: dict[str, float]) -> str:
+class _Read(NamedTuple):
+    """A reading, what it moves, and the numbers that it rests on (AdviceNumbers)."""
+
+    reading: PatternReading
+    move: Move
+    margin: float | None = None
+    period_over_tau_i: float | None = None
+
+
+def seen(shown: PatternNumbers) -> str:
     """The numbers that a person compares with the targets."""
+    said = shown.to_dict()
     named = {"overshoot": "overshoot", "damping": "damping", "co_overshoot": "overshoot of co", "rebound": "rebound"}
-    parts = [f"{word} {numbers[name]:.2f}" for name, word in named.items() if name in numbers]
-    return ", ".join(parts if "overshoot" in numbers else ["no second peak", *parts])
+    parts = [f"{word} {said[name]:.2f}" for name, word in named.items() if name in said]
+    return ", ".join(parts if shown.second else ["no second peak", *parts])
 
 
 def _refusal(
-    response: Response, diagnosis: Diagnosis | None, numbers: dict[str, float], settings: PatternSettings
+    response: Response, diagnosis: Diagnosis | None, shown: PatternNumbers, settings: PatternSettings
 ) -> PatternReading | None:
     """Why nothing may be concluded, if so."""
     if diagnosis is not None and diagnosis.cause not in MAY_BE_TUNING:
         return PatternReading.OTHER_CAUSE
-    if response.ending == Ending.SETPOINT and (len(response.peaks) > 1 or not _is_long(numbers, settings)):
+    if response.ending == Ending.SETPOINT and (len(response.peaks) > 1 or not _is_long(shown, settings)):
         return PatternReading.CUT_SHORT
-    if numbers["height_bands"] < settings.least_bands:
+    if shown.height_bands < settings.least_bands:
         return PatternReading.WEAK
-    if numbers["limited_share"] > settings.limited:
+    if shown.limited_share > settings.limited:
         return PatternReading.LIMITED
-    if numbers.get("co_way", 1.0) < settings.pulse:
+    if shown.load is not None and shown.load.co_way < settings.pulse:
         return PatternReading.PULSE
-    if "damping" not in numbers:
+    if shown.second is None or shown.third is None:
         return None
-    if abs(numbers["damping"] - numbers["overshoot"]) > settings.gap:
+    damping, first, second = shown.third.damping, shown.third.first_s, shown.third.second_s
+    if abs(damping - shown.second.overshoot) > settings.gap:
         return PatternReading.NO_ORDINARY
-    first, second = numbers["first_s"], numbers["second_s"]
     if not response.sp_changed and max(first, second) > settings.uneven * min(first, second):
         return PatternReading.UNEVEN
     ruled_out = settings.alone or (diagnosis is not None and diagnosis.cause in TUNING_CAUSES)
-    return PatternReading.UNDYING if numbers["damping"] > settings.undying and not ruled_out else None
+    return PatternReading.UNDYING if damping > settings.undying and not ruled_out else None
 
 
-def _is_long(numbers: dict[str, float], settings: PatternSettings) -> bool:
+def _is_long(shown: PatternNumbers, settings: PatternSettings) -> bool:
     """Whether a load response comes back long after it rose: its integral time is too long."""
-    return numbers.get("tail_s", 0.0) > settings.long_tail * numbers.get("rise_s", math.inf)
+    return shown.load is not None and shown.load.tail_s > settings.long_tail * shown.load.rise_s
 
 
-def _reading(gains: PidGains, numbers: dict[str, float], settings: PatternSettings) -> tuple[PatternReading, Move]:
+def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) -> _Read:
     """The rule at the head of this file."""
-    room = settings.overshoot_target - max(numbers.get("overshoot", 0.0), numbers.get("co_overshoot", 0.0))
-    m = min(room, settings.damping_target - max(numbers.get("damping", 0.0), numbers.get("rebound", 0.0)))
-    numbers["margin"] = m
-    if "overshoot" not in numbers:
-        return _without_second_peak(gains, room, numbers, settings)
-    ratio = gains.ki / gains.kp * numbers["period_s"] if gains.kp else math.inf
-    if gains.kp:
-        numbers["period_over_tau_i"] = ratio
-    if m < settings.dead_zone and _is_slow(ratio, numbers, settings):
+    second, load = shown.second, shown.load
+    damping = shown.third.damping if shown.third else 0.0
+    overshoots = second.overshoot if second else 0.0, (load.co_overshoot or 0.0) if load else 0.0
+    room = settings.overshoot_target - max(overshoots)
+    rebound = load.rebound if load else 0.0
+    m = min(room, settings.damping_target - max(damping, rebound))
+    if second is None:
+        return _Read(*_without_second_peak(gains, room, m, shown, settings), m)
+    ratio = gains.ki / gains.kp * second.period_s if gains.kp else math.inf
+    reading, move = _with_second_peak(second, damping, m, ratio, shown.tenth_s, settings)
+    return _Read(reading, move, m, ratio if gains.kp else None)
+
+
+def _with_second_peak(
+    second: SecondPeak, damping: float, m: float, ratio: float, tenth_s: float | None, settings: PatternSettings
+) -> tuple[PatternReading, Move]:
+    """Slow, near its targets, calm or lively. m : margin. ratio : period over tau_I."""
+    if m < settings.dead_zone and _is_slow(second, ratio, tenth_s, settings):
         return PatternReading.SLOW, Move(kc=settings.least_up)
     if abs(m) <= settings.dead_zone:
         return PatternReading.ON_TARGET, Move()
     if m > 0:
         return PatternReading.CALM, _faster(m, ratio, settings)
-    riding = numbers.get("damping", 0.0) - numbers["overshoot"] > settings.riding
-    return PatternReading.LIVELY, _calmer(m, 0.0 if riding else ratio, numbers, settings)
+    riding = damping - second.overshoot > settings.riding
+    return PatternReading.LIVELY, _calmer(m, 0.0 if riding else ratio, damping, settings)
 
 
 def _without_second_peak(
-    gains: PidGains, room: float, numbers: dict[str, float], settings: PatternSettings
+    gains: PidGains, room: float, m: float, shown: PatternNumbers, settings: PatternSettings
 ) -> tuple[PatternReading, Move]:
     """Overdamped, or a swing that rides on a slow return."""
-    if numbers["margin"] < -settings.dead_zone and numbers.get("rebound", 0.0) > settings.damping_target:
-        return PatternReading.LIVELY, _calmer(numbers["margin"], 0.0, numbers, settings)
-    if gains.ki and _is_long(numbers, settings):
+    rebound = shown.load.rebound if shown.load else 0.0
+    if m < -settings.dead_zone and rebound > settings.damping_target:
+        return PatternReading.LIVELY, _calmer(m, 0.0, 0.0, settings)
+    if gains.ki and _is_long(shown, settings):
         return PatternReading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
     if room <= settings.overshoot_target - settings.co_enough:
         return PatternReading.ON_TARGET, Move()
     return PatternReading.OVERDAMPED, Move(kc=settings.least_up)
 
 
-def _is_slow(ratio: float, numbers: dict[str, float], settings: PatternSettings) -> bool:
+def _is_slow(second: SecondPeak, ratio: float, tenth_s: float | None, settings: PatternSettings) -> bool:
     """A swing that decays, under a short integral time, with a period that is long against how soon pv answers."""
-    decays = numbers["overshoot"] < settings.slow_decays
-    slow = numbers["period_s"] > settings.slow_periods * numbers.get("tenth_s", math.inf)
+    decays = second.overshoot < settings.slow_decays
+    slow = tenth_s is not None and second.period_s > settings.slow_periods * tenth_s
     return slow and decays and settings.fast_ratio < ratio < math.inf
 
 
-def _calmer(m: float, ratio: float, numbers: dict[str, float], settings: PatternSettings) -> Move:
+def _calmer(m: float, ratio: float, damping: float, settings: PatternSettings) -> Move:
     """Less gain or a longer integral time, by the integral's share of the phase; a growing swing loses gain at once."""
     share = (ratio - settings.fast_ratio) / (settings.slow_ratio - settings.fast_ratio)
     beta = min(max(share, 0.0), 1.0)
-    if numbers.get("damping", 0.0) >= 1:
+    if damping >= 1:
         return Move(1 / settings.urgent_step, settings.urgent_step if beta else 1.0)
     size = math.exp(min(-settings.gain * m, math.log(settings.step_down)))
     return Move(size ** -(1 - beta), size**beta)

@@ -17,12 +17,14 @@ the cure needs.
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard.request import NO_LOCKS, Locks
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.slow_oscillation import SHORTEST_PERIOD, slow_oscillation
 from retuner.adaptive.signals.response import Ending, Response
+from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
 
 MAY_APPLY = frozenset({Cause.SLOW_INTEGRATING, Cause.SLUGGISH, Cause.UNKNOWN})
@@ -70,12 +72,49 @@ class SlowSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SlowSwing(Numbers):
+    """decay : each peak against the one before. ratio : period over tau_I; limit : the least of a slow oscillation."""
+
+    decay: float
+    period_s: float
+    ratio: float
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowDamping(Numbers):
+    """zeta : as the period says. expected : the decay that goes with it."""
+
+    zeta: float
+    expected: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowCure(Numbers):
+    """factor : on Kc tau_I. printed_factor : by the rule as printed. kc_factor, tau_i_factor : how the two share it."""
+
+    factor: float
+    printed_factor: float
+    kc_factor: float
+    tau_i_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowNumbers(Numbers):
+    """What was weighed, as far as the rule came."""
+
+    swing: SlowSwing | None = None
+    damping: SlowDamping | None = None
+    cure: SlowCure | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class SlowAdvice:
     """What the rule says. tuning : new settings, None where it does not apply. numbers : what was weighed."""
 
     reading: SlowReading
     sentence: str
-    numbers: dict[str, float]
+    numbers: SlowNumbers
     tuning: Tuning | None = None
 
 
@@ -91,58 +130,52 @@ def slow_oscillation_online(
     diagnosis : what is known of the cause; None where nobody looked. locks : where one of Kc and tau_I is locked, the
     other takes the whole factor.
     """
-    numbers: dict[str, float] = {}
-    reading = _reading(response, gains, diagnosis, settings, numbers)
-    if reading is SlowReading.APPLIES:
-        numbers |= _shared(numbers["factor"], locks)
-    sentence = reading.value.format(cause=diagnosis.reason if diagnosis else "", **numbers)
-    if reading is not SlowReading.APPLIES:
+    reading, numbers = _reading(response, gains, diagnosis, settings, locks)
+    sentence = reading.value.format(cause=diagnosis.reason if diagnosis else "", **numbers.to_dict())
+    if numbers.cure is None:
         return SlowAdvice(reading, sentence, numbers)
-    kc, tau_i = numbers["kc_factor"], numbers["tau_i_factor"]
+    kc, tau_i = numbers.cure.kc_factor, numbers.cure.tau_i_factor
     moved = PidGains(gains.kp * kc, gains.ki * kc / tau_i, gains.kd * kc)  # the rule does not speak of tau_D: it stays
     return SlowAdvice(reading, sentence, numbers, Tuning("slow-oscillation", "ideal", moved, None, (sentence,)))
 
 
+class _Read(NamedTuple):
+    """A reading and what was weighed for it."""
+
+    reading: SlowReading
+    numbers: SlowNumbers = SlowNumbers()
+
+
 def _reading(
-    response: Response,
-    gains: PidGains,
-    diagnosis: Diagnosis | None,
-    settings: SlowSettings,
-    numbers: dict[str, float],
-) -> SlowReading:
-    """The conditions at the head of this file, in order; fills in the numbers."""
+    response: Response, gains: PidGains, diagnosis: Diagnosis | None, settings: SlowSettings, locks: Locks
+) -> _Read:
+    """The conditions at the head of this file, in order."""
     if not (gains.kp and gains.ki):
-        return SlowReading.NO_PI
+        return _Read(SlowReading.NO_PI)
     if diagnosis is not None and diagnosis.cause not in MAY_APPLY:
-        return SlowReading.OTHER_CAUSE
+        return _Read(SlowReading.OTHER_CAUSE)
     if response.ending == Ending.SETPOINT:
-        return SlowReading.CUT_SHORT
-    swing = _swing(response)
+        return _Read(SlowReading.CUT_SHORT)
+    swing = _swing(response, gains.kp / gains.ki)
     if swing is None:
-        return SlowReading.NO_SWING
-    period_s, numbers["decay"] = swing
-    tau_i = gains.kp / gains.ki
-    numbers |= {"period_s": period_s, "ratio": period_s / tau_i, "limit": max(2 * math.pi, SHORTEST_PERIOD)}
-    if numbers["ratio"] < numbers["limit"]:
-        return SlowReading.NOT_SLOW
-    zeta = zeta_of(numbers["ratio"])
-    numbers |= {"zeta": zeta, "expected": math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))}
-    if abs(numbers["decay"] - numbers["expected"]) > settings.unlike:
-        return SlowReading.NOT_ALIKE
+        return _Read(SlowReading.NO_SWING)
+    if swing.ratio < swing.limit:
+        return _Read(SlowReading.NOT_SLOW, SlowNumbers(swing))
+    zeta = zeta_of(swing.ratio)
+    damping = SlowDamping(zeta, math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)))
+    if abs(swing.decay - damping.expected) > settings.unlike:
+        return _Read(SlowReading.NOT_ALIKE, SlowNumbers(swing, damping))
     if zeta >= settings.damped:
-        return SlowReading.DAMPED
-    numbers |= {
-        "factor": 1 / zeta**2,
-        "printed_factor": slow_oscillation(period_s, tau_i).factor,
-    }
-    return SlowReading.APPLIES
+        return _Read(SlowReading.DAMPED, SlowNumbers(swing, damping))
+    printed = slow_oscillation(swing.period_s, gains.kp / gains.ki).factor
+    return _Read(SlowReading.APPLIES, SlowNumbers(swing, damping, _cure(1 / zeta**2, printed, locks)))
 
 
-def _shared(factor: float, locks: Locks) -> dict[str, float]:
+def _cure(factor: float, printed: float, locks: Locks) -> SlowCure:
     """How Kc and tau_I share the factor on their product."""
     kc = 1.0 if locks.kc else factor if locks.tau_i else math.sqrt(factor)
     tau_i = 1.0 if locks.tau_i else factor if locks.kc else math.sqrt(factor)
-    return {"kc_factor": kc, "tau_i_factor": tau_i}
+    return SlowCure(factor, printed, kc, tau_i)
 
 
 def zeta_of(ratio: float) -> float:
@@ -151,10 +184,11 @@ def zeta_of(ratio: float) -> float:
     return math.sqrt((1 - math.sqrt(1 - 4 * q)) / 2)
 
 
-def _swing(response: Response) -> tuple[float, float] | None:
+def _swing(response: Response, tau_i_s: float) -> SlowSwing | None:
     """Period and decay per half period from the last two peaks; the first peak of a setpoint step is its beginning."""
     needed = 3 if response.sp_changed else 2
     if len(response.peaks) < needed:
         return None
     before, last = response.peaks[-2:]
-    return 2 * (last.t_s - before.t_s), -last.e / before.e
+    period_s = 2 * (last.t_s - before.t_s)
+    return SlowSwing(-last.e / before.e, period_s, period_s / tau_i_s, max(2 * math.pi, SHORTEST_PERIOD))

@@ -76,7 +76,7 @@ def test_every_ground_is_reached_by_its_fault(ground: Ground) -> None:
     assert admission.ground is ground
     assert admission.admitted == (ground is Ground.ADMITTED)
     assert "{" not in admission.sentence
-    assert all(math.isfinite(value) for value in admission.numbers.values())
+    assert all(math.isfinite(value) for value in admission.numbers.to_dict().values())
     document = admission.to_dict()
     assert document["ground"] == ground.name.lower()
     assert document["reason"] == admission.sentence
@@ -158,14 +158,14 @@ def test_saturation_counts_by_its_share_of_the_response(first: int, length: int,
     share = sum(1 for s in samples[AT:] if s.limited) / (N - AT)
     admission = judged(samples, AdmissionSettings(limited_share=limit))
     assert (admission.ground is Ground.SATURATED) == (share > limit)
-    assert admission.numbers["limited_share"] == pytest.approx(share)
+    assert admission.numbers.limited_share == pytest.approx(share)
 
 
 @given(size=st.floats(0.001, 100), shift=st.floats(-1e3, 1e3))
 def test_height_counts_in_noise_bands_whatever_the_unit(size: float, shift: float) -> None:
     samples = [s._replace(sp=s.sp * size + shift, pv=s.pv * size + shift) for s in swing()]
     response = replace(found(samples), band=0.3 * size)
-    assert judged(samples, response=response).numbers["peak_bands"] == pytest.approx(1 / 0.3, rel=1e-6)
+    assert judged(samples, response=response).numbers.peak_bands == pytest.approx(1 / 0.3, rel=1e-6)
 
 
 @given(at=st.integers(0, N - 1))

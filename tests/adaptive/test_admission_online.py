@@ -73,7 +73,7 @@ def test_what_is_not_admitted_teaches_nothing_and_says_why(ground: Ground, fault
     assert decisions[0].code == ground.name.lower()
     assert decisions[0].action is Action.NONE
     assert decisions[0].estimate is None
-    assert "limit" in decisions[0].numbers
+    assert "limit" in decisions[0].numbers.to_dict()
     assert all(d.code != "ok" for d in decisions) == (not retuner.region_models)
 
 

@@ -88,7 +88,7 @@ def factor(advice: PatternAdvice, gains: PidGains = PI) -> tuple[float, float]:
 @pytest.mark.parametrize("s", [0.1, 0.2, 0.3, 0.5, 0.7])
 def test_a_second_order_decay_has_equal_overshoot_and_damping(s: float) -> None:
     window = made(decay(s), dead=0)
-    numbers = pattern_numbers(seen(window), window)
+    numbers = pattern_numbers(seen(window), window).to_dict()
     assert numbers["overshoot"] == pytest.approx(s, rel=0.02)
     assert numbers["damping"] == pytest.approx(s, rel=0.02)
     assert numbers["period_s"] == pytest.approx(30.0)
@@ -96,9 +96,9 @@ def test_a_second_order_decay_has_equal_overshoot_and_damping(s: float) -> None:
 
 def test_how_soon_pv_answers_is_seen_where_it_rested() -> None:
     window = made(decay(0.3), dead=12)
-    assert pattern_numbers(seen(window), window)["tenth_s"] == pytest.approx(12 + 3, abs=1)
+    assert pattern_numbers(seen(window), window).tenth_s == pytest.approx(12 + 3, abs=1)
     restless = Window(window.t_s, window.sp, window.pv + np.where(window.t_s < 40, 0.1, 0.0), window.co)
-    assert "tenth_s" not in pattern_numbers(seen(window), restless)
+    assert pattern_numbers(seen(window), restless).tenth_s is None
 
 
 def test_co_shows_the_overshoot_of_a_load_response_without_second_peak() -> None:
@@ -107,7 +107,7 @@ def test_co_shows_the_overshoot_of_a_load_response_without_second_peak() -> None
     window = made(error, setpoint=False, dead=0)
     over = Window(window.t_s, window.sp, window.pv, np.where(window.t_s >= BEFORE, 1.0, 0.0))
     over.co[BEFORE + 40 : BEFORE + 60] = 1.3
-    numbers = pattern_numbers(seen(over), over)
+    numbers = pattern_numbers(seen(over), over).to_dict()
     assert numbers["co_overshoot"] == pytest.approx(0.3, abs=0.02)
     assert numbers["rise_s"] == pytest.approx(20, abs=1)
     assert numbers["rebound"] == 0
@@ -206,7 +206,7 @@ def test_controllers_without_one_of_the_actions_are_moved_in_what_they_have(gain
     assert calmer.gains.direction == gains.direction
     assert abs(calmer.gains.kp) <= abs(gains.kp)
     assert abs(calmer.gains.ki) <= abs(gains.ki)
-    assert all(math.isfinite(value) for value in advised(made(decay(0.5)), gains).numbers.values())
+    assert all(math.isfinite(value) for value in advised(made(decay(0.5)), gains).numbers.to_dict().values())
     assert (calmer.gains.kp == 0, calmer.gains.ki == 0) == (gains.kp == 0, gains.ki == 0)
 
 
@@ -225,7 +225,7 @@ def test_steps_are_clamped_and_stay_away_from_the_dead_zone(
         assert 1 / SETTINGS.step_up <= tau * (1 + 1e-9)
         assert tau <= most * (1 + 1e-9)
     if advice.reading in {PatternReading.LIVELY, PatternReading.CALM}:
-        assert abs(advice.numbers["margin"]) > SETTINGS.dead_zone
+        assert abs(advice.numbers.margin) > SETTINGS.dead_zone
 
 
 @given(size=st.floats(1e-3, 1e3), time=st.floats(1e-2, 1e3), gain=st.floats(1e-3, 1e3), s=st.floats(0.05, 0.6))
@@ -266,5 +266,5 @@ def test_whatever_was_recorded_the_numbers_are_finite_and_the_rule_answers(
     response = Response(float(min(first, n - 1)), float(n - 1), found, ending, setpoint, 0.05)
     for gains in (PI, PidGains(0.0, 0.1), PidGains(2.0, 0.0)):
         advice = advised(window, gains, response=response)
-        assert all(math.isfinite(value) for value in advice.numbers.values())
+        assert all(math.isfinite(value) for value in advice.numbers.to_dict().values())
         assert advice.sentence

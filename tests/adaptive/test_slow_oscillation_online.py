@@ -72,7 +72,7 @@ def test_afterwards_the_product_is_four(zeta: float, w0: float, slope: float, si
 @pytest.mark.parametrize(("zeta", "printed"), [(0.05, 396), (0.1, 99.7), (0.2, 25.7), (0.3, 12.1), (0.5, 5.3)])
 def test_the_printed_factor_stands_beside_the_exact_one(zeta: float, printed: float) -> None:
     """Skogestad's f = 0.1 (P0/tau_I)^2 against the exact 1/zeta^2: tuning-rule tables."""
-    numbers = asked(swing(zeta), pi(zeta)).numbers
+    numbers = asked(swing(zeta), pi(zeta)).numbers.to_dict()
     assert numbers["factor"] == pytest.approx(1 / zeta**2)
     assert numbers["printed_factor"] == pytest.approx(printed, rel=0.01)
 

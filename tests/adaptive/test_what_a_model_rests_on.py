@@ -14,6 +14,7 @@ from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)
@@ -41,7 +42,7 @@ def weighed(
         "not_as_modelled": lambda *_: None,
         "is_sure": lambda *_: False,
         "_was_known": lambda *_: False,
-        "without_model": lambda *_: SimpleNamespace(sentence="", numbers={}, tuning=None),
+        "without_model": lambda *_: SimpleNamespace(sentence="", numbers=NO_NUMBERS, tuning=None),
         "doubt_of": lambda found, *_: (Diagnosis(doubt, 0.9, {}, "") if doubt else None, found.excitation_now),
     }
     for name, value in given.items():

@@ -18,7 +18,7 @@ MAY_IMPORT = {
 ORDER = (
     "schedule",
     *(f"adaptive.{name}" for name in (
-        "setting", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
+        "setting", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
     )),
     *(f"drivers.{name}" for name in (
@@ -47,6 +47,8 @@ PURE_OF_SYS = {"float_info", "maxsize"}
 MOST_FILES = 15  # in a package, beside its __init__.py
 LONGEST_FILE = 500  # lines: one whole story
 LONGEST_FUNCTION = 30  # lines of code without docstring, comments and blank lines
+DECIDING = ("guard", "trial", "without_model", "supervision")  # what they weigh are typed values (adaptive/weighed.py)
+EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
 
 
 def files(*tops: str) -> list[Path]:
@@ -130,6 +132,19 @@ def impure(source: str) -> list[str]:
     return found
 
 
+def numbers_by_name(source: str) -> list[str]:
+    """Fields, arguments, results and variables that are dicts of numbers by name, those of the EDGE apart."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        notes: list[tuple[str, ast.expr | None]] = []
+        if isinstance(node, ast.AnnAssign | ast.arg):
+            notes.append((ast.unparse(node.target) if isinstance(node, ast.AnnAssign) else node.arg, node.annotation))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name not in EDGE:
+            notes.append((node.name, node.returns))
+        found += [name for name, note in notes if note is not None and "dict[str, float" in ast.unparse(note)]
+    return found
+
+
 def code_lines(function: ast.AST) -> int:
     """Lines that hold code: those on which a node starts or ends, without the docstring's."""
     assert isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
@@ -208,6 +223,26 @@ def test_functions_stay_small() -> None:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (lines := code_lines(node)) > LONGEST_FUNCTION
     }
     assert long == {}
+
+
+def test_what_a_decision_weighed_is_typed() -> None:
+    deciding = [path for room in DECIDING for path in sorted((ROOT / "adaptive" / room).rglob("*.py"))]
+    assert len(deciding) > 3 * len(DECIDING)
+    found = {str(path.relative_to(ROOT)): names for path in deciding if (names := numbers_by_name(path.read_text()))}
+    assert found == {}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "class A:\n    numbers: dict[str, float]",
+        "def f(numbers: dict[str, float]) -> None: ...",
+        "def f() -> tuple[int, dict[str, float | None]]: ...",
+        "numbers: dict[str, float] = {}",
+    ],
+)
+def test_the_check_sees_numbers_by_name(source: str) -> None:
+    assert numbers_by_name(source)
 
 
 @pytest.mark.parametrize(

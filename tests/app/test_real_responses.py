@@ -47,7 +47,7 @@ def test_a_real_response_is_admitted_and_its_pattern_read(servo: tuple[ResponseF
     assert admit(window, finder.samples, seen.response, AdmissionSettings()).admitted
     advice = pattern_rule(seen.response, window, gains, None, PatternSettings())
     assert advice.reading is PatternReading.CALM  # it overshoots by two percent
-    assert advice.numbers["overshoot"] == pytest.approx(0.02, abs=0.01)
+    assert advice.numbers.to_dict()["overshoot"] == pytest.approx(0.02, abs=0.01)
     assert advice.reading in MOVING
 
 

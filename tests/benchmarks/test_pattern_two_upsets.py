@@ -67,6 +67,6 @@ def test_whom_they_fool_takes_one_clamped_step_to_the_safe_side(all_heard: list[
     limit = PatternSettings().step_down
     for advice in all_heard:
         if advice.reading in MOVING:
-            kc, tau_i = advice.numbers["kc_factor"], advice.numbers["tau_i_factor"]
+            kc, tau_i = advice.numbers.kc_factor, advice.numbers.tau_i_factor
             assert 1 / limit <= kc * (1 + 1e-9)
             assert kc <= 1 <= tau_i <= limit * (1 + 1e-9)

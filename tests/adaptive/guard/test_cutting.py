@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
 from retuner.adaptive.guard.limits import Goal, goals
+from retuner.adaptive.guard.ruling import LimitNumbers
 from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.forms import IdealGains
 from retuner.schedule.gains import PidGains
@@ -96,7 +97,7 @@ def test_the_commissioned_set_does_not_hold_up_a_loop_over_its_limit() -> None:
 def test_a_limit_that_turns_a_parameter_back_leaves_no_room() -> None:
     (goal,) = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=0.5))
     assert (goal.no_room, goal.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
-    assert goal.numbers == {"wanted": 2.0, "limit": 0.5}
+    assert goal.numbers == LimitNumbers(wanted=2.0, limit=0.5)
     (back,) = cut(IdealGains(0.4, 20.0).to_parallel(), GuardSettings(kc_min=2.0))
     assert (back.no_room, back.cut_by) == (True, Ruling.OUTSIDE_LIMITS)
     rounded = cut(IdealGains(2.0, 20.0).to_parallel(), GuardSettings(kc_max=1.0 - 1e-7))[0]
@@ -191,7 +192,7 @@ def test_at_the_limit_nothing_is_left_and_the_limit_is_named() -> None:
     assert "by kc_max" in at.sentence
     total = prove(request(times(0.6, 0.6), commissioned=times(0.15, 0.15)), SETTINGS)
     assert total.ruling == Ruling.OUTSIDE_TOTAL
-    assert total.numbers["wanted"] == pytest.approx(GAINS.kp)
+    assert total.numbers.to_dict()["wanted"] == pytest.approx(GAINS.kp)
 
 
 GAIN = st.floats(0.01, 100)
