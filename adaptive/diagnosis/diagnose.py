@@ -14,11 +14,12 @@ change gains must hold on the models that the record allows, weighted by their l
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.diagnosis.confidence import counted
 from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sticking, turns
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
@@ -154,14 +155,25 @@ def diagnose_window(
     window : the record. gains : in force; without them nothing can be said of the tuning.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
     """
-    settings = settings or DiagnosisSettings()
-    seen = screen(window, gains, co_min, co_max)
+    found = _diagnosed(window, gains, (co_min, co_max), settings or DiagnosisSettings(), direction)
+    return replace(found, diagnosis=counted(found.diagnosis))
+
+
+def _diagnosed(
+    window: Window,
+    gains: PidGains | None,
+    limits: tuple[float | None, float | None],
+    settings: DiagnosisSettings,
+    direction: int | None,
+) -> Found:
+    """The same with the confidence that a verdict has among those that were weighed."""
+    seen = screen(window, gains, *limits)
     obvious = _obvious(seen, settings)
     if obvious is not None:
         return Found(obvious)
     parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
     if parts:
-        each = [diagnose_window(part, gains, co_min, co_max, settings, direction=direction) for part in parts]
+        each = [_diagnosed(part, gains, limits, settings, direction) for part in parts]
         return over_time(parts, each)
     sign = gains.direction if gains else direction
     signs = (sign,) if sign else (1, -1)

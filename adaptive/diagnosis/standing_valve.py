@@ -26,7 +26,7 @@ from retuner.adaptive.controller_settings.read_off import LawSettings, settings_
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.plateaus import Plateau, Steps, as_steps, plateaus, price, runs
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
 MOST_ROWS = 800
@@ -175,14 +175,7 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
     agreed = _agreed(rows, found, gains.direction, settings)
-    left = rows.pv - steps.fitted
-    explained = float(np.std(left)) <= settings.remainder * steps.sigma or float(np.var(left)) <= (
-        1 - settings.explained
-    ) * float(np.var(rows.pv))
-    enough = sum(leg.travel for leg in counted) >= settings.idle and len(counted) >= settings.legs
-    longest = max((leg.dwell for leg in counted), default=0.0)
-    slipped = agreed >= 1 and agreed >= 2 * (len(slips) - agreed)
-    stands = enough and longest >= settings.dwell and slipped and explained
+    stands = _long_enough(counted, settings) and _agree(agreed, len(slips)) and _explained(rows.pv, steps, settings)
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     return Standing(
@@ -194,10 +187,28 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
         stands,
         stands and (steps.lag <= settings.quick * tau_i or bool(silent)),
         dead and not slips,
-        len(left),
+        len(rows.pv),
         steps.sigma,
         steps.criterion,
     )
+
+
+def _long_enough(legs: Sequence[Leg], settings: StandingSettings) -> bool:
+    """Whether pv stood for long, and more than once, while co travelled."""
+    enough = sum(leg.travel for leg in legs) >= settings.idle and len(legs) >= settings.legs
+    return enough and max((leg.dwell for leg in legs), default=0.0) >= settings.dwell
+
+
+def _agree(agreed: int, slips: int) -> bool:
+    """Whether pv went where co had gone, mostly."""
+    return agreed >= 1 and agreed >= 2 * (slips - agreed)
+
+
+def _explained(pv: FloatArray, steps: Steps, settings: StandingSettings) -> bool:
+    """Whether plateaus and steps are what pv consists of."""
+    left = pv - steps.fitted
+    within = float(np.std(left)) <= settings.remainder * steps.sigma
+    return within or float(np.var(left)) <= (1 - settings.explained) * float(np.var(pv))
 
 
 def _thinned(window: Window) -> Window:

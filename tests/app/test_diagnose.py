@@ -25,6 +25,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 Capture = pytest.CaptureFixture[str]
 KEYS = {
     "by_eye",
+    "aim",
+    "rival",
     "cause",
     "confidence",
     "retune",

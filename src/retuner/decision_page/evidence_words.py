@@ -20,6 +20,11 @@ HYPOTHESES = {
     "external_lead": Entry("what the tone gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
     "stuck_lead": Entry("what the sticking valve gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
     "external_period_s": Entry("period of the tone", "s", "", ""),
+    "stand_travel": Entry("travel of co while pv stands", "co ranges", "from 1 a valve, or a load that drifts", ""),
+    "stand_dwell": Entry("longest stand of pv", "tau_I", "from 10 no loop does it", ""),
+    "stands": Entry("stands of pv", "count", "", ""),
+    "slips": Entry("steps of pv from level to level", "count", "", ""),
+    "slips_agreed": Entry("steps to where co had gone", "count", "", ""),
     "slip_jump": Entry("jump of the valve when it slips", "co", "", "Kano et al. 2004"),
 }
 WORDS = {**GLOSSARY, **MARGINS, **HYPOTHESES}
