@@ -69,7 +69,7 @@ class PatternNumbers(Numbers):
     second: SecondPeak | None = None
     third: ThirdPeak | None = None
     tenth_s: float | None = None
-    load: LoadNumbers | None = None
+    after_load: LoadNumbers | None = None
 
 
 def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
@@ -86,7 +86,7 @@ def pattern_numbers(response: Response, window: Window) -> PatternNumbers:
         second=_second_peak(response),
         third=_third_peak(response),
         tenth_s=_tenth_s(response, window) if response.sp_changed else None,
-        load=None if response.sp_changed else _of_load(response, window),
+        after_load=None if response.sp_changed else _of_load(response, window),
     )
 
 

@@ -273,7 +273,7 @@ def _refusal(
         return PatternReading.WEAK
     if shown.limited_share > settings.limited:
         return PatternReading.LIMITED
-    if shown.load is not None and shown.load.co_way < settings.pulse:
+    if shown.after_load is not None and shown.after_load.co_way < settings.pulse:
         return PatternReading.PULSE
     if shown.second is None or shown.third is None:
         return None
@@ -288,12 +288,12 @@ def _refusal(
 
 def _is_long(shown: PatternNumbers, settings: PatternSettings) -> bool:
     """Whether a load response comes back long after it rose: its integral time is too long."""
-    return shown.load is not None and shown.load.tail_s > settings.long_tail * shown.load.rise_s
+    return shown.after_load is not None and shown.after_load.tail_s > settings.long_tail * shown.after_load.rise_s
 
 
 def _reading(gains: PidGains, shown: PatternNumbers, settings: PatternSettings) -> _Read:
     """The rule at the head of this file."""
-    second, load = shown.second, shown.load
+    second, load = shown.second, shown.after_load
     damping = shown.third.damping if shown.third else 0.0
     overshoots = second.overshoot if second else 0.0, (load.co_overshoot or 0.0) if load else 0.0
     room = settings.overshoot_target - max(overshoots)
@@ -324,7 +324,7 @@ def _without_second_peak(
     gains: PidGains, room: float, m: float, shown: PatternNumbers, settings: PatternSettings
 ) -> tuple[PatternReading, Move]:
     """Overdamped, or a swing that rides on a slow return."""
-    rebound = shown.load.rebound if shown.load else 0.0
+    rebound = shown.after_load.rebound if shown.after_load else 0.0
     if m < -settings.dead_zone and rebound > settings.damping_target:
         return PatternReading.LIVELY, _calmer(m, 0.0, 0.0, settings)
     if gains.ki and _is_long(shown, settings):
