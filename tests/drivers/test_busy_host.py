@@ -1,7 +1,5 @@
 """A host that was busy for longer than its lease: what it writes then comes about all the same."""
 
-from conftest import Bench
-
 from retuner.drivers.device import CommandDone, CommandFailed, WriteDone, WriteFailed
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.protocol.frames import Lease
@@ -10,15 +8,14 @@ LEASE_SAMPLES = 30
 BUSY_SAMPLES = 40
 
 
-def busy(bench: Bench, samples: int = BUSY_SAMPLES) -> None:
+def busy(bench, samples=BUSY_SAMPLES) -> None:
     """The host does something else: the device goes on, and nobody prolongs the lease."""
     for _ in range(samples):
         bench.clock.advance(bench.device.settings.sample_time_s)
         bench.on_bus.sample()
 
 
-def test_a_write_that_begins_after_the_lease_ran_out_takes_the_lease_and_comes_about() -> None:
-    bench = Bench()
+def test_a_write_that_begins_after_the_lease_ran_out_takes_the_lease_and_comes_about(bench) -> None:
     bench.run(10)
     before_s = bench.now_s
     busy(bench)
@@ -29,8 +26,7 @@ def test_a_write_that_begins_after_the_lease_ran_out_takes_the_lease_and_comes_a
     assert bench.device.running.gains == bench.SECOND
 
 
-def test_a_lease_that_runs_out_while_the_gains_are_staged_is_taken_again() -> None:
-    bench = Bench()
+def test_a_lease_that_runs_out_while_the_gains_are_staged_is_taken_again(bench) -> None:
     bench.run(10)
     bench.host.begin_write(bench.SECOND, bench.now_s)
     bench.on_bus.answer()  # staged, and read back; the host hears of it only after a long time
@@ -40,8 +36,7 @@ def test_a_lease_that_runs_out_while_the_gains_are_staged_is_taken_again() -> No
     assert bench.device.running.gains == bench.SECOND
 
 
-def test_a_lease_that_another_host_took_meanwhile_ends_the_write_and_says_whose_it_is() -> None:
-    bench = Bench()
+def test_a_lease_that_another_host_took_meanwhile_ends_the_write_and_says_whose_it_is(bench) -> None:
     bench.run(10)
     busy(bench)
     bench.device.lease.request(Lease(77, bench.device.epoch, 6000, 1), bench.device.epoch)
@@ -52,8 +47,7 @@ def test_a_lease_that_another_host_took_meanwhile_ends_the_write_and_says_whose_
     assert bench.device.running.gains == bench.FIRST
 
 
-def test_a_setpoint_after_the_lease_ran_out_is_carried_out() -> None:
-    bench = Bench()
+def test_a_setpoint_after_the_lease_ran_out_is_carried_out(bench) -> None:
     bench.run(10)
     before_s = bench.now_s
     busy(bench)
@@ -63,8 +57,8 @@ def test_a_setpoint_after_the_lease_ran_out_is_carried_out() -> None:
     assert bench.device.sp == 60.0
 
 
-def test_a_lease_counts_from_the_request_that_was_answered_and_not_from_one_that_was_not() -> None:
-    bench = Bench(host=CanDeviceSettings(lease_samples=float(LEASE_SAMPLES)))
+def test_a_lease_counts_from_the_request_that_was_answered_and_not_from_one_that_was_not(make_bench) -> None:
+    bench = make_bench(host=CanDeviceSettings(lease_samples=float(LEASE_SAMPLES)))
     bench.run(10)
     keeper = bench.host._requests.lease
     bench.silence(LEASE_SAMPLES + 5)  # asks all the time, and nobody answers
