@@ -24,7 +24,7 @@ from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "adaptive" / "identification" / "_engine.c"
+SOURCE = ROOT / "adaptive" / "fit" / "_engine.c"
 SIZE = (3, 4, 2, 3)
 SECOND = (False, True, False, True)
 SPECIAL = (
