@@ -19,6 +19,7 @@ IMPORTED = "from retuner import Retuner, identify"
 IDENTIFY = "retuner identify FILE"
 LIMITS = {
     "retuner --help": (15.0, BASE),  # within 0.3 s where the base takes 20 ms
+    "retuner check --help": (15.0, BASE),
     IMPORTED: (3.0, NUMPY),
     IDENTIFY: (5.8, NUMPY),  # within 0.7 s where numpy takes 0.12 s
 }
