@@ -19,6 +19,8 @@ IMPORTED = "from retuner import Retuner, identify"
 IDENTIFY = "retuner identify FILE"
 LIMITS = {
     "retuner --help": (15.0, BASE),  # within 0.3 s where the base takes 20 ms
+    "retuner check --help": (15.0, BASE),
+    "retuner device --help": (15.0, BASE),
     IMPORTED: (3.0, NUMPY),
     IDENTIFY: (5.8, NUMPY),  # within 0.7 s where numpy takes 0.12 s
 }
@@ -37,6 +39,7 @@ def cases(record: Path) -> dict[str, list[str]]:
         "retuner --help": ["-c", RUN.format(["--help"])],
         "retuner --version": ["-c", RUN.format(["--version"])],
         "retuner check --help": ["-c", RUN.format(["check", "--help"])],
+        "retuner device --help": ["-c", RUN.format(["device", "--help"])],
         IDENTIFY: ["-c", RUN.format(identify)],
     }
 

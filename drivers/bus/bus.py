@@ -8,14 +8,14 @@ link_faults.py, counted, and told by news().
 
 import contextlib
 import select
-import struct
 from collections import deque
 from pathlib import Path
 from types import TracebackType
 
 import can
 
-from retuner.drivers.bus.bus_opening import BUS_ERRORS, SOCKETCAN, UDP_MULTICAST, open_bus, open_log
+from retuner.drivers.bus.bus_log import BusLog
+from retuner.drivers.bus.bus_opening import BUS_ERRORS, SOCKETCAN, UDP_MULTICAST, open_bus
 from retuner.drivers.bus.link_faults import (
     FaultBook,
     FaultNews,
@@ -30,56 +30,6 @@ from retuner.drivers.bus.link_settings import LinkCounters, LinkSettings
 from retuner.drivers.bus.socket_probe import SocketProbe
 from retuner.drivers.clock import Clock
 from retuner.drivers.device import BusError, LinkState
-
-# The log of bus traffic: every frame both ways under our clock. A log that fails ends; the loop goes on.
-
-
-WRITING_ERRORS = (OSError, ValueError, OverflowError, struct.error)
-"""What python-can's writers raise: the system's refusals, and numbers that their format has no room for."""
-
-
-class BusLog:
-    """A log file; python-can chooses the format by its suffix.
-
-    Parameters
-    ----------
-    path : file. clock : for the time stamps.
-
-    Raises
-    ------
-    BusError
-        The file cannot be made, or no format has this suffix.
-    """
-
-    def __init__(self, path: Path, clock: Clock) -> None:
-        self._clock = clock
-        self._writer: can.io.generic.MessageWriter | None = open_log(path)
-
-    def write(self, message: can.Message, *, received: bool) -> bool:
-        """Write a frame; False when the log has failed with this one and is closed. After that it takes nothing."""
-        if self._writer is None:
-            return True
-        message.timestamp = self._clock.stamp_s()
-        message.channel = None  # a log is of one link; its channel's name must not make equal runs differ
-        message.is_rx = received
-        try:
-            self._writer.on_message_received(message)
-        except WRITING_ERRORS:
-            self.stop()
-            return False
-        return True
-
-    def stop(self) -> bool:
-        """End the log; False when its last frames could not be written. Its file is closed all the same."""
-        writer, self._writer = self._writer, None
-        if writer is None:
-            return True
-        try:
-            writer.stop()
-        except WRITING_ERRORS:
-            return False
-        return True
-
 
 __all__ = ["CanLink", "LinkCounters", "LinkSettings"]
 
@@ -117,7 +67,7 @@ class CanLink:
         self._datagrams = settings.interface == UDP_MULTICAST
         self._pause_s = settings.reopen_first_s
         self._next_open_s = clock.now_s()
-        self._log = BusLog(log, clock) if log is not None else None
+        self._log = BusLog(log, clock, settings.log_bytes_max) if log is not None else None
         try:
             self._open()
         except BusError:

@@ -21,11 +21,12 @@ class LinkSettings:
     silent_after_s : age of the last frame after which the link counts as silent, s.
     reopen_first_s, reopen_max_s : first and longest pause between attempts to open the bus anew, s.
     garbage_limit : undecodable datagrams in one go after which the bus is opened anew.
+    log_bytes_max : most bytes of a log of the frames, if there is one; then its oldest half goes. Infinite: all stay.
 
     Raises
     ------
     ValueError
-        A time is not positive, or hop_limit is outside 0..255.
+        A time or log_bytes_max is not positive, or hop_limit is outside 0..255.
     """
 
     interface: str = "virtual"
@@ -36,6 +37,7 @@ class LinkSettings:
     reopen_first_s: float = 0.2
     reopen_max_s: float = 5.0
     garbage_limit: int = 1000
+    log_bytes_max: float = float("inf")
 
     def __post_init__(self) -> None:
         for name in ("silent_after_s", "reopen_first_s", "reopen_max_s"):
@@ -43,6 +45,8 @@ class LinkSettings:
                 raise ValueError(f"bus: {name} = {getattr(self, name)}; give a positive number of seconds")
         if not 0 <= self.hop_limit <= 255:
             raise ValueError(f"bus: hop_limit = {self.hop_limit}; give 0 (this machine only) to 255")
+        if not self.log_bytes_max > 0:
+            raise ValueError(f"bus: log_bytes_max = {self.log_bytes_max}; give a positive number of bytes")
 
 
 @dataclass(slots=True)

@@ -17,6 +17,7 @@ from typing import Any
 import can
 from can.io.blf import BLFParseError
 
+from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.recorded.recording import RecordingError
 
 READERS = {".blf": can.BLFReader, ".asc": can.ASCReader, ".mf4": can.MF4Reader, ".log": can.CanutilsLogReader}
@@ -68,6 +69,12 @@ def read_frames(path: Path) -> Iterator[can.Message]:
     except errors as error:
         told = f": {error}" if str(error) else ""
         raise RecordingError(f"{path}: damaged after {count} frames{told}; give a whole log") from error
+
+
+def read_parts(path: Path) -> Iterator[can.Message]:
+    """The frames of all parts that are there of a log (bus_log.py), oldest first; errors as read_frames."""
+    for part in log_parts(path).paths:
+        yield from read_frames(part)
 
 
 def _errors_of_mf4() -> tuple[type[Exception], ...]:

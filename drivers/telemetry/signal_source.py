@@ -10,13 +10,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import can
 from cantools.database.can.message import Message as Layout
 from cantools.errors import Error as CantoolsError
 
 from retuner.drivers.protocol.codec import DbcError, read_dbc
 from retuner.schedule.axis import CAN, VARIABLES
+
+if TYPE_CHECKING:  # python-can is slow to load, and a configuration names signals without it
+    import can
 
 PLANT_DBC = "plant.dbc"
 NAMES_SHOWN = 8
@@ -46,7 +49,7 @@ class SignalSource:
         if not 0 < self.stale_after_s < math.inf:
             raise ValueError(f"stale_after_s = {self.stale_after_s}; give a positive number of seconds")
 
-    def is_in(self, message: can.Message) -> bool:
+    def is_in(self, message: "can.Message") -> bool:
         """Whether a frame carries it."""
         return (
             message.arbitration_id == self.frame_id
@@ -54,7 +57,7 @@ class SignalSource:
             and not (message.is_remote_frame or message.is_error_frame)
         )
 
-    def value(self, message: can.Message) -> float:
+    def value(self, message: "can.Message") -> float:
         """The value in a frame that carries it; NaN when the frame is damaged, multiplexed or out of range."""
         try:
             found = self.layout.decode(bytes(message.data), decode_choices=False)
@@ -140,8 +143,10 @@ def _there(names: Sequence[str]) -> str:
     return f"there is {shown}" if names else "there is none"
 
 
-def plant_message(node: int, aux: float) -> can.Message:
+def plant_message(node: int, aux: float) -> "can.Message":
     """The frame in which the virtual device of a node publishes its second measurement."""
+    import can  # noqa: PLC0415  see above
+
     layout = find_signal("", "PLANT", "aux", 1.0).layout
     data = layout.encode({"aux": aux})
     return can.Message(arbitration_id=layout.frame_id + node - 1, is_extended_id=True, data=data)

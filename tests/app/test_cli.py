@@ -14,7 +14,7 @@ import pytest
 from typer.main import get_command
 
 from retuner import cli
-from retuner.commands import check as check_module
+from retuner.config import loading
 from retuner.drivers.device import BusError
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError, user_input
@@ -174,7 +174,7 @@ def failing(error: BaseException) -> object:
 def test_errors_on_the_way_become_a_line_and_a_status(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, told: str
 ) -> None:
-    monkeypatch.setattr(check_module, "read_text", failing(error))
+    monkeypatch.setattr(loading, "read_text", failing(error))
     assert run("check", "x") == (status, "", told)
 
 
@@ -183,7 +183,7 @@ def test_a_defect_of_ours_is_one_line_unless_asked_for(environment: dict[str, st
     script = """if True:
         import sys
         from retuner.cli import main
-        import retuner.commands.check as module
+        import retuner.config.loading as module
         module.read_text = lambda *_, **__: 1 / 0
         sys.exit(main(["check", "x"]))"""
     env = {k: v for k, v in os.environ.items() if k != "RETUNER_TRACEBACK"} | environment

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import sqlite3
 import subprocess
 import sys
@@ -13,9 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.cli import main
+from retuner.commands.run import LedgerSize
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
+from retuner.report.console import RunScreen
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import SHORT
+
+LATER_STEPS = ", { at_s = 10.0, sp = 3.0 }, { at_s = 45.0, sp = 2.0 }"
 
 BODY = {"region": "low", "gains": {"kp": 0.1, "ki": 1e-300}, "list": [1, None, True, "ü\n"]}
 
@@ -388,3 +397,31 @@ def test_truncated_files_are_refused(tmp_path: Path) -> None:
         path.write_bytes(good[:kept])
         with pytest.raises(LedgerError):
             Ledger(path)
+
+
+def test_a_ledger_that_has_grown_is_told_once_and_stays_whole(tmp_path: Path) -> None:
+    told: list[str] = []
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        grown = LedgerSize(ledger, 0.2, told.append)
+        grown.look()
+        assert told == []
+        for number in range(40):
+            ledger.append("decision", {"number": number, "reason": "x" * 8000}, float(number))
+            grown.look()
+        assert ledger.size_bytes() > 300_000
+        assert ledger.verify().rows == 40
+    assert len(told) == 1
+    assert re.search(r"ledger\.sqlite: has grown past 0\.2 MB \(\[output\] ledger_mb_warn\) and is never cut", told[0])
+
+
+def test_a_run_tells_that_its_ledger_has_grown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Ledger, "size_bytes", lambda _: 2_000_000)
+    (tmp_path / "short.toml").write_text(
+        SHORT.replace("duration_s = 80.0", "duration_s = 5.0").replace(LATER_STEPS, "")
+    )
+    told: list[str] = []
+    monkeypatch.setattr(RunScreen, "say", lambda _, line: told.append(line))
+    with (tmp_path / "short.toml").open("a") as file:
+        file.write("[output]\nledger_mb_warn = 1.5\n")
+    assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0
+    assert len([line for line in told if "has grown past 1.5 MB" in line]) == 1

@@ -5,20 +5,26 @@ import re
 import shutil
 import sqlite3
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from retuner.cli import main
+from retuner.drivers.bus import bus_log
+from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.ledger.chain import Row
+from retuner.replay.recorded_trend import recorded_columns
 from retuner.replay.replaying import first_difference
-from retuner.session import session_identity
+from retuner.session import running, session_identity
+from retuner.session.recorded_session import read_session
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -133,6 +139,38 @@ def test_a_changed_bus_log_is_found(session: Path, tmp_path: Path, capsys: pytes
     assert status == 1
     assert "was changed after it" in found["reason"]
     assert found["first_difference"] is None
+
+
+def in_parts(folder: Path, frames_a_look: int) -> Path:
+    """A session whose bus log is put aside at each look at its size."""
+    folder.mkdir()
+    small = running.link_settings
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "link_settings", lambda *given: replace(small(*given), log_bytes_max=2.0))
+        patch.setattr(bus_log, "LOOK_EVERY", frames_a_look)
+        return run_short(folder, "--mode", "auto")
+
+
+def test_a_bus_log_in_parts_is_one_log_until_its_beginning_is_gone(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = len(list(read_frames(session / "bus.blf")))
+    whole = in_parts(tmp_path / "whole", frames * 2 // 3)
+    assert len(list(whole.glob("bus*.blf"))) == 2
+    status, found = replayed(whole, capsys)
+    assert (status, found["identical"], found["samples"]) == (0, True, bodies(session, "end")[0]["samples"])
+    cut = in_parts(tmp_path / "cut", frames // 4)
+    assert [path.name for path in log_parts(cut / "bus.blf").paths][1:] == ["bus.blf"]
+    status, found = replayed(cut, capsys)
+    assert (status, found["identical"], found["compared"]) == (1, False, 0)
+    assert re.search(r"bus\.blf: its beginning is gone, [34] full parts?, .* bus_log_mb = 256$", found["reason"])
+    (cut / "trend.csv").unlink()
+    columns = recorded_columns(read_session(cut))
+    assert np.all(np.diff(columns["t"]) > 0)
+    assert len(columns["t"]) > 100
+    assert columns["t"][-1] == pytest.approx(recorded_columns(read_session(session))["t"][-1])
+    (whole / "bus-1.blf").unlink()
+    assert "is not the log of this session" in replayed(whole, capsys)[1]["reason"]
 
 
 def test_a_bus_log_that_is_not_there_is_bad_input(

@@ -2,14 +2,17 @@
 
 import json
 import sys
+from typing import TYPE_CHECKING
 
 import typer
 
 from retuner.commands.options import ConfigFile, Json
-from retuner.config.loading import ConfigFlaw, UnusableError, parse_config, read_text, usable_here
-from retuner.config.model import Config
 from retuner.errors import ConfigError
-from retuner.schedule.axis import Axis
+
+if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
+    from retuner.config.loading import ConfigFlaw
+    from retuner.config.model import Config
+    from retuner.schedule.axis import Axis
 
 app = typer.Typer(add_completion=False)
 
@@ -19,6 +22,13 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 @app.command(epilog="Example: retuner check oven.toml")
 def check(path: ConfigFile, as_json: Json = False) -> int:
     """Say what is wrong with a configuration: file, line, key, limit; or show it when all is well."""
+    from retuner.config.loading import (  # noqa: PLC0415  see above
+        UnusableError,
+        parse_config,
+        read_text,
+        usable_here,
+    )
+
     try:
         text = read_text(path)
         config = usable_here(parse_config(text), text)
@@ -34,7 +44,7 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
     return 0
 
 
-def described(config: Config) -> list[str]:
+def described(config: "Config") -> list[str]:
     """What a configuration says, in lines for a person."""
     loop, bus = config.loop, config.bus
     lines = [
@@ -54,7 +64,7 @@ def described(config: Config) -> list[str]:
     return lines
 
 
-def _axis_text(axis: Axis) -> str:
+def _axis_text(axis: "Axis") -> str:
     """What an axis is along, and how it is kept from chattering."""
     parts = [
         f"{axis.signal} on the bus" if axis.signal else axis.variable,
@@ -66,7 +76,7 @@ def _axis_text(axis: Axis) -> str:
     return told[0] + (f" ({', '.join(told[1:])})" if told[1:] else "")
 
 
-def _region_lines(config: Config) -> list[str]:
+def _region_lines(config: "Config") -> list[str]:
     where = config.regions()
     width = max(len(region.name) for region in config.schedule.regions)
     lines = []
@@ -79,7 +89,7 @@ def _region_lines(config: Config) -> list[str]:
     return lines
 
 
-def _problem(finding: ConfigFlaw) -> dict[str, object]:
+def _problem(finding: "ConfigFlaw") -> dict[str, object]:
     return {"line": finding.line, "key": finding.key, "message": finding.message}
 
 

@@ -1,19 +1,15 @@
 """retuner device: the virtual controller as a process of its own on a bus."""
 
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from retuner.commands.options import Channel, ConfigFile, Interface, on_bus
-from retuner.config import load_config
-from retuner.drivers.bus.bus import CanLink
-from retuner.drivers.clock import MonotonicClock
-from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device
-from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.errors import UserError
-from retuner.session.assembly import link_settings, make_plant, virtual_device_settings
-from retuner.stopping import stoppable
+
+if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
+    from retuner.config.model import Config
 
 app = typer.Typer(add_completion=False)
 
@@ -27,6 +23,8 @@ def device(
     duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
 ) -> int:
     """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped."""
+    from retuner.config.loading import load_config  # noqa: PLC0415  see above
+
     config = on_bus(load_config(path), interface, channel)
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {speed}: give a positive number, 1 for real time")
@@ -37,6 +35,19 @@ def device(
             "bus.interface = virtual reaches no other process: give --interface udp_multicast --channel 239.74.163.2, "
             "or socketcan and its interface; `retuner run` needs no device for virtual"
         )
+    _be(config, speed, duration or float("inf"))
+    return 0
+
+
+def _be(config: "Config", speed: float, until_s: float) -> None:
+    """The controller on its bus, until its time is over or somebody stops it."""
+    from retuner.drivers.bus.bus import CanLink  # noqa: PLC0415  see above
+    from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415
+    from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device  # noqa: PLC0415
+    from retuner.drivers.controller.virtual_device import VirtualDevice  # noqa: PLC0415
+    from retuner.session.assembly import link_settings, make_plant, virtual_device_settings  # noqa: PLC0415
+    from retuner.stopping import stoppable  # noqa: PLC0415
+
     machine = VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=fresh_epoch())
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock) as link:
@@ -47,9 +58,8 @@ def device(
         sys.stderr.flush()
         try:
             with stoppable():
-                report = run_device(DeviceOnBus(machine, link), clock, until_s=duration or float("inf"))
+                report = run_device(DeviceOnBus(machine, link), clock, until_s=until_s)
         except KeyboardInterrupt:
             sys.stderr.write(f"{machine.sample} samples\n")
             raise
     sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")
-    return 0

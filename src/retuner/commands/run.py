@@ -18,6 +18,7 @@ from retuner.commands.options import Channel, ConfigFile, Interface, Json, on_bu
 from retuner.commands.report import scores_of
 from retuner.config.loading import load_with_text
 from retuner.config.model import Config
+from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_json, write_whole
@@ -140,7 +141,7 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
         region = session.retuner.region or 0
         screen.sample(sample, session.scenario.progress, session.table.regions.names[region])
 
-    record = _recorder(ledger, screen, lambda: job_run.session)
+    record = _recorder(ledger, screen, lambda: job_run.session, config.output.ledger_mb_warn)
     job_run: Run = Run(
         config,
         record,
@@ -153,7 +154,7 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     )
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
     session, interrupted = _play(job, job_run)
-    end = {"interrupted": interrupted, "bus_log": BUS_LOG, "bus_log_sha256": file_sha256(job.folder / BUS_LOG)}
+    end = {"interrupted": interrupted, **_traffic(job.folder)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
         fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
@@ -165,6 +166,11 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
         wrong = session.frozen or session.left_open
         raise UserError(f"{wrong}; the run was ended, and {job.folder / REPORT} says what the controller runs")
     return 130 if interrupted else 0
+
+
+def _traffic(folder: Path) -> dict[str, object]:
+    """The bus log by its name and by the hash of its parts one after the other."""
+    return {"bus_log": BUS_LOG, "bus_log_sha256": file_sha256(*log_parts(folder / BUS_LOG).paths)}
 
 
 def _open_session(job: _Job, ledger: Ledger) -> None:
@@ -192,8 +198,34 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
         raise NothingHappenedError(error) from error
 
 
-def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session | None]) -> Recorder:
-    """What keeps a run's rows and shows some of them; a ledger that fails freezes the session."""
+class LedgerSize:
+    """Says once that a ledger has grown past its size; it is never cut, because it is the record of what was decided.
+
+    most_mb : the size in MB. say : is told the one line.
+    """
+
+    def __init__(self, ledger: Ledger, most_mb: float, say: Callable[[str], None]) -> None:
+        self._ledger = ledger
+        self._most_mb = most_mb
+        self._say = say
+        self._told = False
+
+    def look(self) -> None:
+        """Look at the file; called after each row."""
+        if not self._told and self._ledger.size_bytes() > self._most_mb * 1e6:
+            self._told = True
+            self._say(
+                f"{self._ledger.path}: has grown past {self._most_mb:g} MB ([output] ledger_mb_warn) and is never cut; "
+                "when the disk is short, end this run and begin another, which starts a new ledger"
+            )
+
+
+def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session | None], most_mb: float) -> Recorder:
+    """What keeps a run's rows and shows some of them; a ledger that fails freezes the session.
+
+    most_mb : size of the ledger past which that is told.
+    """
+    size = LedgerSize(ledger, most_mb, screen.say)
 
     def record(kind: str, t_s: float, body: Mapping[str, object]) -> None:
         session = current()
@@ -206,6 +238,7 @@ def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session |
                 session.freeze(str(error))
                 screen.say(f"{error}; nothing more is changed, and the run ends")
             return
+        size.look()
         if kind == "decision" and session is not None:
             screen.decision(session.decisions[-1])
         elif kind in TOLD:

@@ -263,3 +263,19 @@ class OutputConfig(Section):
     trend: Literal["csv", "parquet"] = setting(
         "Format of the trend; parquet needs the extra of that name", unit="-", default="csv", source="base install"
     )
+    bus_log_mb: float = setting(
+        "Size that the bus log may reach; then its oldest half goes, and the run cannot be replayed from its beginning",
+        unit="MB",
+        low=1,
+        high=1e6,
+        default=256.0,
+        source="a day at 100 samples a second: 27 bytes a sample, 233 MB",
+    )
+    ledger_mb_warn: float = setting(
+        "Size of the ledger past which a run says so once; the ledger is never cut",
+        unit="MB",
+        low=1,
+        high=1e6,
+        default=256.0,
+        source="32,000 decisions of 8 kB: three weeks with one a minute",
+    )

@@ -14,7 +14,6 @@ from retuner.config.model import SCHEMA, Config
 from retuner.config.schedule import AxisConfig
 from retuner.config.setting import Problem
 from retuner.config.toml_lines import Path, toml_lines
-from retuner.drivers.bus.bus_opening import known_interfaces
 from retuner.drivers.host.key_file import KeyFileError, read_key
 from retuner.drivers.protocol.codec import DbcError
 from retuner.drivers.telemetry.signal_source import SignalSource, find_signal
@@ -26,6 +25,8 @@ from retuner.schedule.axis import CAN
 
 def bus_problems(config: Config) -> Iterator[Problem]:
     """What is wrong with the bus that a configuration names, on this machine."""
+    from retuner.drivers.bus.bus_opening import known_interfaces  # noqa: PLC0415  python-can, which is slow to load
+
     bus, known = config.bus, known_interfaces()
     if bus.interface not in known:
         message = f'= "{bus.interface}" is no interface of python-can; choose from {", ".join(known)}'

@@ -3,6 +3,7 @@
 Time is an argument (clock_s), so a run in simulated time gives the same hashes each time.
 """
 
+import contextlib
 import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -51,6 +52,14 @@ class LedgerReader:
     def head(self) -> str:
         """Hash of the last row, 64 hexadecimal digits; zeros for an empty ledger."""
         return self._head()[1]
+
+    def size_bytes(self) -> int:
+        """Size of the file with what SQLite keeps beside it, bytes; 0 for what cannot be looked at."""
+        total = 0
+        for path in (self.path, self.path.with_name(f"{self.path.name}-wal")):
+            with contextlib.suppress(OSError):
+                total += path.stat().st_size
+        return total
 
     def verify(self, anchor: str = "") -> ChainReport:
         """Recompute the whole chain and name the first row that cannot be believed.

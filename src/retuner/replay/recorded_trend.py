@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.recorded.bus_log_samples import Overhearing
-from retuner.drivers.recorded.frame_log import read_frames
+from retuner.drivers.recorded.frame_log import read_parts
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 from retuner.report.scores import Columns
@@ -82,10 +83,11 @@ def _checked(path: Path, columns: Columns) -> Columns:
 
 
 def _overheard(session: RecordedSession) -> Columns:
-    """The samples of the bus log."""
+    """The samples of the bus log; without its beginning, in which the host got to know the device, as a bystander."""
     config = session.config
-    heard = Overhearing(config.bus.node, config.loop.sample_time_s)
-    joined = (heard.take(message) for message in read_frames(session.bus_log))
+    whole = not log_parts(session.bus_log).gone
+    heard = Overhearing(config.bus.node, config.loop.sample_time_s, as_host=whole)
+    joined = (heard.take(message) for message in read_parts(session.bus_log))
     rows = [(s.sample.t_s, s.sample.sp, s.sample.pv, s.sample.co, 0.0) for s in joined if s is not None]
     if not rows:
         raise UserError(f"{session.bus_log}: holds no samples of the loop")

@@ -16,9 +16,10 @@ from itertools import islice, takewhile
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.pipeline import decide
+from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.recorded.bus_log_samples import Overhearing
-from retuner.drivers.recorded.frame_log import read_frames
+from retuner.drivers.recorded.frame_log import read_parts
 from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError
 from retuner.ledger import Row
@@ -112,8 +113,15 @@ class Replay:
         log = self._session.bus_log
         if not log.is_file():
             raise UserError(f"{log}: no such file; a session is decided again from its bus log")
-        if end is not None and end.get("bus_log_sha256") not in {None, file_sha256(log)}:
+        parts = log_parts(log)
+        if end is not None and end.get("bus_log_sha256") not in {None, file_sha256(*parts.paths)}:
             result.stopped = f"{log}: is not the log of this session, or was changed after it"
+            return result
+        if parts.gone:
+            result.stopped = (
+                f"{log}: its beginning is gone, {parts.gone} full part{'s' * (parts.gone > 1)}, and only from there "
+                f"can a session be decided again; [output] bus_log_mb = {self._session.config.output.bus_log_mb:g}"
+            )
             return result
         try:
             self._rows_here()
@@ -130,7 +138,7 @@ class Replay:
 
     def _take_frames(self) -> None:
         """Frames to samples, samples to decisions."""
-        for message in read_frames(self._session.bus_log):
+        for message in read_parts(self._session.bus_log):
             joined = self._heard.take(message)
             if joined is None:
                 continue

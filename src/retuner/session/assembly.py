@@ -195,6 +195,7 @@ def link_settings(config: Config, speed: float = 1.0) -> LinkSettings:
         silent_after_s=patience,
         reopen_first_s=0.2 * speed,
         reopen_max_s=5.0 * speed,
+        log_bytes_max=config.output.bus_log_mb * 1e6,
     )
 
 

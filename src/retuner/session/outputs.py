@@ -9,6 +9,7 @@ import contextlib
 from pathlib import Path
 from typing import NamedTuple
 
+from retuner.drivers.bus.bus_log import log_parts
 from retuner.errors import LedgerError, UserError
 from retuner.files import sync_folder
 from retuner.ledger.lock import WriterLock
@@ -71,8 +72,9 @@ def give_back(fresh: FreshFolder) -> None:
     with contextlib.suppress(LedgerError, OSError):
         lock = WriterLock(fresh.path / LEDGER)
         try:
+            logs = log_parts(fresh.path / BUS_LOG).paths
             for path in fresh.path.iterdir():
-                if path.name in OURS or path.name.startswith(f"{LEDGER}-"):
+                if path in logs or path.name in OURS or path.name.startswith(f"{LEDGER}-"):
                     path.unlink()
         finally:
             lock.close()

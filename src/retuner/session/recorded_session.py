@@ -35,7 +35,7 @@ class RecordedSession:
 
     @property
     def bus_log(self) -> Path:
-        """The log of bus traffic."""
+        """The log of bus traffic, or its newest part; log_parts() gives all of them."""
         return self.folder / BUS_LOG
 
     @property

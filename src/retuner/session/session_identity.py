@@ -77,13 +77,14 @@ def session_identity(
     }
 
 
-def file_sha256(path: Path) -> str | None:
-    """SHA-256 of a file, None when it cannot be read."""
+def file_sha256(*paths: Path) -> str | None:
+    """SHA-256 of a file, or of several one after the other; None when one cannot be read."""
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as stream:
-            while block := stream.read(BLOCK):
-                digest.update(block)
+        for path in paths:
+            with path.open("rb") as stream:
+                while block := stream.read(BLOCK):
+                    digest.update(block)
     except OSError:
         return None
     return digest.hexdigest()
