@@ -20,6 +20,8 @@ from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
@@ -94,8 +96,7 @@ def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
         estimate = replace(estimate, rival=rival)
         if rival.apart > settings.fit.apart_limit:
             estimate = replace(estimate, identifiable=False, reason=rival.sentence)
-            torn = replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=rival.sentence)
-            return replace(found, diagnosis=torn, estimate=estimate, tuning=None)
+            return _torn(loop, replace(found, estimate=estimate), rival.model, rival.sentence)
     if verdict.cause not in TUNING_CAUSES:
         return replace(found, estimate=estimate)
     return _with_settings(loop, replace(found, estimate=estimate), asked)
@@ -103,7 +104,7 @@ def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
 
 def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
     """The settings that would cure it, where identification knows the process as well and means the same."""
-    estimate, verdict = found.estimate, found.diagnosis
+    estimate = found.estimate
     assert estimate is not None
     other = loop.fits.estimate()
     between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
@@ -114,12 +115,23 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
             f"gains apart by a factor of {factor_text(between)}"
         )
         if not asked:
-            torn = replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=unsure)
-            return replace(found, diagnosis=torn, tuning=None)
-    if unsure:
-        reason = f"{verdict.reason}; what the settings should be it does not show: {unsure}"
-        return replace(found, diagnosis=replace(verdict, reason=reason, settled=False), tuning=None)
-    return _first_step(loop, found)
+            return _torn(loop, found, other.log.model(), unsure)
+    return _open(found, unsure) if unsure else _first_step(loop, found)
+
+
+def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
+    """Two models of a record far apart: no settings, and no cause but that the loop is too strong on either."""
+    verdict = found.diagnosis
+    strong = sensitivity_peak(other.linear(), loop.gains) > loop.settings.cause.ms_high
+    if verdict.cause is Cause.AGGRESSIVE and strong:
+        return _open(found, why)
+    return replace(found, diagnosis=replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=why), tuning=None)
+
+
+def _open(found: Found, why: str) -> Found:
+    """The cause without settings."""
+    reason = f"{found.diagnosis.reason}; what the settings should be it does not show: {why}"
+    return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 
 def _first_step(loop: Loop, found: Found) -> Found:

@@ -170,9 +170,12 @@ class Fits:
         distance = apart(free, barred, self._window.sample_time_s)
         return RivalModel(barred, distance, float(self._window.t_s[0]) + at[0])
 
-    def estimate(self) -> ModelEstimate:
-        """What the record says by itself."""
-        rival = self.rival(self.free[0])
+    def estimate(self, *, whatever_loads: bool = False) -> ModelEstimate:
+        """What the record says by itself.
+
+        whatever_loads : the rival without load steps at setpoint changes is not asked.
+        """
+        rival = None if whatever_loads else self.rival(self.free[0])
         return estimate_of(self.free, float(self._window.t_s[0]), {}, self._settings, rival)
 
     def _coincident(self, found: Candidate) -> list[float]:

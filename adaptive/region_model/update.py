@@ -165,7 +165,7 @@ def update_region_model(
     """
     sign = in_force.direction
     fits = Fits(window, (sign,), fit)
-    record = NewRecord(window, fits.free, fits.estimate(), at, settings, fit)
+    record = NewRecord(window, fits.free, _estimate(fits, in_force, settings, fit), at, settings, fit)
     if record.alone.explained < fit.explained_limit or record.alone.is_contested(fit.apart_limit):
         kept = region_model if region_model is not None and region_model.records else None
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
@@ -178,6 +178,19 @@ def update_region_model(
     if not region_model.records or (record.alone.identifiable and not _holds(region_model, record)):
         return _first(record, region_model.known if region_model.identifiable and region_model.records else None)
     return _contradicted(region_model, record, posterior.innovation, points, in_force)
+
+
+def _estimate(fits: Fits, in_force: PidGains, settings: TrackerSettings, fit: FitSettings) -> ModelEstimate:
+    """What the record says by itself; where two models leave open what, but not that the loop is in danger, the first.
+
+    A loop that is in danger on either model may be made safer, and is watched while it is.
+    """
+    alone = fits.estimate()
+    if alone.rival is None or not alone.is_contested(fit.apart_limit):
+        return alone
+    both = (alone.log.model(), alone.rival.model)
+    in_danger = all(sensitivity_peak(model.linear(), in_force) > settings.danger_ms for model in both)
+    return fits.estimate(whatever_loads=True) if in_danger else alone
 
 
 def _agreed(
