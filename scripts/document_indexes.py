@@ -14,7 +14,7 @@ HEAD = """# The numbers of the evidence
 field's classic indexes and a few of our own; they put into words what a record looks like. They do not decide where
 fitted hypotheses can. A number that does not apply to a record is left out. Unit "share" is 0 to 1 (shown in percent),
 "pv" and "co" are the record's own units, "noise" counts in standard deviations of pv's noise. Formulas and why this
-variant: `adaptive/diagnosis/indexes/`, one index a file.
+variant: `adaptive/indexes/`, one index a file.
 This page is written by scripts/document_indexes.py.
 """
 COLUMNS = "| name | meaning | unit | how to read it | source |\n|---|---|---|---|---|\n"

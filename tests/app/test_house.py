@@ -1,6 +1,7 @@
 """The house keeps its order: imports run one way, pure folders stay pure, files and functions stay small."""
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -280,3 +281,27 @@ def test_the_check_sees_imports_that_run_the_wrong_way(top: str, source: str) ->
 )
 def test_the_check_sees_what_is_not_pure(source: str) -> None:
     assert impure(source)
+
+
+def told_paths(text: str) -> Iterator[str]:
+    """Paths of ours that a page names; `a/{b,c}.py` are two."""
+    folders = "adaptive|drivers|schedule|src/retuner|benchmarks|tests|scripts|examples"
+    for path in re.findall(rf"`((?:{folders})/[\w/.{{}},-]*)`", text):
+        before, _, rest = path.partition("{")
+        names, _, after = rest.partition("}")
+        yield from (f"{before}{name}{after}" for name in names.split(","))
+
+
+def test_pages_name_files_that_are_there() -> None:
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    named = [(page.name, path) for page in pages for path in told_paths(page.read_text(encoding="utf-8"))]
+    assert len(named) > 30
+    assert [pair for pair in named if not (ROOT / pair[1]).exists()] == []
+
+
+def test_paths_of_a_page_are_seen() -> None:
+    assert list(told_paths("see `drivers/{a,b}.py` and `tests/x/`, not `a/b`")) == [
+        "drivers/a.py",
+        "drivers/b.py",
+        "tests/x/",
+    ]
