@@ -95,7 +95,7 @@ def interrupted(folder: Path, promised: Promised, lines: int, life_s: float, syn
             os._exit(0)
     os.close(into)
     with os.fdopen(out) as answers:
-        read = "".join(line for line, _ in zip(answers, range(lines), strict=False))
+        read = "".join(line for _, line in zip(range(lines), answers, strict=False))
         time.sleep(life_s)
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)

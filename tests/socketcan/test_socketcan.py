@@ -24,7 +24,7 @@ from retuner.ledger import LedgerReader
 HERE = Path(__file__).resolve().parent
 RUNNER = HERE.parents[1] / "scripts" / "socketcan" / "run.py"
 IMPOSSIBLE = 77  # the runner's status when there is no way to a vcan0
-SPEED = "20"  # times real time: 40 samples a second on an emulated CPU with 100 ticks
+SPEED = "10"  # times real time: 20 samples a second on an emulated CPU with 100 ticks
 NODE = 5  # as in tank.toml
 MARGIN = 0.2  # share by which the written gains may miss those of SIMC for the true plant
 
