@@ -15,13 +15,15 @@ from retuner.session.recorded_session import read_loops
 
 TEXT = (Path(__file__).parent / "several.toml").read_text(encoding="utf-8")
 SLOW, FAST = "slow one", "fast"
+IN_STEP = TEXT.replace("sample_time_s = 1.0", "sample_time_s = 2.0")
+"""Both make their samples at the same moments, so the host looks at each as often as if it were alone."""
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Both loops in one run."""
     folder = tmp_path_factory.mktemp("several")
-    (folder / "two.toml").write_text(TEXT)
+    (folder / "two.toml").write_text(IN_STEP)
     assert main(["run", str(folder / "two.toml"), "--no-compare", "--out", str(folder / "run")]) == 0
     return folder / "run"
 
@@ -32,9 +34,9 @@ def bodies(session: Path, kind: str, loop: str) -> list[dict[str, Any]]:
 
 
 def test_each_loop_decides_what_it_decides_alone(session: Path, tmp_path: Path) -> None:
-    found = parse_session(TEXT)
+    found = parse_session(IN_STEP)
     for i, name in enumerate((SLOW, FAST)):
-        alone = text_as_run(TEXT, SessionConfig((found.loops[i],)), {})
+        alone = text_as_run(IN_STEP, SessionConfig((found.loops[i],)), {})
         (tmp_path / f"{i}.toml").write_text(alone)
         assert main(["run", str(tmp_path / f"{i}.toml"), "--no-compare", "--out", str(tmp_path / f"{i}")]) == 0
         decided = bodies(session, "decision", name)
