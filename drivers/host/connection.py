@@ -370,6 +370,11 @@ class CanDevice:
         self._send_due(now_s)
         return confirmed
 
+    def keep_lease(self, now_s: float) -> None:
+        """Prolong the lease if it is time, from whatever thread: the link's clock calls this beside the polls."""
+        for frame in self._requests.lease.prolong(now_s):
+            self._send(frame)
+
     def release(self, now_s: float) -> None:
         """Give the lease back, so that another host need not wait until it runs out; for the end of a session."""
         self._requests.lease.release()

@@ -42,7 +42,7 @@ def nothing(kind: str, t_s: float, body: object) -> None:
     del kind, t_s, body
 
 
-def to_the_end(session: Session, once: Callable[[], None]) -> None:
+def to_the_end(session: Session | LoopSession, once: Callable[[], None]) -> None:
     """Turn until the session is over. Ctrl-C lets it end: an undecided change is taken back first; a second one does
     not wait for that (the controller's own trial time, or the next session, then does it). A defect of ours lets it end
     in the same way, before it is told.
@@ -60,7 +60,7 @@ def to_the_end(session: Session, once: Callable[[], None]) -> None:
         raise
 
 
-def _end(session: Session, once: Callable[[], None]) -> None:
+def _end(session: Session | LoopSession, once: Callable[[], None]) -> None:
     """The turns that a session which was told to end still needs."""
     if session.seen:
         try:
@@ -250,7 +250,7 @@ class Run:
         DeviceError
             A bus does not open, or nobody (or the wrong one) answers at first.
         """
-        clock: Clock = MonotonicClock(speed)
+        clock = MonotonicClock(speed)
         pause_s = min(one.loop.sample_time_s for one in self.config.loops) / POLLS_PER_SAMPLE
         if self._pretunes:
             with live_buses(self.config, speed, clock, before(self._log)) as buses:
@@ -282,6 +282,7 @@ class Run:
             loop.begin(buses.port(i), decider, speed, remember=remember)
             for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))
         ]
+        buses.keep_leases([loop.device for loop in loops])
         self.session = Session(loops, self.observer.said)
         return self.session
 

@@ -108,7 +108,7 @@ class Session:
     @property
     def seen(self) -> bool:
         """Whether a sample has come, of any loop."""
-        return any(loop.samples for loop in self.loops)
+        return any(loop.seen for loop in self.loops)
 
     @property
     def frozen(self) -> str:
