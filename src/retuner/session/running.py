@@ -103,6 +103,7 @@ class _Loop:
         self._before, self._known = before.folder, before.known.get(name)
         self.record = LoopRecorder(run.keep, name, run.observer, run.ledger_failed)
         self.pretuning = Pretuning(config, self.record, self._say) if config.adaptation.pretune else None
+        self.device: CanDevice | None = None
         self.session: LoopSession | None = None
 
     def begin(self, port: FramePort, decider: Decider, speed: float = 1.0, *, remember: bool = False) -> LoopSession:
@@ -116,7 +117,7 @@ class _Loop:
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
         player = ScenarioPlayer(self.config.scenario)
         session = LoopSession(device, retuner, player, self.record, self._sampled, decider)
-        self.session = self.record.loop = session
+        self.device, self.session, self.record.loop = device, session, session
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -282,7 +283,7 @@ class Run:
             loop.begin(buses.port(i), decider, speed, remember=remember)
             for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))
         ]
-        buses.keep_leases([loop.device for loop in loops])
+        buses.keep_leases([loop.device for loop in self._loops if loop.device is not None])
         self.session = Session(loops, self.observer.said)
         return self.session
 
