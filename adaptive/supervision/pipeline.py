@@ -41,7 +41,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior, promised_cost
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import GainTable, Lookup
@@ -237,6 +237,32 @@ def refutation(found: Findings) -> None:
     found.doubted(doubt)
 
 
+def agreement(found: Findings) -> None:
+    """A loop that behaves is not moved on one record's word, which may be wrong by more than it knows."""
+    verdict, settings, records = found.verdict, found.settings, _in_use(found).records
+    if verdict is None or not verdict.accepted or records >= settings.behaving_records:
+        return
+    record = found.record
+    found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+    reason = behaves(record.response, verdict, found.promise, settings)
+    if reason:
+        found.verdict = found.basis = found.promise = None
+        found.stop("one_record", f"{reason}; {settings.behaving_records} records must agree before it is moved")
+
+
+def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
+    """That a loop does well enough not to be moved at once, in words; empty where it does not.
+
+    Its response did not swing, it is robust on the models, and what the change promises is not much of a gain.
+    """
+    gain = promised_cost(promised) if promised is not None else 0.0
+    seen = decay_seen(response)
+    swings = seen is not None and seen > settings.trial.harmless_decay
+    if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
+        return ""
+    return f"the loop behaves (Ms {verdict.ms_before:.2f}, the change would bring IAE to {gain:.0%})"
+
+
 def confirmation(found: Findings) -> None:
     """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
     learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
@@ -280,7 +306,12 @@ def _was_known(found: Findings) -> bool:
 def expectation(found: Findings) -> None:
     """What the proved gains promise, where they may be written at all."""
     record, verdict, settings = found.record, found.verdict, found.settings
-    if verdict is not None and verdict.accepted and _may_follow(found.question.trial, settings):
+    if (
+        found.promise is None
+        and verdict is not None
+        and verdict.accepted
+        and _may_follow(found.question.trial, settings)
+    ):
         found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
 
 
@@ -389,6 +420,7 @@ STAGES = (
     Stage("cause", cause),
     Stage("proof", proof),
     Stage("refutation", refutation),
+    Stage("agreement", agreement),
     Stage("confirmation", confirmation),
     Stage("expectation", expectation, always=True),
     Stage("check after a trial", check_after_trial, always=True),

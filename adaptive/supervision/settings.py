@@ -41,6 +41,8 @@ class RetunerSettings:
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
+    behaving_records : records that must be in the model before a loop that behaves is moved; 1 to 10, default 2.
+    behaving_gain : share of the IAE above which what a change would leave is not much of a gain; 0 to 1, default 0.6.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
 
@@ -61,6 +63,8 @@ class RetunerSettings:
     history: int = 4000
     lead_share: float = 0.25
     lead_samples: int = 20
+    behaving_records: int = 2
+    behaving_gain: float = 0.6
     gap_samples: int = 5
     setpoint_weight: float = 1.0
     filter_s: float = 0.0
