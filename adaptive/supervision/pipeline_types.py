@@ -18,6 +18,7 @@ from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
+from retuner.adaptive.supervision.own_swing import Growth
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
@@ -136,7 +137,7 @@ class End(NamedTuple):
 class Findings:
     """One question and what is found about it, stage by stage.
 
-    learned : what the record taught. unexplained : share of the record's pv that its model leaves open.
+    growth : of a swing that only the loop itself can make. learned : what the record taught. unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. The others are those of StageResult, None for as before.
@@ -144,6 +145,7 @@ class Findings:
 
     question: Question
     end: End | None = None
+    growth: Growth | None = None
     learned: Learned | None = None
     unexplained: float = 0.0
     in_use: RegionModel | None = None

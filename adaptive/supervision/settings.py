@@ -13,6 +13,7 @@ from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.own_swing import GrowthSettings
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.settings import TrialSettings
 
@@ -34,7 +35,7 @@ class RetunerSettings:
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
-    limit_swing : what an unstable loop between the output's limits is told by.
+    growth : when a swing grows as only an unstable loop's does. limit_swing : what an unstable loop between the output's limits is told by.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
         line: a change is on trial there.
     cause : from which excess a tuning is the cause; slack 1.15, because later records narrow what is known.
@@ -70,6 +71,7 @@ class RetunerSettings:
     without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
+    growth: GrowthSettings = field(default_factory=GrowthSettings)
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
