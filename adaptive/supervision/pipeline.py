@@ -18,6 +18,7 @@ from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
+from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
@@ -34,7 +35,6 @@ from retuner.adaptive.supervision.causes import (
 )
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
-from retuner.adaptive.supervision.own_swing import grows
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model

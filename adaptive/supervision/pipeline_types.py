@@ -14,11 +14,11 @@ from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
-from retuner.adaptive.supervision.own_swing import Growth
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
@@ -137,7 +137,8 @@ class End(NamedTuple):
 class Findings:
     """One question and what is found about it, stage by stage.
 
-    growth : of a swing that only the loop itself can make. learned : what the record taught. unexplained : share of the record's pv that its model leaves open.
+    growth : of a swing that only the loop itself can make. learned : what the record taught.
+    unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. The others are those of StageResult, None for as before.

@@ -11,9 +11,9 @@ from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
 from retuner.adaptive.region_model.update import TrackerSettings
+from retuner.adaptive.signals.growth import GrowthSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.own_swing import GrowthSettings
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.settings import TrialSettings
 
@@ -35,14 +35,16 @@ class RetunerSettings:
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
-    growth : when a swing grows as only an unstable loop's does. limit_swing : what an unstable loop between the output's limits is told by.
+    growth : when a swing grows as only an unstable loop's does.
+    limit_swing : what an unstable loop between the output's limits is told by.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
         line: a change is on trial there.
     cause : from which excess a tuning is the cause; slack 1.15, because later records narrow what is known.
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
-    gap_samples : a pause in the samples longer than this ends a response; default 5.
+    gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
+        lost, so long a pause comes once in 400,000.
     """
 
     sample_time_s: float
@@ -62,7 +64,7 @@ class RetunerSettings:
     history: int = 4000
     lead_share: float = 0.25
     lead_samples: int = 20
-    gap_samples: int = 5
+    gap_samples: int = 8
     setpoint_weight: float = 1.0
     filter_s: float = 0.0
     fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))

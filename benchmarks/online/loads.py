@@ -7,10 +7,10 @@ walk       a random walk all the time
 sinusoid   a slow sinusoid all the time, of 20 to 80 dead times
 coloured   noise through a lag of 1 to 10 dead times, all the time
 
-A period is 60 effective dead times (longer for sluggish starts), as between two disturbances of the batch; noise on pv
-is 1 %. Loads are sized by what they do under SIMC with perfect knowledge: a step moves pv by 1. Processes are those of
-benchmarks/cases, gains off as in the batch, where the loop is stable with them. Counted is what is in spec after so many
-periods, what was changed for the worse, and what was made unstable.
+A period is 60 effective dead times (longer for sluggish starts), as between two disturbances of the batch; noise is
+1 %. Loads are sized by what they do under SIMC with perfect knowledge: a step moves pv by 1. Processes are those of
+benchmarks/cases, gains off as in the batch, where the loop is stable with them. Counted is what is in spec after so
+many periods, what was changed for the worse, and what was made unstable.
 """
 
 import math
@@ -55,7 +55,7 @@ def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool) -> l
 
 
 def run(task: Task) -> Row:
-    """One loop; keys spec, ms, j (a value a period), changes, worse, made_unstable, lost, and where verbose the story."""
+    """One loop; keys spec, ms, j (a value a period), changes, worse, made_unstable, lost, where verbose the story."""
     rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 41])
     loop = draw_loop(rng, str(rng.choice(FAMILIES)), (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))

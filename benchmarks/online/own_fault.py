@@ -4,7 +4,7 @@ damped     gains with a true Ms of 3 to 10: it swings long after each upset
 growing    unstable by a gain 1.05 to 1.6 times too high; the output has room for 300 setpoint steps
 limits     unstable by 1.2 to 3 times, and the output swings between its limits
 
-Each is upset by load steps alone (every second loop), or by setpoint and load steps in turn, 12 periods of the loop's own
+Each is upset by load steps alone (every second loop), or by setpoint and load steps in turn, 12 periods of its own
 swing apart; noise 1 % of a setpoint step, default limits of a change. An unstable loop without an upset starts from its
 noise. Counted are the decisions taken while the true Ms of the gains in force is over 3: how many name the tuning, what
 the others name; and when, in periods of the swing, Ms first came under 3, and stayed.
