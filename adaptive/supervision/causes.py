@@ -116,12 +116,18 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     reason = swings_anyway(record.response, settings.swing) if cause.cause == Cause.SLUGGISH else ""
-    if cause.cause in SWINGING:
+    if cause.cause in SWINGING and not _swings_wider(record, settings):
         model = allowed[0].model.seen_by_controller(settings.sample_time_s)
         reason = not_seen(
             record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing
         )
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether a response of three peaks grows: a model that says unstable is listened to, whatever it says of how fast."""
+    damping = record.response.damping
+    return damping is not None and damping > settings.swing.grows
 
 
 def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
