@@ -51,7 +51,6 @@ class World:
             lease_longest_samples=LEASE_LONGEST,
             trial_samples=rng.choice((0, 20, 40)),
             key=key,
-            lock_samples=20,
             heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
         )
         self.device = VirtualDevice(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
@@ -147,8 +146,6 @@ class World:
     def _write_in_calm(self) -> None:
         """Whoever holds the lease writes a legal set, and it is done in time."""
         owner, gains = self.device.lease.owner, self.device.running.gains
-        if self.device.code.locked:
-            return
         writers = [host for host in self.hosts if host.owner == owner]
         if not writers:
             raise t.ViolationError(f"writes_succeed_in_calm: {owner} still holds the lease")
