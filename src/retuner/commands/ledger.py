@@ -20,7 +20,7 @@ from rich.table import Table
 
 from retuner.commands.approve import Person, order_back
 from retuner.commands.options import By, Json, Note, Session
-from retuner.errors import UserError
+from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.report.ledger_words import Told, told
@@ -172,7 +172,7 @@ def _table(lines: list[Told]) -> Table:
         table.add_column(escape(head), justify="right" if head in {"row", "time [s]"} else "left", overflow="fold")
     for line in lines:
         values = line.to_dict() | {"when_s": f"{line.when_s:,.1f}"}
-        table.add_row(*(escape(str(values[name])) for name in COLUMNS.values()))
+        table.add_row(*(escape(one_line(values[name])) for name in COLUMNS.values()))
     return table
 
 
@@ -180,9 +180,11 @@ def _list(rows: list[Row]) -> str:
     """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
     out = []
     for line in map(told, rows):
-        out.append(escape(f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {line.region}".rstrip()))
+        out.append(
+            escape(one_line(f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {line.region}".rstrip()))
+        )
         change = f"{line.old} -> {line.new}" if line.old and line.new else line.new
-        out += [f"       {escape(text)}" for text in (line.why, change, line.evidence, line.verdict) if text]
+        out += [f"       {escape(one_line(text))}" for text in (line.why, change, line.evidence, line.verdict) if text]
     return "\n".join(out)
 
 
