@@ -5,6 +5,7 @@ their turns, the device answers again. At the end the weather clears, and what m
 """
 
 from collections import Counter
+from collections.abc import Callable
 from random import Random
 
 from bus_simulation import truth as t
@@ -34,10 +35,10 @@ class World:
 
     Parameters
     ----------
-    seed : decides everything.
+    seed : decides everything. make : the device, of the virtual one's interface.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, make: Callable[..., VirtualDevice] = VirtualDevice) -> None:
         rng = self.rng = Random(seed)
         key = rng.randbytes(16) if rng.random() < 0.3 else None
         second = rng.random() < 0.25
@@ -53,7 +54,7 @@ class World:
             key=key,
             heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
         )
-        self.device = VirtualDevice(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
+        self.device = make(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
         self.far = DeviceEnd(self.bus, self.device, self.truth, rng)
         eager, same_owner = rng.choice((0.02, 0.1, 0.3)), rng.random() < 0.3
         self.hosts = [
