@@ -33,6 +33,7 @@ def table() -> str:
 
 
 def main() -> int:
+    """Write or check the page."""
     page = PAGE.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)
     _, _, after = rest.partition(END)
