@@ -70,7 +70,7 @@ def admission(found: Findings) -> None:
     if record.table.lookup is Lookup.INTERPOLATED:
         rules = replace(rules, changes_most=len(record.samples))
     inside = inside_region(record.table.regions, record.region)
-    admitted = admit(record.window, record.samples, record.response, rules, inside)
+    admitted = admit(record.window, record.samples, record.response, rules, inside, found.settings.pv_range)
     if not admitted.admitted:
         found.diagnosis, found.numbers = admitted.diagnosis(), admitted.numbers
         found.stop(admitted.ground.name.lower(), admitted.sentence)

@@ -12,7 +12,7 @@ from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.growth import GrowthSettings
-from retuner.adaptive.supervision.admission import AdmissionSettings
+from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.settings import TrialSettings
@@ -23,6 +23,7 @@ class RetunerSettings:
     """Settings of one loop's retuner.
 
     sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band.
+    pv_range : what the transmitter can say, pv units: what lies far outside teaches nothing.
     mode : what it may do; region_modes : in single regions by index, None or missing for `mode`.
     locks : parameters that stay as they are; region_locks : in single regions by index, None or missing for `locks`.
     band : noise band in pv units; None estimates it from the data.
@@ -84,6 +85,7 @@ class RetunerSettings:
     robust: RobustSettings = field(default_factory=lambda: RobustSettings(ms_third=1.85, hidden_share=0.1))
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
+    pv_range: tuple[float, float] = EVERYWHERE
 
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""
