@@ -37,8 +37,7 @@ class LeaseKeeper:
         self._next_s = float("-inf")
         self._asked: deque[float] = deque()  # when requests without an answer were sent, one for all repeats of it
         self._since_s = float("-inf")  # from when on the lease in force is counted, on the safe side
-        self._epoch: int | None = None  # of the device, and
-        self._polled_s = float("-inf")  # when, both as of the newest poll
+        self._polled_s = float("-inf")  # when the host has looked last
         self._lock = threading.Lock()
 
     @property
@@ -53,37 +52,39 @@ class LeaseKeeper:
             self._asked.clear()
             self._next_s = float("-inf")
 
-    def due(self, now_s: float, epoch: int | None) -> list[Lease]:
-        """The request to send now, if any; epoch is the device's, None while unknown."""
+    def due(self, now_s: float, stamp: int | None) -> list[Lease]:
+        """The request to send now, if any; stamp is that of the device's time, None while unknown."""
         with self._lock:
-            self._epoch, self._polled_s = epoch, now_s
+            self._polled_s = now_s
             while len(self._asked) > 1 and now_s - self._asked[0] > self._timeout_s:
                 self._asked.popleft()  # of several, those that have waited so long are lost, or their answers
             if self.held and now_s - self._since_s >= self._length_s:
                 self.held = False
-            if epoch is None or now_s < self._next_s:
+            if stamp is None or now_s < self._next_s:
                 return []
             if not self._asked:
                 self._asked.append(now_s)
             self._next_s = float("inf") if self._ending else now_s + self._timeout_s
-            return [self._request(epoch)]
+            return [self._request(stamp)]
 
-    def prolong(self, now_s: float) -> list[Lease]:
-        """The request that keeps a lease held by this host, if it is time and the last poll is not too long ago."""
+    def prolong(self, now_s: float, stamp: int) -> list[Lease]:
+        """The request that keeps a lease held by this host, if it is time and the last poll is not too long ago; stamp
+        is that of the device's time, as it must be by now.
+        """
         with self._lock:
             unattended_s = now_s - self._polled_s
-            if not self.held or self._ending or self._epoch is None or now_s < self._next_s:
+            if not self.held or self._ending or now_s < self._next_s:
                 return []
             if unattended_s > UNATTENDED * self._length_s:
                 return []
             self._asked.append(now_s)
             self._next_s = now_s + self._length_s * PROLONG_AT
-            return [self._request(self._epoch)]
+            return [self._request(stamp)]
 
-    def _request(self, epoch: int) -> Lease:
+    def _request(self, stamp: int) -> Lease:
         """The next request."""
         self._counter = (self._counter + 1) % COUNTER_WRAP
-        return Lease(self.owner, epoch, 0 if self._ending else self._samples, self._counter)
+        return Lease(self.owner, stamp, 0 if self._ending else self._samples, self._counter)
 
     def release(self) -> None:
         """Give the lease back with the next request, and ask no more."""

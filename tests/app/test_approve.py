@@ -126,18 +126,18 @@ def in_manual(session: LoopSession, sample: LoopSample) -> bool:
     return session.retuner.trials.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
 
 
-def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(
+def test_an_approval_and_its_trial_that_manual_mode_interrupts_are_replayed(
     with_person: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, _ = with_person([("approve", advised), ("manual", on_trial), ("auto", in_manual)])
     decisions = bodies(folder, "decision")
     codes = [d["code"] for d in decisions]
-    assert codes.index("approved") < codes.index("undo_manual")
-    undone = decisions[codes.index("undo_manual")]
-    assert undone["action"] == "restore"
-    assert undone["gains_after"]["kp"] == pytest.approx(5.0)
-    restored = bodies(folder, "restored")
-    assert restored[0]["gains"]["kp"] == pytest.approx(5.0)
+    assert codes.index("approved") < codes.index("kept_manual")
+    kept = decisions[codes.index("kept_manual")]
+    assert kept["action"] == "none"
+    assert kept["gains_before"]["kp"] == pytest.approx(10.0)
+    assert kept["numbers"]["ms_tried"] < 1.2
+    assert any(row["trial"] == "idle" for row in bodies(folder, "judged"))
     capsys.readouterr()
     first = main(["replay", str(folder), "--json"]), capsys.readouterr().out
     assert first[0] == 0

@@ -17,7 +17,15 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import DecideHere, Decider
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews
-from retuner.drivers.device import CommandDone, Device, Event, Reverted, WriteDone, WriteFailed
+from retuner.drivers.device import (
+    CommandDone,
+    Device,
+    Event,
+    Reverted,
+    RunningChanged,
+    WriteDone,
+    WriteFailed,
+)
 from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.report.trend import Trend
@@ -258,10 +266,11 @@ class LoopSession:
             self._record(
                 "judged", decision.t_s, {"region": decision.region, **judged.to_dict(), "trial": decision.trial}
             )
-        if decision.action == Action.RESTORE and decision.gains_after is not None:
+        undone = decision.code.removeprefix("undo_")
+        if decision.action == Action.RESTORE and decision.gains_after is not None and undone != decision.code:
             body = {
                 "region": decision.region,
-                "cause": decision.code.removeprefix("undo_"),
+                "cause": undone,
                 "reason": decision.reason,
                 "gains": gains_dict(decision.gains_after),
                 "decision": decision.digest(),
@@ -276,7 +285,11 @@ class LoopSession:
             case WriteDone():
                 self.writer.done(event)
             case WriteFailed():
-                self._abort(self.writer.failed(event, now_s))
+                cause = self.writer.failed(event, now_s)
+                if cause is TrialEvent.OPERATOR_EDIT:
+                    self._event(RunningChanged(event.running), now_s)
+                else:
+                    self._abort(cause)
             case CommandDone():
                 pass
             case _:
@@ -286,11 +299,19 @@ class LoopSession:
                 self._record(kind, self.writer.t_s, body)
                 if isinstance(event, HELD_BY):
                     self.writer.hold(kind)
+                if isinstance(event, RunningChanged):
+                    self._edited(event)
                 self._abort(abort_cause(event))
 
+    def _edited(self, event: RunningChanged) -> None:
+        """Somebody else has changed the running set: it is theirs, and stays."""
+        decision = self.retuner.edited(event.running.gains)
+        if decision is not None:
+            self._decided(decision)
+
     def _abort(self, cause: TrialEvent | None) -> None:
-        """End every undecided trial, if there is a cause and a trial: recorded, then the verified sets come back."""
-        if cause is None or not self.retuner.trials.undecided:
+        """Put a cause to the undecided trials that do not know it: recorded, then what is to run is decided."""
+        if cause is None or not self.retuner.trials.concerned(cause):
             return
         self._record("abort", self.writer.t_s, {"cause": cause.name.lower(), "reason": str(cause)})
         decision = self.retuner.abort(cause)
@@ -320,12 +341,12 @@ class LoopSession:
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
         trials = self.retuner.trials
-        if not self.left_open and (self.writer.open or trials.busy):
-            self.left_open = "the controller has not reported that it runs the verified gains"
+        if not self.left_open and (self.writer.open or trials.left_open):
+            self.left_open = "the controller has not reported that it runs the gains that are to run"
             running = self.device.running
             names = self.table.regions.names
             body = {
-                "regions": [names[region] for region in (*trials.undecided, *trials.restoring)],
+                "regions": [names[region] for region in trials.left_open],
                 "write_open": self.writer.open,
                 "running": gains_dict(running.gains) if running else None,
                 "reason": self.left_open,

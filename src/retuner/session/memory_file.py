@@ -29,7 +29,7 @@ from retuner.session.recorded_session import believed_rows
 
 ROW = "memory"
 """Kind of the rows that know a memory by its hash."""
-TOLD_AGAIN = frozenset({"committed", "refused", "dropped", "abort", "restored", "order", "pretune"})
+TOLD_AGAIN = frozenset({"committed", "refused", "dropped", "abort", "restored", "foreign", "order", "pretune"})
 """Rows behind a memory that the retuner is told again. A question that was open is lost with the process."""
 
 

@@ -17,6 +17,7 @@ from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
 from retuner.decisions.shared_workers import DecisionWorkers
+from retuner.decisions.warm_up import warm_up
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
@@ -261,6 +262,7 @@ class Run:
             DecisionWorkers(len(deadlines_s)) as workers,
             live_buses(self.config, speed, clock, self._log) as buses,
         ):
+            warm_up()  # entering a decision imports what making one does, and by then there are samples to take
             session = self._begin(buses, [workers.decider(s) for s in deadlines_s], speed, remember=True)
 
             def once() -> None:
