@@ -16,6 +16,8 @@ from retuner.drivers.clock import Clock
 
 LeaseTimer = Callable[[float], None]
 """Told the time; sends what keeps a lease, when it is time."""
+TIMER_PAUSES = 8
+"""Pauses between two looks at the leases: a lease lasts for 30 samples or more, a pause for a quarter of one."""
 END_S = 5.0
 """How long the thread may take to end, s of the machine's time."""
 
@@ -34,6 +36,7 @@ class LinkReader:
         self._share, self._clock, self._pause_s, self._came = share, clock, pause_s, came
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bus", daemon=True)
+        self._timers_s = float("-inf")
         self.timers: list[LeaseTimer] = []
         self.defect: BaseException | None = None
         """Why the thread has ended by itself; the ports read for themselves again then."""
@@ -67,8 +70,10 @@ class LinkReader:
         with self._share.lock:
             frames = self._share.pump()
         now_s = clock.now_s()
-        for timer in self.timers:
-            timer(now_s)
+        if now_s >= self._timers_s:
+            self._timers_s = now_s + TIMER_PAUSES * self._pause_s
+            for timer in self.timers:
+                timer(now_s)
         if frames:
             self._came.set()
         self._ending.wait(clock.left_s(now_s + self._pause_s))

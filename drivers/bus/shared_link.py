@@ -90,6 +90,11 @@ class LinkPort:
         with self._share.lock:
             return self._share.link.send(message)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether frames have come for this node that nobody has taken yet."""
+        return bool(self._waiting)
+
     def expect_silence(self) -> None:
         """See CanLink; it holds for the whole shared link."""
         self._share.link.expect_silence()

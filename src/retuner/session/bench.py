@@ -45,10 +45,18 @@ class HostBus(NamedTuple):
     ports: tuple[CanLink | LinkPort, ...]
 
 
+class ReadBus(NamedTuple):
+    """One that a thread reads."""
+
+    link: LinkShare
+    loops: tuple[int, ...]
+    ports: tuple[LinkPort, ...]
+
+
 class HostBuses:
     """The host's ends of all buses of a session."""
 
-    def __init__(self, buses: Sequence[HostBus]) -> None:
+    def __init__(self, buses: Sequence[HostBus | ReadBus]) -> None:
         self.buses = tuple(buses)
 
     def keep_leases(self, devices: Sequence[CanDevice]) -> None:
@@ -64,14 +72,14 @@ class HostBuses:
         return [(loop, news) for bus, news in told if news for loop in bus.loops]
 
 
-def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> HostBus:
+def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> HostBus | ReadBus:
     """A link for its loops: itself for one, a port each for several."""
     return HostBus(link, loops, (link,)) if len(loops) == 1 else _ports(LinkShare(link), config, loops)
 
 
-def _ports(share: LinkShare, config: SessionConfig, loops: tuple[int, ...]) -> HostBus:
+def _ports(share: LinkShare, config: SessionConfig, loops: tuple[int, ...]) -> ReadBus:
     """A port for each loop on a shared link."""
-    return HostBus(share, loops, tuple(share.port(config.loops[i].bus.node) for i in loops))
+    return ReadBus(share, loops, tuple(share.port(config.loops[i].bus.node) for i in loops))
 
 
 class VirtualBench(NamedTuple):
@@ -198,14 +206,19 @@ class LiveBuses(HostBuses):
     """
 
     def __init__(
-        self, buses: Sequence[HostBus], readers: Sequence[LinkReader], clock: Clock, came: threading.Event
+        self, buses: Sequence[ReadBus], readers: Sequence[LinkReader], clock: Clock, came: threading.Event
     ) -> None:
         super().__init__(buses)
+        self._read = tuple(buses)
         self._readers, self._clock, self._came = readers, clock, came
+
+    def heard(self) -> set[int]:
+        """The loops for which frames have come that they have not taken yet."""
+        return {i for bus in self._read for i, port in zip(bus.loops, bus.ports, strict=True) if port.waiting}
 
     def keep_leases(self, devices: Sequence[CanDevice]) -> None:
         """Have the readers keep the leases of these devices, one a loop in the order of the loops."""
-        for bus, reader in zip(self.buses, self._readers, strict=True):
+        for bus, reader in zip(self._read, self._readers, strict=True):
             reader.timers = [devices[i].keep_lease for i in bus.loops]
 
     def wait_until(self, t_s: float) -> None:

@@ -267,7 +267,7 @@ class Run:
 
             def once() -> None:
                 with unstoppable():
-                    session.poll(clock.now_s())
+                    session.poll(clock.now_s(), buses.heard())
                     self._faults(buses)
                 buses.wait_until(clock.now_s() + pause_s)
 
