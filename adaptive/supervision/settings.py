@@ -15,6 +15,8 @@ from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.settings import TrialSettings
+from retuner.schedule.gains import PidGains
+from retuner.schedule.vendor_units import VendorUnits
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,7 @@ class RetunerSettings:
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
+    units : how the controller keeps gains; None for one that keeps them as they are.
     gap_samples : a pause in the samples longer than this ends a response; default 5.
     """
 
@@ -76,6 +79,16 @@ class RetunerSettings:
     robust: RobustSettings = field(default_factory=lambda: RobustSettings(ms_third=1.85, hidden_share=0.1))
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
+    units: VendorUnits | None = None
+
+    def held(self, gains: PidGains) -> PidGains:
+        """The set that the controller runs when it is given this one, or this one where it cannot hold it."""
+        if self.units is None:
+            return gains
+        try:
+            return self.units.rounded(gains)
+        except ValueError:
+            return gains
 
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""

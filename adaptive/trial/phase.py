@@ -45,6 +45,7 @@ class TrialEvent(StrEnum):
     LINK_LOST = "the link was lost"
     RESTARTED = "the controller restarted"
     DEVICE_REVERTED = "the controller went back to its confirmed set"
+    DEVICE_STOPPED = "the controller stopped by itself"
     OPERATOR_EDIT = "somebody else wrote gains"
     WRITE_UNKNOWN = "it is not known whether the write took effect"
     LEFT_INTERPOLATED = "the loop left the region, where the tried set still takes part in the interpolation"
@@ -70,6 +71,7 @@ ABORTS = (
     E.LINK_LOST,
     E.RESTARTED,
     E.DEVICE_REVERTED,
+    E.DEVICE_STOPPED,
     E.OPERATOR_EDIT,
     E.WRITE_UNKNOWN,
     E.LEFT_INTERPOLATED,

@@ -44,13 +44,14 @@ def _be(config: "Config", speed: float, until_s: float) -> None:
     from retuner.drivers.bus.bus import CanLink  # noqa: PLC0415  see above
     from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415
     from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device  # noqa: PLC0415
-    from retuner.drivers.controller.virtual_device import VirtualDevice  # noqa: PLC0415
-    from retuner.session.assembly import link_settings, make_plant, virtual_device_settings  # noqa: PLC0415
+    from retuner.session.assembly import link_settings  # noqa: PLC0415
+    from retuner.session.devices import make_far_side  # noqa: PLC0415
     from retuner.stopping import stoppable  # noqa: PLC0415
 
-    machine = VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=fresh_epoch())
+    machine = make_far_side(config, fresh_epoch())
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock) as link:
+        on_bus = DeviceOnBus(machine, link)
         sys.stderr.write(
             f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
             f"{speed:g} times real time; Ctrl-C ends it\n"
@@ -58,8 +59,8 @@ def _be(config: "Config", speed: float, until_s: float) -> None:
         sys.stderr.flush()
         try:
             with stoppable():
-                report = run_device(DeviceOnBus(machine, link), clock, until_s=until_s)
+                report = run_device(on_bus, clock, until_s=until_s)
         except KeyboardInterrupt:
-            sys.stderr.write(f"{machine.sample} samples\n")
+            sys.stderr.write(f"{on_bus.samples} samples\n")
             raise
     sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")

@@ -194,10 +194,13 @@ class BoilerPlantConfig(Section):
         return BoilerSettings(**self.model_dump(exclude={"kind", "start_c"}))
 
 
-class DeviceConfig(Section):
-    """[device]: the virtual controller. Leave the section out when a real one hangs on the bus."""
+PlantConfig = Annotated[OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig, Field(discriminator="kind")]
 
-    kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the only one so far")
+
+class DeviceConfig(Section):
+    """[device] with kind = "virtual": our own virtual controller. Leave the section out for a real one."""
+
+    kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the native protocol")
     confirm_within_s: float = setting(
         "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time",
         unit="s",
@@ -207,9 +210,7 @@ class DeviceConfig(Section):
         source="off",
     )
     seed: int = setting("Seed of the measurement noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
-    plant: Annotated[OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig, Field(discriminator="kind")] = setting(
-        "The simulated plant behind the virtual device", unit="-", source="the user"
-    )
+    plant: PlantConfig = setting("The simulated plant behind the virtual device", unit="-", source="the user")
 
 
 class StepConfig(Section):

@@ -64,6 +64,19 @@ def signal_problems(config: Config) -> Iterator[Problem]:
             yield Problem(("schedule", "axis", i, key), f": {error}")
 
 
+def device_problems(config: Config) -> Iterator[Problem]:
+    """What is wrong with the description of a foreign device, and with the mapping onto it."""
+    if config.foreign_device is None:
+        return
+    from retuner.config.described import held_table  # noqa: PLC0415
+    from retuner.drivers.profiles.access import ProfileError  # noqa: PLC0415  python-can, as above
+
+    try:
+        held_table(config)
+    except ProfileError as error:
+        yield Problem(("device", *error.key), f": {error}")
+
+
 LARGEST_FILE = 1 << 20  # bytes; a configuration of 64 regions and a thousand steps has a tenth of it
 PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
@@ -169,7 +182,7 @@ def with_signals(config: Config, text: str) -> Config:
     UnusableError
         With every signal that is not there.
     """
-    _refuse(signal_problems(config), text)
+    _refuse((*signal_problems(config), *device_problems(config)), text)
     return config
 
 
@@ -181,7 +194,7 @@ def usable_here(config: Config, text: str) -> Config:
     UnusableError
         With everything that is not.
     """
-    _refuse((*signal_problems(config), *bus_problems(config)), text)
+    _refuse((*signal_problems(config), *device_problems(config), *bus_problems(config)), text)
     return config
 
 

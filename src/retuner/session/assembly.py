@@ -16,6 +16,7 @@ from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
 from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
+from retuner.config.described import advice_only, held_table, vendor_units
 from retuner.config.loading import signal_source
 from retuner.drivers.bus.bus import LinkSettings
 from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
@@ -53,8 +54,10 @@ def locks(names: Sequence[str]) -> Locks:
 
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
-    """The retuner's settings; mode overrides the configured one."""
+    """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
     a, loop = config.adaptation, config.loop
+    if advice_only(config):
+        mode = min(mode or Mode(a.mode), Mode.ADVISE, key=list(Mode).index)
     trial = TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
@@ -79,6 +82,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         ),
         admission=AdmissionSettings(**a.admission.model_dump()),
         without_model=without_model_settings(config),
+        units=vendor_units(config),
     )
 
 
@@ -99,7 +103,7 @@ def without_model_settings(config: Config) -> WithoutModelSettings:
 
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
     """A retuner that knows nothing yet, on the table as commissioned."""
-    return Retuner(config.gain_table(), retuner_settings(config, mode))
+    return Retuner(held_table(config), retuner_settings(config, mode))
 
 
 def make_plant(config: Config) -> Plant:
@@ -116,6 +120,11 @@ def make_plant(config: Config) -> Plant:
             "--interface and --channel of the bus that the controller hangs on"
         )
     plant, seed = config.device.plant, config.device.seed
+    if plant is None:
+        raise UserError(
+            "[device] has no plant, so it is a real one: give --interface and --channel of the bus that it hangs on, "
+            "or a [device.plant] for a virtual one"
+        )
     if isinstance(plant, OvenPlantConfig):
         return OvenPlant(plant.settings(), plant.start_c, seed)
     if isinstance(plant, BoilerPlantConfig):
@@ -134,7 +143,7 @@ def make_plant(config: Config) -> Plant:
 
 def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
     """The virtual device's firmware; it starts on the gains of the region in which the plant starts."""
-    loop, table = config.loop, config.gain_table()
+    loop, table, own = config.loop, config.gain_table(), config.own_device
     return VirtualDeviceSettings(
         gains=table.gains[0],
         node=config.bus.node,
@@ -147,7 +156,7 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         co_rate_per_s=loop.co_rate_pct_per_s,
         b=loop.b,
         tau_f_s=loop.tau_f_s,
-        trial_samples=round(config.device.confirm_within_s / loop.sample_time_s) if config.device else 0,
+        trial_samples=round(own.confirm_within_s / loop.sample_time_s) if own else 0,
         key=commit_key(config),
     )
 

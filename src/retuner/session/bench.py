@@ -11,9 +11,9 @@ from pathlib import Path
 from retuner.config import Config
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.clock import MonotonicClock
-from retuner.drivers.host.connection import CanDevice
 from retuner.experiment.runner import Bench
-from retuner.session.assembly import device_settings, link_settings
+from retuner.session.assembly import link_settings
+from retuner.session.devices import make_device
 from retuner.session.running import POLLS_PER_SAMPLE, virtual_bench
 from retuner.stopping import unstoppable
 
@@ -35,7 +35,7 @@ def simulated(config: Config, log: Path | None = None) -> Iterator[Bench]:
                 sample()
             return clock.now_s()
 
-        yield Bench(CanDevice(near, device_settings(config)), turn)
+        yield Bench(make_device(config, near), turn)
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def live(config: Config, speed: float, log: Path | None = None) -> Iterator[Benc
     """
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock, log) as link:
-        device = CanDevice(link, device_settings(config, speed))
+        device = make_device(config, link, speed)
 
         def turn() -> float:
             link.wait_until(clock.now_s() + config.loop.sample_time_s / POLLS_PER_SAMPLE)

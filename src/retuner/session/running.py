@@ -11,27 +11,26 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import can
+
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
 from retuner.decisions.decider import DecideHere, Decider
 from retuner.decisions.worker import DecideInWorker
-from retuner.drivers.bus.bus import CanLink
+from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
-from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.host.can_settings import OWNERS
-from retuner.drivers.host.connection import CanDevice
 from retuner.errors import UserError
 from retuner.ledger import Recorder
 from retuner.session.assembly import (
     device_settings,
     link_settings,
-    make_plant,
     make_retuner,
     retuner_settings,
-    virtual_device_settings,
 )
+from retuner.session.devices import make_device, make_far_side, prove_order
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
@@ -52,6 +51,26 @@ def nothing(kind: str, t_s: float, body: object) -> None:
     del kind, t_s, body
 
 
+class BenchLink(CanLink):
+    """The host's end of a bench in simulated time, on which a foreign controller answers at once, as firmware does.
+
+    Our own controller is asked and answers from sample to sample, and loses nothing by it; one that must be asked for
+    each value would never be heard in its own sample.
+    """
+
+    def __init__(
+        self, settings: LinkSettings, clock: Clock, log: Path | None, answer: Callable[[], None] | None
+    ) -> None:
+        super().__init__(settings, clock, log)
+        self._answer = answer
+
+    def receive_all(self, limit: int = 10_000) -> list[can.Message]:
+        """What has arrived, answers to what was just asked among it."""
+        if self._answer is not None:
+            self._answer()
+        return super().receive_all(limit)
+
+
 @contextmanager
 def virtual_bench(
     config: Config, log: Path | None = None, first: FirstTurns | None = None
@@ -63,13 +82,13 @@ def virtual_bench(
     """
     clock = SimulatedClock()
     settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
-    device = VirtualDevice(virtual_device_settings(config), make_plant(config))
     with CanLink(settings, clock) as far:
-        on_bus = DeviceOnBus(device, far)
+        on_bus = DeviceOnBus(make_far_side(config), far)
         if first is not None:
             with CanLink(settings, clock, _before(log)) as link:
                 first(link, clock, on_bus.sample)
-        with CanLink(settings, clock, log) as near:
+        answer = on_bus.answer if config.foreign_device is not None else None
+        with BenchLink(settings, clock, log, answer) as near:
             yield near, clock, on_bus.sample
 
 
@@ -218,8 +237,8 @@ class Run:
         """The commanded step before the session, on a link of its own."""
         assert self._pretuning is not None
         settings = device_settings(self.config, speed)
-        settings = replace(settings, owner=settings.owner % OWNERS + 1)  # its lease is counted by itself
-        device = CanDevice(link, settings)
+        owner = settings.owner % OWNERS + 1  # its lease is counted by itself
+        device = make_device(self.config, link, speed, owner=owner)
 
         def turned() -> float:
             turn()
@@ -251,10 +270,11 @@ class Run:
     ) -> Session:
         """The host's side on an open link."""
         after_s = remembered.last_s if remembered is not None else None
-        device = CanDevice(link, device_settings(self.config, speed), after_s)
+        device = make_device(self.config, link, speed, after_s=after_s)
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self.mode)
         scenario = ScenarioPlayer(self.config.scenario)
         session = Session(device, retuner, scenario, self._record, self._sampled, decider)
+        prove_order(self.config, device, session, self._record)
         if isinstance(decider, DecideInWorker) and self._folder is not None:
             self._keep_memory(session, remembered, self._folder)
         if self._folder is not None:

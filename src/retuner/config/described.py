@@ -1,0 +1,85 @@
+"""What a configuration says of a controller that is not ours, read: its numbers, its description, its limits."""
+
+from retuner.config.foreign import NO_READ_BACK, CanOpenDeviceConfig, DbcDeviceConfig
+from retuner.config.model import Config
+from retuner.drivers.dbc.access import DbcAccess
+from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
+from retuner.drivers.profiles.access import Access, ProfileError
+from retuner.drivers.profiles.mapping import DeviceMapping
+from retuner.drivers.profiles.ready import described_by
+from retuner.schedule.table import GainTable
+from retuner.schedule.vendor_units import VendorUnits
+
+Foreign = DbcDeviceConfig | CanOpenDeviceConfig
+CLOSED = (
+    "its gains cannot be read back, so nothing is written (advice only); "
+    f'accept that by name: [device] accept = ["{NO_READ_BACK}"]'
+)
+
+
+def make_access(config: Config, foreign: Foreign) -> Access:
+    """The numbers of a foreign device, by its description.
+
+    Raises
+    ------
+    ProfileError
+        The description cannot be used, or has not what the mapping names.
+    """
+    assert isinstance(foreign, DbcDeviceConfig)
+    return DbcAccess(dbc_file(config, foreign), mapping_of(config, foreign))
+
+
+def vendor_units(config: Config) -> VendorUnits | None:
+    """How the device keeps gains; None for one that keeps them as they are. Errors as make_access."""
+    foreign = config.foreign_device
+    return None if foreign is None else make_access(config, foreign).units
+
+
+def closed(foreign: Foreign, access: Access) -> str:
+    """Why gains are never written to this device; empty when they are."""
+    return "" if access.reads_back or NO_READ_BACK in foreign.accept else CLOSED
+
+
+def advice_only(config: Config) -> bool:
+    """Whether nothing may be written to the configured device. Errors as make_access."""
+    foreign = config.foreign_device
+    return foreign is not None and bool(closed(foreign, make_access(config, foreign)))
+
+
+def held_table(config: Config) -> GainTable:
+    """The gain table as commissioned, as the device holds it.
+
+    Raises
+    ------
+    ProfileError
+        It cannot hold one of the sets; otherwise as make_access.
+    """
+    table, units = config.gain_table(), vendor_units(config)
+    if units is None:
+        return table
+    held = []
+    for i, gains in enumerate(table.gains):
+        try:
+            held.append(units.rounded(gains))
+        except ValueError as error:
+            name = table.regions.names[i]
+            raise ProfileError(f"the device cannot hold the gains of region {name}: {error}", ("gains",)) from None
+    return GainTable(table.loop, table.regions, tuple(held), table.lookup)
+
+
+def mapping_of(config: Config, foreign: Foreign) -> DeviceMapping:
+    """What of the device is what."""
+    loop = config.loop
+    return foreign.mapping(loop.pv_max - loop.pv_min, loop.co_max_pct - loop.co_min_pct)
+
+
+def node_of(config: Config, foreign: Foreign) -> int:
+    """Number of the device."""
+    return config.bus.node if foreign.node is None else foreign.node
+
+
+def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:
+    """The device's DBC, moved to its node."""
+    path = described_by(foreign.dbc)
+    node = node_of(config, foreign)
+    return DbcFile(read_dbc_file(path), path.name, node, foreign.described_node, foreign.node_shift)
