@@ -97,7 +97,7 @@ class ForeignDevice:
         self._setpoint: float | None = None
         self._asked_setpoint = False
         self._stopped: dict[str, str] = {}  # reasons by what tells them
-        self._up = False
+        self._up = self._there = False
         self._ask_s = self._feed_s = -math.inf
         self._seq = 0
         self._boots = 0
@@ -131,11 +131,9 @@ class ForeignDevice:
     def _receive(self, now_s: float) -> None:
         """Take what has arrived."""
         for message in self.link.receive_all():
-            told = self._access.take(message)
-            if told:
-                self._contact.heard_s = now_s
             self._tap.take(message)
-            for one in told:
+            for one in self._access.take(message):
+                self._there = True
                 self._take(one, now_s)
 
     def _take(self, told: Told, now_s: float) -> None:
@@ -172,6 +170,8 @@ class ForeignDevice:
             return
         first = name == "pv" and self._grid.due(now_s)
         self._latest[name] = value
+        if name == "pv":
+            self._contact.heard_s = now_s
         if name in {"pv", "co"}:
             self._fresh[name] = Value(value, now_s)
         if first and "pv" not in self._access.on_request:
@@ -280,8 +280,10 @@ class ForeignDevice:
         reason = self._contact.lost(now_s, self.link.state)
         if not self._up:
             if self._contact.in_vain(now_s):
-                heard = self._contact.heard_s > -math.inf
-                what = "its gains could not be read" if heard else "no frame of it"
+                what = "no frame of it"
+                if self._there:
+                    heard = self._contact.heard_s > -math.inf
+                    what = "it is there, but its gains could not be read" if heard else "it is there, but no pv came"
                 raise DeviceSilentError(
                     f"{self.settings.where}: {what} within {self.settings.connect_s:g} s; "
                     "is the device running there, and is this its description?"

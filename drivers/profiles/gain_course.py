@@ -185,8 +185,10 @@ class GainCourse:
             self._move(CourseInput.TAKEN)
 
     def on_refused(self, name: str, reason: str) -> None:
-        """A number was refused."""
-        if name in self._new and self.machine.phase in {CoursePhase.WRITING, CoursePhase.CHECKING}:
+        """A number was refused; while the old ones are written, what is refused was refused before: it is unchanged."""
+        if self.machine.phase is CoursePhase.UNDOING:
+            self.on_acknowledged(name)
+        elif name in self._new and self.machine.phase in {CoursePhase.WRITING, CoursePhase.CHECKING}:
             self.reason = f"the controller refused {name}: {reason}"
             self._move(CourseInput.REFUSED)
 

@@ -1,5 +1,7 @@
 """What a configuration says of a controller that is not ours, read: its numbers, its description, its limits."""
 
+from typing import TYPE_CHECKING
+
 from retuner.config.foreign import NO_READ_BACK, CanOpenDeviceConfig, DbcDeviceConfig
 from retuner.config.model import Config
 from retuner.drivers.dbc.access import DbcAccess
@@ -9,6 +11,9 @@ from retuner.drivers.profiles.mapping import DeviceMapping
 from retuner.drivers.profiles.ready import described_by
 from retuner.schedule.table import GainTable
 from retuner.schedule.vendor_units import VendorUnits
+
+if TYPE_CHECKING:
+    from retuner.drivers.canopen.eds_file import EdsFile
 
 Foreign = DbcDeviceConfig | CanOpenDeviceConfig
 CLOSED = (
@@ -25,8 +30,13 @@ def make_access(config: Config, foreign: Foreign) -> Access:
     ProfileError
         The description cannot be used, or has not what the mapping names.
     """
-    assert isinstance(foreign, DbcDeviceConfig)
-    return DbcAccess(dbc_file(config, foreign), mapping_of(config, foreign))
+    mapping = mapping_of(config, foreign)
+    if isinstance(foreign, DbcDeviceConfig):
+        return DbcAccess(dbc_file(config, foreign), mapping)
+    from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
+
+    settings = NodeSettings(foreign.start, foreign.heartbeat_s, foreign.own_node)
+    return CanOpenAccess(eds_file(config, foreign), mapping, settings)
 
 
 def vendor_units(config: Config) -> VendorUnits | None:
@@ -76,6 +86,14 @@ def mapping_of(config: Config, foreign: Foreign) -> DeviceMapping:
 def node_of(config: Config, foreign: Foreign) -> int:
     """Number of the device."""
     return config.bus.node if foreign.node is None else foreign.node
+
+
+def eds_file(config: Config, foreign: CanOpenDeviceConfig) -> "EdsFile":
+    """The device's EDS, for its node."""
+    from retuner.drivers.canopen.eds_file import EdsFile, read_eds  # noqa: PLC0415  an extra
+
+    path, node = described_by(foreign.eds), node_of(config, foreign)
+    return EdsFile(read_eds(path, node), path.name, node)
 
 
 def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from retuner.config import Config
-from retuner.config.described import Foreign, closed, dbc_file, make_access, mapping_of, node_of
+from retuner.config.described import Foreign, closed, dbc_file, eds_file, make_access, mapping_of, node_of
 from retuner.config.foreign import UNPROVED_ORDER, DbcDeviceConfig
 from retuner.decisions.order_of_writes import OrderOfWrites
 from retuner.drivers.bus.bus import CanLink
@@ -61,8 +61,12 @@ def make_far_side(config: Config, epoch: int = 1) -> BusDevice:
     if foreign is None:
         return VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=epoch)
     loop = BenchLoop(virtual_device_settings(config), make_plant(config))
-    assert isinstance(foreign, DbcDeviceConfig)
-    return VirtualDbcDevice(dbc_file(config, foreign), mapping_of(config, foreign), loop, node_of(config, foreign))
+    mapping = mapping_of(config, foreign)
+    if isinstance(foreign, DbcDeviceConfig):
+        return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, node_of(config, foreign))
+    from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode  # noqa: PLC0415  an extra
+
+    return VirtualCanOpenNode(eds_file(config, foreign), mapping, loop)
 
 
 def prove_order(config: Config, device: Device, session: Session, record: Recorder) -> None:
