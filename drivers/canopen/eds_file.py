@@ -135,11 +135,12 @@ class EdsFile:
         if not sub:
             subs = ", ".join(f"{i} ({entry[i].name})" for i in list(entry)[1:9])
             raise ProfileError(f"{self.source}: object {index} has parts; name one: {index}:{subs}", key)
-        try:
-            return entry[int(sub, 0)]
-        except (KeyError, ValueError):
+        count, part = self._value(entry, 0), _part(sub)
+        found = None if count is not None and part > count else entry.get(part)  # the package invents parts of arrays
+        if found is None:
             there = ", ".join(str(i) for i in entry)
-            raise ProfileError(f"{self.source}: object {index} has no part {sub!r}; there is {there}", key) from None
+            raise ProfileError(f"{self.source}: object {index} has no part {sub!r}; there is {there}", key)
+        return found
 
     def _there(self, number: int | str) -> str:
         """What could have been meant."""
@@ -182,6 +183,14 @@ class EdsFile:
             return None
         value = part.value if part.value is not None else part.default
         return value if isinstance(value, int) else None
+
+
+def _part(sub: str) -> int:
+    """A sub-index as people write it, decimal or 0x; one that nothing has for what is no number."""
+    try:
+        return int(sub, 16 if sub.lower().startswith("0x") else 10)
+    except ValueError:
+        return 256
 
 
 def text_of(variable: Variable) -> str:

@@ -1,11 +1,13 @@
 """retuner device: the virtual controller as a process of its own on a bus."""
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from retuner.commands.options import Channel, ConfigFile, Interface, on_bus
+from retuner.commands.init import starter
+from retuner.commands.options import Channel, Interface, on_bus
 from retuner.errors import UserError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
@@ -16,16 +18,18 @@ app = typer.Typer(add_completion=False)
 
 @app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")
 def device(
-    path: ConfigFile,
+    path: Annotated[Path | None, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")] = None,
     interface: Interface = None,
     channel: Channel = None,
     speed: Annotated[float, typer.Option(help="How much faster than real time the simulated plant runs.")] = 1.0,
+    profile: Annotated[
+        str,
+        typer.Option(help="In place of a configuration: a virtual odrive, cia402 or cia404."),
+    ] = "",
     duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
 ) -> int:
     """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped."""
-    from retuner.config.loading import load_config  # noqa: PLC0415  see above
-
-    config = on_bus(load_config(path), interface, channel)
+    config = on_bus(_read(path, profile), interface, channel)
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {speed}: give a positive number, 1 for real time")
     if duration is not None and not 0 < duration < float("inf"):
@@ -37,6 +41,15 @@ def device(
         )
     _be(config, speed, duration or float("inf"))
     return 0
+
+
+def _read(path: Path | None, profile: str) -> "Config":
+    """The configuration of the file, or of a profile's example."""
+    from retuner.config.loading import load_config, parse_config  # noqa: PLC0415  see above
+
+    if (path is None) == (not profile):
+        raise UserError("give a configuration file, or --profile odrive, cia402 or cia404: one of them")
+    return load_config(path) if path is not None else parse_config(starter(profile))
 
 
 def _be(config: "Config", speed: float, until_s: float) -> None:
