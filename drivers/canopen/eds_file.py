@@ -136,7 +136,8 @@ class EdsFile:
             subs = ", ".join(f"{i} ({entry[i].name})" for i in list(entry)[1:9])
             raise ProfileError(f"{self.source}: object {index} has parts; name one: {index}:{subs}", key)
         count, part = self._value(entry, 0), _part(sub)
-        found = None if count is not None and part > count else entry.get(part)  # the package invents parts of arrays
+        invented = count is not None and part > count
+        found: Variable | None = None if invented else entry.get(part)  # the package invents parts of arrays
         if found is None:
             there = ", ".join(str(i) for i in entry)
             raise ProfileError(f"{self.source}: object {index} has no part {sub!r}; there is {there}", key)
