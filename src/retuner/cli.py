@@ -32,6 +32,7 @@ COMMANDS = {
     "replay": "Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?",
     "report": "Make the report of a recorded session again, or the page of one decision, with pictures.",
     "approve": "Order that a proposal be written, named by its hash, or list the open ones: the newest of each region.",
+    "export": "Write a gain table for firmware, a PLC or a CAN tool, or back into its configuration.",
     "tune": "Settings for a known process by a tuning rule, with their margins.",
     "identify": "Find the process behind a record: model, standard deviations, and the settings that follow.",
     "diagnose": "Say what is behind a loop's behaviour, with evidence, and what to do about it.",
