@@ -15,7 +15,7 @@ import pytest
 
 from retuner.adaptive.guard import change_factor
 from retuner.cli import main
-from retuner.config.loading import load_config
+from retuner.config.loading import load_config, load_session
 from retuner.gain_export.c_header import c_header
 from retuner.gain_export.numbers import numbers_of
 from retuner.gain_export.structured_text import structured_text
@@ -291,3 +291,20 @@ def test_a_table_of_other_regions_changes_nothing(tmp_path: Path, capsys: pytest
     assert main(["export", str(gains), "--into", str(path)]) == 2
     assert "gains go back only where they came from" in capsys.readouterr().err
     assert path.read_text() == CONFIG
+
+
+def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path: Path) -> None:
+    schedule = CONFIG[CONFIG.index("[schedule]") :].replace("schedule", "loop.schedule")
+    one = CONFIG[CONFIG.index("[loop]") : CONFIG.index("[schedule]")].replace("[loop]", "[[loop]]") + schedule
+    path, gains = tmp_path / "loops.toml", tmp_path / "gains.toml"
+    other = one.replace('"oven"', '"kiln"') + "[loop.bus]\nnode = 2\n"
+    path.write_text("schema = 1\n" + one + other)
+    session, text = load_session(path)
+    tuned = session.loops[1].gain_table().with_gains("low", PidGains(1.5, 0.01))
+    gains.write_text(to_toml(tuned))
+    assert main(["export", str(gains), "--into", str(path)]) == 0
+    changed = [
+        i for i, (a, b) in enumerate(zip(text.splitlines(), path.read_text().splitlines(), strict=True)) if a != b
+    ]
+    assert len(changed) == 2
+    assert min(changed) > len(one.splitlines())

@@ -34,7 +34,8 @@ def test_the_examples_are_short_and_those_that_init_writes(profile: str, tmp_pat
 def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (EXAMPLES / "cia404.toml").read_text().replace("duration_s = 6000.0", "duration_s = 600.0")
+    text = (EXAMPLES / "cia404.toml").read_text().replace("duration_s = 6000.0", "duration_s = 900.0")
+    text = text.replace("kc = 2.0", "kc = 3.2").replace("tau_i_s = 120.0", "tau_i_s = 50.0")
     config = tmp_path / "loop.toml"
     steps = "    { at_s = 0.0, sp = 150.0 }, { at_s = 100.0, sp = 170.0 },\n]\n"
     config.write_text(text[: text.index("    { at_s = 0.0")] + steps)

@@ -12,7 +12,7 @@ from retuner.drivers.profiles.gain_course import COURSE as GAIN_COURSE
 from retuner.drivers.profiles.gain_course import CourseInput, CoursePhase
 from retuner.drivers.state_machine import StateMachine
 from retuner.session.gain_writer import WRITING, WriterInput, WriterPhase
-from retuner.session.session import COURSE, SessionInput, SessionPhase
+from retuner.session.loop_session import COURSE, SessionInput, SessionPhase
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = [

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.config.described import make_access
+from retuner.config.described import foreign_settings, make_access
 from retuner.config.loading import parse_config
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode
@@ -28,9 +28,10 @@ from retuner.drivers.device import (
     WriteUnknown,
 )
 from retuner.drivers.profiles.foreign_device import ForeignDevice, Numbers, any_way
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.forms import IdealGains
 from retuner.schedule.gains import PidGains
-from retuner.session.devices import foreign_settings, make_far_side
+from retuner.session.assembly import make_far_side
 
 LOOP = """
 schema = 1
@@ -99,7 +100,9 @@ class Stage:
         assert isinstance(self.node, VirtualCanOpenNode)
         self.wire = Wire(self.node)
         access = make_access(config, config.foreign_device)
-        self.host = ForeignDevice(self.wire, access, foreign_settings(config, config.foreign_device, access, 1.0))
+        self.host = ForeignDevice(
+            self.wire, access, foreign_settings(config, config.foreign_device, access, ScheduleInputs(), 1.0)
+        )
         self.host.choose_way = time_first
         self.now_s = 0.0
 

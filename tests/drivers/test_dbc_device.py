@@ -9,7 +9,7 @@ import pytest
 
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.config.described import make_access, mapping_of
+from retuner.config.described import foreign_settings, make_access, mapping_of
 from retuner.config.loading import parse_config
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.device import (
@@ -25,9 +25,9 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.profiles.foreign_device import ForeignDevice
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import law, start, step
-from retuner.session.devices import foreign_settings
 
 NODE, SAMPLE_S = 3, 0.02
 ODRIVE = """
@@ -127,7 +127,7 @@ class Stage:
         access = make_access(config, config.foreign_device)
         self.axis = Axis()
         self.wire = Wire(self.axis)
-        settings = foreign_settings(config, config.foreign_device, access, 1.0)
+        settings = foreign_settings(config, config.foreign_device, access, ScheduleInputs(), 1.0)
         self.host = ForeignDevice(self.wire, access, settings)
         self.now_s = 0.0
 

@@ -7,13 +7,20 @@ from retuner.config.model import Config
 from retuner.drivers.dbc.access import DbcAccess
 from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
 from retuner.drivers.profiles.access import Access, ProfileError
+from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.mapping import DeviceMapping
 from retuner.drivers.profiles.ready import described_by
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.table import GainTable
 from retuner.schedule.vendor_units import VendorUnits
 
 if TYPE_CHECKING:
     from retuner.drivers.canopen.eds_file import EdsFile
+
+SILENT_SAMPLES, SILENT_FLOOR_S = 6.0, 0.5
+REPLY_SAMPLES, REPLY_FLOOR_S = 3.0, 0.3
+CONNECT_SAMPLES, CONNECT_FLOOR_S = 20.0, 5.0
+NEVER_S = 1e9
 
 Foreign = DbcDeviceConfig | CanOpenDeviceConfig
 CLOSED = (
@@ -101,3 +108,28 @@ def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:
     path = described_by(foreign.dbc)
     node = node_of(config, foreign)
     return DbcFile(read_dbc_file(path), path.name, node, foreign.described_node, foreign.node_shift)
+
+
+def foreign_settings(
+    config: Config, foreign: Foreign, access: Access, inputs: ScheduleInputs, speed: float, after_s: float | None = None
+) -> ForeignSettings:
+    """How to treat a foreign device. inputs : of the schedule. speed, after_s : as make_device."""
+    sample = config.loop.sample_time_s
+    floor_s = SILENT_FLOOR_S * speed
+    return ForeignSettings(
+        gains=config.gains()[0],
+        where=f"node {node_of(config, foreign)} on {config.bus.interface} {config.bus.channel}",
+        sample_time_s=sample,
+        variable=inputs,
+        co_min=config.loop.co_min_pct,
+        co_max=config.loop.co_max_pct,
+        sp_start=foreign.sp_start,
+        reply_s=max(REPLY_SAMPLES * sample, REPLY_FLOOR_S * speed),
+        silent_s=max(foreign.silent_s or 0.0, SILENT_SAMPLES * sample, floor_s),
+        connect_s=max(CONNECT_SAMPLES * sample, CONNECT_FLOOR_S * speed),
+        feed_s=foreign.feed_s * speed or NEVER_S,
+        look_s=foreign.look_s,
+        closed=closed(foreign, access),
+        bench_node=node_of(config, foreign) if foreign.plant is not None else None,
+        after_s=after_s,
+    )

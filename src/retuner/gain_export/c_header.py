@@ -185,23 +185,26 @@ def _at_hard(table: TableNumbers) -> Iterable[str]:
     yield ""
 
 
+_SHARES = """static int @_shares(const double *c, int n, RETUNER_REAL v, int *at, RETUNER_REAL *w) {
+    int above = @_bisect(c, n, v);
+    w[0] = 1;
+    if (above == 0 || above == n) {
+        at[0] = above == 0 ? 0 : n - 1;
+        return 1;
+    }
+    at[0] = above - 1;
+    at[1] = above;
+    w[1] = (v - (RETUNER_REAL)c[above - 1]) / ((RETUNER_REAL)c[above] - (RETUNER_REAL)c[above - 1]);
+    w[0] = 1 - w[1];
+    return w[1] == 0 ? 1 : 2;
+}
+"""
+
+
 def _at_interpolated(table: TableNumbers) -> Iterable[str]:
     """The mean of the sets whose centres are nearest."""
     p, names = table.name, _names(table)
-    yield f"static int {p}_shares(const double *c, int n, RETUNER_REAL v, int *at, RETUNER_REAL *w) {{"
-    yield f"    int above = {p}_bisect(c, n, v);"
-    yield "    w[0] = 1;"
-    yield "    if (above == 0 || above == n) {"
-    yield "        at[0] = above == 0 ? 0 : n - 1;"
-    yield "        return 1;"
-    yield "    }"
-    yield "    at[0] = above - 1;"
-    yield "    at[1] = above;"
-    yield "    w[1] = (v - (RETUNER_REAL)c[above - 1]) / ((RETUNER_REAL)c[above] - (RETUNER_REAL)c[above - 1]);"
-    yield "    w[0] = 1 - w[1];"
-    yield "    return w[1] == 0 ? 1 : 2;"
-    yield "}"
-    yield ""
+    yield _SHARES.replace("@", p)
     yield "/* The gains in force at these scheduling values. */"
     yield f"static {p}_gains_t {p}_at(int region, {_arguments(table)}) {{"
     yield f"    {p}_gains_t g;"

@@ -12,7 +12,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from retuner.adaptive.guard import change_factor
-from retuner.config.loading import UnusableError, load_with_text, parse_config
+from retuner.config.loading import UnusableError, load_session, parse_session
 from retuner.errors import UserError
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
@@ -32,7 +32,9 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         The configuration cannot be read, its regions are not the table's, or a set has no form that it can be written
         in; nothing was changed.
     """
-    config, text = load_with_text(path)
+    session, text = load_session(path)
+    place = session.place(table.loop if session.several else None)
+    config, several = session.loops[place], session.several
     names = [region.name for region in config.schedule.regions]
     if sorted(names) != sorted(table.regions.names):
         raise UserError(
@@ -41,17 +43,22 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         )
     try:
         document = tomlkit.parse(text)
-        told = [line for region in _regions(document) for line in _put(region, table)]
+        told = [line for region in _regions(document, place if several else None) for line in _put(region, table)]
     except (TOMLKitError, KeyError, TypeError) as error:
         raise UserError(f"{path}: its regions cannot be found to be written: {error}") from None
     written = tomlkit.dumps(document)
-    _require_same(path, written, table)
+    _require_same(path, written, table, place)
     return written, told
 
 
-def _regions(document: Mapping[str, Any]) -> list[MutableMapping[str, Any]]:
-    """The tables [[schedule.region]], or the entries of the array."""
-    return list(document["schedule"]["region"])
+def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMapping[str, Any]]:
+    """The tables [[schedule.region]], or the entries of the array; of one of several loops its own."""
+    if loop is None:
+        return list(document["schedule"]["region"])
+    own = document["loop"][loop].get("schedule", {})
+    if "region" not in own:
+        raise UserError("the regions stand at the top of the file for all loops; give the loop a [loop.schedule] first")
+    return list(own["region"])
 
 
 def _put(region: MutableMapping[str, Any], table: GainTable) -> list[str]:
@@ -98,10 +105,10 @@ def _text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else str(value)
 
 
-def _require_same(path: Path, text: str, table: GainTable) -> None:
+def _require_same(path: Path, text: str, table: GainTable, loop: int) -> None:
     """What was written must be read back as the table's gains."""
     try:
-        config = parse_config(text)
+        config = parse_session(text).loops[loop]
     except UnusableError as unusable:
         raise UserError(f"{path}: with the tuned gains it would be refused: {unusable.findings[0].message}") from None
     for region, gains in zip(config.schedule.regions, config.gains(), strict=True):
