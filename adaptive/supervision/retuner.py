@@ -25,7 +25,7 @@ from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
-from retuner.adaptive.signals.recogniser import RecogniserPhase
+from retuner.adaptive.signals.recogniser import RecogniserPhase, RecogniserState
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
@@ -122,6 +122,11 @@ class Retuner:
     def phase(self) -> RecogniserPhase | None:
         """Where the recogniser stands."""
         return self._finder.phase
+
+    @property
+    def following(self) -> RecogniserState | None:
+        """The recogniser's state, None before the first sample."""
+        return self._finder.recogniser
 
     @property
     def band(self) -> float:

@@ -18,7 +18,7 @@ from retuner.commands.run import LedgerSize
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
-from retuner.report.console import RunScreen
+from retuner.live_view.live_screen import LiveScreen
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -420,7 +420,7 @@ def test_a_run_tells_that_its_ledger_has_grown(tmp_path: Path, monkeypatch: pyte
         SHORT.replace("duration_s = 80.0", "duration_s = 5.0").replace(LATER_STEPS, "")
     )
     told: list[str] = []
-    monkeypatch.setattr(RunScreen, "say", lambda _, line: told.append(line))
+    monkeypatch.setattr(LiveScreen, "say", lambda _, line: told.append(line))
     with (tmp_path / "short.toml").open("a") as file:
         file.write("[output]\nledger_mb_warn = 1.5\n")
     assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0

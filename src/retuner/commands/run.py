@@ -14,6 +14,7 @@ import typer
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.commands.options import Channel, ConfigFile, Interface, Json, on_bus, signed_by
 from retuner.commands.report import scores_of
 from retuner.config.loading import load_with_text
@@ -23,7 +24,11 @@ from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_json, write_whole
 from retuner.ledger import Ledger, Recorder
-from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.live_view.live_screen import LiveScreen
+from retuner.live_view.loop_seen import LoopObserver
+from retuner.live_view.publishing import Publisher, head_of
+from retuner.live_view.what_next import narrow_scores, what_next
+from retuner.report.console import counted, scores_table, screen_console, told_values
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
@@ -63,6 +68,7 @@ class RunOptions:
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
     pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="On a terminal: what decisions weighed.")] = False
     as_json: Json = False
 
 
@@ -90,7 +96,8 @@ def run(options: RunOptions) -> int:
         make_plant(config)
     speed = real_time_speed(options.speed, simulated=simulated)
     folder = options.out or Path(config.output.directory)
-    screen = RunScreen(screen_console(stderr=options.as_json), config.loop.pv_unit, quiet=options.as_json)
+    console = screen_console(stderr=options.as_json)
+    screen = LiveScreen(console, config.loop.pv_unit, quiet=options.as_json, detail=options.verbose)
     require_writer(config.output.trend)
     fresh = fresh_folder(folder)
     try:
@@ -132,32 +139,31 @@ class _Job:
         return self.fresh.path
 
 
-def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
+def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
     """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
     config = job.config
     _open_session(job, ledger)
 
-    def on_sample(session: Session, sample: LoopSample) -> None:
-        region = session.retuner.region or 0
-        screen.sample(sample, session.scenario.progress, session.table.regions.names[region])
-
+    watched = Watched(job, screen)
     record = _recorder(ledger, screen, lambda: job_run.session, config.output.ledger_mb_warn)
     job_run: Run = Run(
         config,
         record,
         mode=job.mode,
         log=job.folder / BUS_LOG,
-        on_sample=on_sample,
+        on_sample=watched.sample,
         folder=job.folder,
         before=job.fresh.moved,
         tell=screen.say,
     )
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
     session, interrupted = _play(job, job_run)
+    watched.close()
     end = {"interrupted": interrupted, **_traffic(job.folder)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
-        fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
+        compared = Watched(job, screen, published=False)
+        fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=compared.sample), screen)
         interrupted = fixed is None
     with unstoppable():
         record("end", session.writer.t_s, end)
@@ -166,6 +172,32 @@ def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
         wrong = session.frozen or session.left_open
         raise UserError(f"{wrong}; the run was ended, and {job.folder / REPORT} says what the controller runs")
     return 130 if interrupted else 0
+
+
+class Watched:
+    """Shows each sample of a session on the screen, and to whoever watches from outside (published)."""
+
+    def __init__(self, job: _Job, screen: LiveScreen, *, published: bool = True) -> None:
+        self._job, self._screen, self._published = job, screen, published
+        self._observer: LoopObserver | None = None
+        self._publisher: Publisher | None = None
+
+    def sample(self, session: Session, sample: LoopSample) -> None:
+        """One sample has been taken in."""
+        observer = self._observer
+        if observer is None:
+            observer = self._observer = LoopObserver(session.retuner, session.device)
+            if self._published:
+                head = head_of(self._job.config, session.table)
+                self._publisher = Publisher(self._job.folder, head, observer, self._screen.say)
+        if self._publisher is not None:
+            self._publisher.sample(sample)
+        self._screen.sample(session.table.loop, sample.pv, session.scenario.progress, lambda: observer.look(sample))
+
+    def close(self) -> None:
+        """The session is over."""
+        if self._publisher is not None:
+            self._publisher.close()
 
 
 def _traffic(folder: Path) -> dict[str, object]:
@@ -220,7 +252,7 @@ class LedgerSize:
             )
 
 
-def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session | None], most_mb: float) -> Recorder:
+def _recorder(ledger: Ledger, screen: LiveScreen, current: Callable[[], Session | None], most_mb: float) -> Recorder:
     """What keeps a run's rows and shows some of them; a ledger that fails freezes the session.
 
     most_mb : size of the ledger past which that is told.
@@ -257,7 +289,7 @@ def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:
         return job_run.session, True
 
 
-def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
+def _unless_stopped(comparison: Run, screen: LiveScreen) -> Session | None:
     """The comparison run, or None when the user stops it: the run that counts is over then, and is kept."""
     screen.begin("the same run with fixed gains")
     try:
@@ -288,7 +320,7 @@ TOLD = {
 
 
 def _leave(
-    job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: RunScreen, *, interrupted: bool
+    job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: LiveScreen, *, interrupted: bool
 ) -> None:
     """Write everything that the run leaves, and show the result."""
     config, folder = job.config, job.folder
@@ -317,7 +349,7 @@ def _leave(
 
 
 def _show(
-    job: _Job, ledger: Ledger, session: Session, scores: list[RegionScore], screen: RunScreen, *, interrupted: bool
+    job: _Job, ledger: Ledger, session: Session, scores: list[RegionScore], screen: LiveScreen, *, interrupted: bool
 ) -> None:
     """The result as a file, and for whoever asked for it."""
     folder = job.folder
@@ -326,10 +358,24 @@ def _show(
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
-    screen.table(scores_table(scores, job.config.loop.pv_unit))
+    unit = job.config.loop.pv_unit
+    screen.pause()
+    screen.table(scores_table(scores, unit), lambda: narrow_scores(scores, unit))
     done = f"{counted(len(session.decisions), 'decision')}, {counted(len(session.commits), 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
+    _tell_what_next(job, ledger, session, screen)
+
+
+def _tell_what_next(job: _Job, ledger: Ledger, session: Session, screen: LiveScreen) -> None:
+    """What a person can do now."""
+    names, trials = session.table.regions.names, session.retuner.trials
+    locked = [name for i, name in enumerate(names) if trials.phase(i) is TrialPhase.LOCKED]
+    approval_s, changed = job.config.adaptation.approval_s, bool(session.commits)
+    for one in what_next(job.folder, ledger.rows(), approval_s, locked, changed=changed):
+        screen.say(one.why)
+        if one.command:
+            screen.command(f"  {one.command}")
 
 
 def advice_of(session: Session) -> tuple[RegionAdvice, ...]:

@@ -1,6 +1,6 @@
 """What a run leaves in its folder: config.toml (as it was run), ledger.sqlite, bus.blf, trend, gains.toml,
-summary.json and report.html; on a real bus memory.json (memory_file.py); and orders/, into which people's orders to it
-are put (orders.py).
+summary.json and report.html; live-1.bin, where it can be watched from outside; on a real bus memory.json
+(memory_file.py); and orders/, into which people's orders to it are put (orders.py).
 
 A folder that holds an earlier run is moved aside under a number, never written over: a ledger is evidence.
 """
@@ -25,7 +25,18 @@ LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
 )
 MEMORY, MEMORY_BEFORE, MEMORY_START = "memory.json", "memory-before.json", "memory-start.json"
 ORDERS = "orders"
+LIVE = "live"
 OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG, MEMORY, MEMORY_BEFORE, MEMORY_START}
+
+
+def live_file(folder: Path, number: int) -> Path:
+    """Where a session's loop of this number, from 1, can be watched from outside (live_view/live_file.py)."""
+    return folder / f"{LIVE}-{number}.bin"
+
+
+def is_live_file(path: Path) -> bool:
+    """Whether a file has such a name."""
+    return path.name.startswith(f"{LIVE}-") and path.suffix == ".bin"
 
 
 class FreshFolder(NamedTuple):
@@ -74,7 +85,8 @@ def give_back(fresh: FreshFolder) -> None:
         try:
             logs = log_parts(fresh.path / BUS_LOG).paths
             for path in fresh.path.iterdir():
-                if path in logs or path.name in OURS or path.name.startswith(f"{LEDGER}-"):
+                ours = path in logs or path.name in OURS or is_live_file(path)
+                if ours or path.name.startswith(f"{LEDGER}-"):
                     path.unlink()
         finally:
             lock.close()
