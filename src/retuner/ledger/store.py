@@ -49,6 +49,14 @@ class LedgerReader:
         except READING_ERRORS as error:
             raise LedgerError(f"{self.path}: cannot be read: {error}") from None
 
+    def rows_after(self, seq: int, most: int) -> list[Row]:
+        """At most so many rows after this one, in order, as they stand in the file; the file is let go of at once."""
+        query = "SELECT seq, clock_s, kind, body, previous, hash FROM ledger WHERE seq > ? ORDER BY seq LIMIT ?"
+        try:
+            return [Row(*columns) for columns in self._connection.execute(query, (seq, most)).fetchall()]
+        except READING_ERRORS as error:
+            raise LedgerError(f"{self.path}: cannot be read: {error}") from None
+
     def head(self) -> str:
         """Hash of the last row, 64 hexadecimal digits; zeros for an empty ledger."""
         return self._head()[1]

@@ -163,6 +163,10 @@ class LiveReader:
         """What was seen last; empty before anything was."""
         return self._document(STATE) or {}
 
+    def mark(self) -> bytes:
+        """Length and check sum of what was seen last: the same mark, nothing new in `state`."""
+        return os.pread(self._file, DOCUMENT.size, STATE)
+
     def counts(self) -> list[int]:
         """Samples that ever went into each ring."""
         raw = os.pread(self._file, RINGS * COUNT.size, COUNTS)
@@ -182,17 +186,30 @@ class LiveReader:
         Thinned to extremes of pv, so that nothing that stood out is lost. Shape (n, FIELDS).
         """
         counts = self.counts()
-        table = np.empty((0, len(FIELDS)))
+        finer = np.empty((0, len(FIELDS)))
         for ring in range(RINGS):
             if ring and not counts[ring]:
                 break
             table, first = self._numbered(ring, 0, counts[ring])
+            table = np.concatenate((table, _after(finer, table)))  # the newest have not come as far as this ring
+            finer = table
             reaches = first == 0 or (len(table) and table[0, 0] <= from_s)
             within = int(np.count_nonzero((table[:, 0] >= from_s) & (table[:, 0] <= to_s)))
             if reaches and within <= BLOCK * most:
                 break
-        inside = (table[:, 0] >= from_s) & (table[:, 0] <= to_s)
-        return thinned(table[inside], most)
+        inside = (finer[:, 0] >= from_s) & (finer[:, 0] <= to_s)
+        return thinned(finer[inside], most)
+
+    def extent(self) -> tuple[float, float]:
+        """Times of the oldest and of the newest sample of which anything is kept, s; zeros before the first."""
+        counts = self.counts()
+        if not counts[0]:
+            return 0.0, 0.0
+        coarsest = max(ring for ring in range(RINGS) if counts[ring])
+        oldest, _ = self._numbered(coarsest, 0, counts[coarsest])
+        newest, _ = self._numbered(0, counts[0] - 1, counts[0])
+        first, _ = self._numbered(0, 0, min(counts[0], 1)) if counts[0] < RING else (oldest, 0)
+        return float(first[0, 0]), float(newest[-1, 0])
 
     def close(self) -> None:
         """Close the file."""
@@ -227,11 +244,16 @@ class LiveReader:
         return None
 
 
+def _after(finer: FloatArray, table: FloatArray) -> FloatArray:
+    """Samples of a finer ring that are newer than all of a coarser one."""
+    return finer[finer[:, 0] > table[-1, 0]] if len(table) else finer
+
+
 def thinned(table: FloatArray, most: int) -> FloatArray:
-    """At most so many rows: of each stretch the ones with the least and the greatest pv, and the last row of all."""
+    """At most so many rows (4 or more): the first, the last, and of each stretch those of the least and greatest pv."""
     if len(table) <= most:
         return table
-    stretches = np.array_split(np.arange(len(table)), max(most // 2, 1))
+    stretches = np.array_split(np.arange(len(table)), max(most // 2 - 1, 1))
     pv = table[:, 2]
     kept = {int(part[pick(pv[part])]) for part in stretches for pick in (np.argmin, np.argmax)}
-    return table[sorted(kept | {len(table) - 1})][-most:]
+    return table[sorted(kept | {0, len(table) - 1})]

@@ -53,6 +53,7 @@ class Publisher:
         self._told: tuple[object, ...] = ()
         self._since = 0
         self._writer: LiveWriter | None = None
+        self._newest: LoopSample | None = None
         try:
             self._writer = LiveWriter(self._path, head)
         except OSError as error:
@@ -66,6 +67,7 @@ class Publisher:
         s, region, running = sample, observer.region, observer.running
         gains = (running.kp, running.ki, running.kd) if running else (0.0, 0.0, 0.0)
         writer.sample((s.t_s, s.sp, s.pv, s.co, -1.0 if region is None else float(region), float(s.limited), *gains))
+        self._newest = sample
         self._since += 1
         moved = observer.moved()
         if moved != self._told or self._since >= EVERY_SAMPLES:
@@ -75,8 +77,10 @@ class Publisher:
             self._give_up(writer.trouble)
 
     def close(self) -> None:
-        """No more is told."""
+        """No more is told than how it stands."""
         if self._writer is not None:
+            if self._newest is not None:
+                self._writer.state(self._observer.look(self._newest).to_dict())
             self._writer.close()
             self._writer = None
 

@@ -84,9 +84,9 @@ def superseded(successor: str) -> str:
     return f"a newer proposal of its region supersedes it: {successor[:SHORT]}" if successor else ""
 
 
-def shown(rows: Iterable[Row]) -> Shown:
-    """Read it off the rows of a ledger."""
-    found = Shown()
+def shown(rows: Iterable[Row], found: Shown | None = None) -> Shown:
+    """Read it off the rows of a ledger; found : what was read off the rows before them, which is changed."""
+    found = found or Shown()
     for row in rows:
         found.last_s = max(found.last_s, row.clock_s)
         body = row.body
