@@ -33,6 +33,7 @@ from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
 from retuner.schedule.document import to_toml
+from retuner.serve.beside import require_page, served_beside
 from retuner.session.assembly import make_plant
 from retuner.session.outputs import (
     BUS_LOG,
@@ -69,6 +70,7 @@ class RunOptions:
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
     pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="On a terminal: what decisions weighed.")] = False
+    serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
     as_json: Json = False
 
 
@@ -99,6 +101,8 @@ def run(options: RunOptions) -> int:
     console = screen_console(stderr=options.as_json)
     screen = LiveScreen(console, config.loop.pv_unit, quiet=options.as_json, detail=options.verbose)
     require_writer(config.output.trend)
+    if options.serve:
+        require_page()
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
@@ -157,8 +161,9 @@ def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
         tell=screen.say,
     )
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
-    session, interrupted = _play(job, job_run)
-    watched.close()
+    with served_beside(job.folder, screen.say, wanted=job.options.serve):
+        session, interrupted = _play(job, job_run)
+        watched.close()
     end = {"interrupted": interrupted, **_traffic(job.folder)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
