@@ -161,9 +161,7 @@ def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
         tell=screen.say,
     )
     screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
-    with served_beside(job.folder, screen.say, wanted=job.options.serve):
-        session, interrupted = _play(job, job_run)
-        watched.close()
+    session, interrupted = _served(job, job_run, watched, screen)
     end = {"interrupted": interrupted, **_traffic(job.folder)}
     fixed = None
     if job.simulated and job.options.compare and not interrupted:
@@ -282,6 +280,15 @@ def _recorder(ledger: Ledger, screen: LiveScreen, current: Callable[[], Session 
             screen.say(f"{t_s:8,.0f} s {kind}: {told_values(body, TOLD[kind])}")
 
     return record
+
+
+def _served(job: _Job, job_run: Run, watched: Watched, screen: LiveScreen) -> tuple[Session, bool]:
+    """The run to its end, with its page beside it where that is wanted."""
+    with served_beside(job.folder, screen.say, wanted=job.options.serve):
+        try:
+            return _play(job, job_run)
+        finally:
+            watched.close()
 
 
 def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:
