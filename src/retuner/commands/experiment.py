@@ -15,7 +15,7 @@ from rich.console import Console
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import Channel, Interface, Json, on_bus, signed_by
-from retuner.commands.recorded_loop import renamed
+from retuner.commands.recorded.record_form import renamed
 from retuner.config import Config, load_config
 from retuner.drivers.device import DeviceError
 from retuner.drivers.recorded.recording import read_recording, require_excitation, require_setpoint

@@ -14,7 +14,7 @@ from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.commands.options import Json
-from retuner.commands.recorded_loop import renamed
+from retuner.commands.recorded.record_form import renamed
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
 from retuner.drivers.recorded.frame_log import is_frame_log
