@@ -101,8 +101,7 @@ def run(options: RunOptions) -> int:
     console = screen_console(stderr=options.as_json)
     screen = LiveScreen(console, config.loop.pv_unit, quiet=options.as_json, detail=options.verbose)
     require_writer(config.output.trend)
-    if options.serve:
-        require_page()
+    require_page(wanted=options.serve)
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:

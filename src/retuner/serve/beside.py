@@ -20,15 +20,15 @@ ENDS_WITHIN_S = 3.0
 """After this a server that was told to end is ended."""
 
 
-def require_page() -> None:
-    """Refuse to serve where what it takes is not installed.
+def require_page(*, wanted: bool = True) -> None:
+    """Refuse to serve, if that is wanted, where what it takes is not installed.
 
     Raises
     ------
     UserError
         It is not.
     """
-    if not all(importlib.util.find_spec(name) for name in NEEDED):
+    if wanted and not all(importlib.util.find_spec(name) for name in NEEDED):
         raise UserError(MISSING)
 
 
