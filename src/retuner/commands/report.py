@@ -96,6 +96,7 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
         facts=facts,
         stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
         advice=[words(one, "sentence") for one in parts(summary, "advice")],
+        ms_limit=config.adaptation.ms_nominal,
     )
 
 
