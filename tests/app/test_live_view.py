@@ -89,9 +89,9 @@ def test_no_line_of_the_view_is_wider_than_the_terminal(width: int, ascii_only: 
 def test_what_a_terminal_is_sent_does_not_wrap(width: int) -> None:
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=width, height=30, color_system=None)
-    with LiveScreen(console, "degC", now_s=lambda: 0.0) as screen:
+    with LiveScreen(console, now_s=lambda: 0.0) as screen:
         screen.begin("oven: auto")
-        screen.sample("oven", 90.0, 0.25, seen_oven)
+        screen.sample("oven", "degC", 90.0, 0.25, seen_oven)
         screen.decision(decision())
         screen.say("a sentence of many words " * 20)
         console.print(screen.picture(width, 30))
@@ -120,9 +120,9 @@ def test_a_decision_takes_two_lines_and_more_only_when_asked() -> None:
 def test_many_loops_get_a_line_each_and_say_how_many_more() -> None:
     console = Console(file=io.StringIO(), force_terminal=True, width=100, height=12)
     seen = seen_oven(1)
-    with LiveScreen(console, "degC", now_s=lambda: 0.0) as screen:
+    with LiveScreen(console, now_s=lambda: 0.0) as screen:
         for i in range(32):
-            screen.sample(f"loop {i}", 1.0, 0.0, lambda: seen)
+            screen.sample(f"loop {i}", "bar", 1.0, 0.0, lambda: seen)
         lines = console.render_lines(screen.picture(100, 12))
     assert len(lines) <= 12
     assert "and 22 more loops" in "".join(part.text for part in lines[-1])
@@ -136,9 +136,9 @@ def test_names_from_outside_cannot_write_on_the_terminal() -> None:
 
 def test_without_a_terminal_there_are_plain_lines() -> None:
     out = io.StringIO()
-    with LiveScreen(Console(file=out, width=80), "degC") as screen:
+    with LiveScreen(Console(file=out, width=80)) as screen:
         screen.begin("oven: auto")
-        screen.sample("oven", 90.0, 0.5, lambda: pytest.fail("nobody looks"))
+        screen.sample("oven", "degC", 90.0, 0.5, lambda: pytest.fail("nobody looks"))
         screen.decision(decision(reason="x " * 150))
     assert len(out.getvalue().splitlines()) == 1
 
@@ -160,13 +160,17 @@ def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         made = decision()
         ledger.append("decision", {**made.to_dict(), "samples": 1}, 1830.0)
-        told = what_next(tmp_path / "my run", ledger.rows(), 86400.0, ["high"], changed=True)
+        told = what_next(tmp_path / "my run", ledger.rows(), 86400.0, ["high"], tmp_path / "gains.toml")
     assert told[0].command == f"retuner approve '{tmp_path / 'my run'}' {made.digest()[:8]}"
     assert "4.2, 70 -> 1.26, 247" in told[0].why
     assert told[1].command.endswith("--unlock high")
     assert "gains.toml" in told[2].why
     with LedgerReader(tmp_path / "ledger.sqlite") as reader:
-        assert what_next(tmp_path, reader.rows(), 86400.0, [], changed=False)[0].command
+        assert what_next(tmp_path, reader.rows(), 86400.0, [], None, "dryer 2")[0].command.split()[3:6] == [
+            "--loop",
+            "'dryer",
+            "2'",
+        ]
     assert main(["run", "--help"]) == 0
     assert "--verbose" in capsys.readouterr().out
 

@@ -13,7 +13,7 @@ from retuner.cli import main
 from retuner.serve.access import LASTS_S, LONGEST_S, Bucket
 from retuner.serve.address import ServeOptions, is_local, lines, listening, our_names
 
-ORDER = {"session": "demo", "order": "mode", "mode": "off", "by": "Mallory"}
+ORDER = {"loop": "demo/1", "order": "mode", "mode": "off", "by": "Mallory"}
 
 
 @pytest.fixture
@@ -142,8 +142,8 @@ MALFORMED = sized(300, 3000, 100_000)
 def test_a_flood_of_malformed_messages_does_no_harm(session: Session, served: Served) -> None:
     served.login()
     pieces = [
-        b"", b"{", b"[]", b"null", b'{"order":', b"\xff\xfe", b"[" * 4000, b'{"session":"demo","order":7}', b"x" * 5000,
-        b'{"session":"demo","order":"approve","digest":{"$ne":1}}', b'{"session":["demo"]}', b'{"order":"\\u0000"}',
+        b"", b"{", b"[]", b"null", b'{"order":', b"\xff\xfe", b"[" * 4000, b'{"loop":"demo/1","order":7}', b"x" * 5000,
+        b'{"loop":"demo/1","order":"approve","digest":{"$ne":1}}', b'{"loop":["demo"]}', b'{"order":"\\u0000"}',
     ]  # fmt: skip
     found = set()
     for i in range(MALFORMED):

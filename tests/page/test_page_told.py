@@ -96,8 +96,8 @@ def test_the_ledger_is_filtered_and_exported(session: Session, served: Served) -
 
 
 def test_no_cell_of_an_export_is_a_formula() -> None:
-    told = Told(1, 0.0, "order", "=cmd()", "@low", "-1", "+2", "new", "evidence", "verdict")
-    assert rows_csv([told]).splitlines()[1] == "1,0.0,order,'=cmd(),'@low,'-1,'+2,new,evidence,verdict"
+    told = Told(1, 0.0, "order", "=cmd()", "oven", "@low", "-1", "+2", "new", "evidence", "verdict")
+    assert rows_csv([told]).splitlines()[1] == "1,0.0,order,'=cmd(),oven,'@low,'-1,'+2,new,evidence,verdict"
 
 
 def test_a_row_that_was_changed_is_not_believed(session: Session, served: Served) -> None:
@@ -113,7 +113,7 @@ def test_a_row_that_was_changed_is_not_believed(session: Session, served: Served
     assert told["broken"] == "row 2 cannot be believed: it was changed after it was written"
     assert told["rows"] == 1
     served.login()
-    order = {"session": "demo", "order": "mode", "mode": "off", "by": "Ada"}
+    order = {"loop": "demo/1", "order": "mode", "mode": "off", "by": "Ada"}
     answer = served.client.post("/api/order", json=order, headers={"origin": "http://127.0.0.1:8017"})
     assert answer.status_code == 409
 
@@ -200,7 +200,7 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
     served.look()
     served.login()
     headers = {"origin": "http://127.0.0.1:8017"}
-    order = {"session": "demo", "order": "approve", "digest": made.digest(), "by": "Ada", "note": "as discussed"}
+    order = {"loop": "demo/1", "order": "approve", "digest": made.digest(), "by": "Ada", "note": "as discussed"}
     told = served.client.post("/api/order", json=order, headers=headers)
     assert told.status_code == 200
     (file,) = (session.folder / "orders").glob("*.json")
@@ -209,7 +209,7 @@ def test_an_act_goes_into_an_order_file_of_the_session(session: Session, served:
     assert str(AFTER.kp) not in file.read_text()
     for wrong in ({"by": ""}, {"order": "delete"}, {"digest": "abc"}, {"decision": "1"}, {"by": 7}, {"mode": "auto"}):
         assert served.client.post("/api/order", json={**order, **wrong}, headers=headers).status_code == 400
-    assert served.client.post("/api/order", json={**order, "session": "x"}, headers=headers).status_code == 404
+    assert served.client.post("/api/order", json={**order, "loop": "x/1"}, headers=headers).status_code == 404
     session.ends()
     served.look()
     assert served.client.post("/api/order", json=order, headers=headers).status_code == 409

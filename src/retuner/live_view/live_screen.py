@@ -29,27 +29,28 @@ class LiveScreen:
 
     Parameters
     ----------
-    console : where to. unit : of pv, by loop where there are several. quiet : show nothing (for --json).
+    console : where to. quiet : show nothing (for --json).
     detail : decisions with all that was weighed. now_s : the machine's clock, for how often the picture is renewed.
     """
 
     def __init__(
         self,
         console: Console,
-        unit: str,
         *,
         quiet: bool = False,
         detail: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.console = console
-        self._unit, self._quiet, self._detail, self._now_s = unit, quiet, detail, now_s
+        self._quiet, self._detail, self._now_s = quiet, detail, now_s
         self.live = console.is_terminal and not quiet
         self._ascii = not (console.encoding or "").lower().startswith("utf")
         self._title, self._progress = "", 0.0
         self._due_s = float("-inf")
+        self._looked: dict[str, float] = {}
         self._seen: dict[str, LoopSeen] = {}
         self._pv: dict[str, deque[float]] = {}
+        self._units: dict[str, str] = {}
         self._display = Live(console=console, auto_refresh=False, transient=True) if self.live else None
 
     def __enter__(self) -> "LiveScreen":
@@ -75,29 +76,31 @@ class LiveScreen:
         """Something begins: its name."""
         self._title, self._progress = text, 0.0
         self._seen.clear()
+        self._looked.clear()
         self._pv.clear()
         self._draw()
 
-    def sample(self, loop: str, pv: float, progress: float, look: Callable[[], LoopSeen]) -> None:
+    def sample(self, loop: str, unit: str, pv: float, progress: float, look: Callable[[], LoopSeen]) -> None:
         """One sample of a loop has passed; look : what can be seen of it, asked only when it is going to be shown."""
         if self._display is None:
             return
         self._pv.setdefault(loop, deque(maxlen=TRACED)).append(pv)
         now_s = self._now_s()
-        if now_s >= self._due_s or loop not in self._seen:
-            self._seen[loop], self._progress = look(), progress
-            if now_s >= self._due_s:
-                self._due_s = now_s + RENEW_S
-                self._draw()
+        if now_s < self._due_s and self._looked.get(loop, float("-inf")) >= self._due_s - RENEW_S:
+            return
+        self._looked[loop], self._seen[loop], self._units[loop], self._progress = now_s, look(), unit, progress
+        if now_s >= self._due_s:
+            self._due_s = now_s + RENEW_S
+            self._draw()
 
-    def decision(self, decision: Decision) -> None:
-        """A decision was taken."""
+    def decision(self, decision: Decision, loop: str = "") -> None:
+        """A decision was taken. loop : its name, where there are several."""
         if self._quiet:
             return
         if not self.live:
-            self.console.print(live_line(decision), highlight=False, soft_wrap=True)
+            self.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)
             return
-        for line in decision_lines(decision, self.width, detail=self._detail):
+        for line in decision_lines(decision, self.width, loop, detail=self._detail):
             self.console.print(line, highlight=False, no_wrap=True, crop=False)
 
     def say(self, text: str) -> None:
@@ -128,12 +131,11 @@ class LiveScreen:
         lines = [self._title_line(width)]
         if len(self._seen) * PANEL_LINES + 1 <= height:
             for name, seen in self._seen.items():
-                lines += loop_lines(seen, self._unit, self._pv[name], width, ascii_only=self._ascii)
+                lines += loop_lines(seen, self._units[name], self._pv[name], width, ascii_only=self._ascii)
         else:
             shown = list(self._seen.items())[: max(height - 2, 1)]
-            lines += [
-                loop_line(seen, self._unit, self._pv[name], width, ascii_only=self._ascii) for name, seen in shown
-            ]
+            for name, seen in shown:
+                lines.append(loop_line(seen, self._units[name], self._pv[name], width, ascii_only=self._ascii))
             left = len(self._seen) - len(shown)
             lines += [Text(f"  and {left} more loops")] if left else []
         return Group(*lines)

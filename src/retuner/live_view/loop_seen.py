@@ -174,21 +174,22 @@ class LoopObserver:
     def look(self, sample: LoopSample) -> LoopSeen:
         """What can be seen at a sample."""
         r = self._retuner
+        following = r.state().finder.recogniser
         return LoopSeen(
             loop=r.table.loop,
             sample=sample,
             region=r.region,
             running=self.running,
-            recogniser=recogniser_words(r.following),
-            peaks=peaks_so_far(r.following),
+            recogniser=recogniser_words(following),
+            peaks=peaks_so_far(following),
             band=r.band,
-            waits_for=self._waits_for(),
+            waits_for=self._waits_for(following),
             scheduled=r.scheduled,
             regions=self._every_region(sample.t_s),
             promised=self._promised(),
         )
 
-    def _waits_for(self) -> str:
+    def _waits_for(self, state: RecogniserState | None) -> str:
         """What has to happen before anything is decided or done."""
         r = self._retuner
         if r.region is None:
@@ -200,7 +201,6 @@ class LoopObserver:
             return "nothing; this region is off and only watched"
         if r.open_question is not None:
             return "the decision that is being worked out"
-        state = r.following
         if state is None or (state.phase == R.LOCATE_1 and not state.started):
             trial = " to judge the trial by" * (phase == T.TRIAL)
             return f"an upset{trial}: a setpoint or load step"

@@ -14,11 +14,12 @@ EVERY_SAMPLES = 50
 """The state is told anew at least so often: progress and scheduling values move without anything else changing."""
 
 
-def head_of(config: Config, table: GainTable) -> dict[str, object]:
-    """What of a loop does not change while a session runs, for whoever draws it."""
+def head_of(config: Config, table: GainTable, *, several: bool = False) -> dict[str, object]:
+    """What of a loop does not change while a session runs, for whoever draws it. several : loops in the session."""
     loop, regions = config.loop, table.regions
     return {
         "loop": loop.name,
+        "several": several,
         "unit": loop.pv_unit,
         "pv": [loop.pv_min, loop.pv_max],
         "co": [loop.co_min_pct, loop.co_max_pct],

@@ -51,13 +51,16 @@ def folded(text: str, width: int, indent: int = 0) -> list[str]:
     )
 
 
-def decision_lines(decision: Decision, width: int, *, detail: bool = False) -> list[Text]:
-    """A decision in two lines: when, where, cause and what is done; then why. detail : all else that was weighed."""
+def decision_lines(decision: Decision, width: int, loop: str = "", *, detail: bool = False) -> list[Text]:
+    """A decision in two lines: when, where, cause and what is done; then why.
+
+    loop : its name, where there are several. detail : all else that was weighed.
+    """
     undone = decision.action is Action.RESTORE
     cause = UNDONE if undone else cause_text(decision)
     head = Text.assemble(
         (f"{decision.t_s:9,.0f}s ", "dim"),
-        (f"{one_line(decision.region)}  ", "bold"),
+        (f"{one_line(f'{loop} {decision.region}'.strip())}  ", "bold"),
         (f"{cause}  ", COLOURS.get(cause, "magenta")),
         "nothing is changed" if decision.action is Action.NONE else change_text(decision),
     )

@@ -68,7 +68,7 @@ class Access:
         self.secure, self.read_only = secure, read_only
         self.token = secrets.token_urlsafe(24)
         self.requests = Bucket(50.0, 400.0, now_s)
-        self.orders = Bucket(1.0, 10.0, now_s)
+        self.orders = Bucket(1.0, 64.0, now_s)
         self._tries = Bucket(1 / 12, 5.0, now_s)
         self._now_s = now_s
         self._sessions: dict[str, Session] = {}

@@ -7,6 +7,7 @@ import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
@@ -127,7 +128,7 @@ class Page:
     async def _decision(self, request: Request) -> Response:
         """The page of a decision: drawn once, by one thread at a time."""
         session, loop = self._loop(request)
-        decided = session.ledger.decision(request.path_params["decision"])
+        decided = session.ledger.decision(loop.name, request.path_params["decision"])
         if decided is None:
             raise NotTakenError(404, "there is no such decision")
         place = (loop.key, decided.number, len(session.ledger.decisions))
@@ -204,25 +205,26 @@ class Page:
         if not self._access.orders.take(client):
             raise NotTakenError(429, "too many orders; wait a moment")
         body = await _body(request)
-        session = self._hub.runs.sessions.get(_text(body, "session"))
-        if session is None:
-            raise NotTakenError(404, "there is no such session")
+        found = self._hub.runs.loop(_text(body, "loop"))
+        if found is None:
+            raise NotTakenError(404, "there is no such loop")
+        session, loop = found
         if session.ledger.ended:
             raise NotTakenError(409, "this session has ended: nothing can be changed any more")
         if session.ledger.broken:
             raise NotTakenError(409, f"the ledger cannot be believed: {session.ledger.broken}")
         order = _order_of(body)
-        file = await asyncio.to_thread(_put, session, order)
+        file = await asyncio.to_thread(_put, loop.order_folder(session.folder), order)
         self._access.acted(cookie)
         answer = JSONResponse({"order": str(order.kind), "file": file})
         self._give(answer, cookie, LASTS_S)
         return answer
 
 
-def _put(session: WatchedSession, order: Order) -> str:
-    """Put an order into a session's folder; the name of its file."""
+def _put(folder: Path, order: Order) -> str:
+    """Put an order where the session looks for it; the name of its file."""
     try:
-        return put_order(session.folder, order).name
+        return put_order(folder, order).name
     except UserError as error:
         raise NotTakenError(429, str(error)) from None
     except OSError as error:

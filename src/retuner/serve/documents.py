@@ -75,7 +75,7 @@ def _is_of(decided: Decided, loop: WatchedLoop) -> bool:
 
 def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]:
     """Proposals that wait, changes that wait for a word, locked regions."""
-    shown = session.ledger.shown
+    shown = session.ledger.shown_of(loop.name)
     approval_s = float(loop.reader.head.get("approval_s", 0.0))
     regions = set(loop.reader.head.get("regions", ()))
     found: list[Document] = [
@@ -185,7 +185,7 @@ def decision_html(session: WatchedSession, loop: WatchedLoop, decided: Decided) 
     table = loop.reader.span(begin - 0.5 * (end - begin), end, MOST_POINTS)
     columns = {name: table[:, i].copy() for i, name in enumerate(FIELDS)}
     columns["sequence"] = np.concatenate(([0.0], np.cumsum(np.any(np.diff(table[:, 6:9], axis=0) != 0, axis=1))))
-    later = what_came_of(decided.document, [one.document for one in session.ledger.decisions])
+    later = what_came_of(decided.document, [one.document for one in session.ledger.decisions if _is_of(one, loop)])
     unit = str(loop.reader.head.get("unit", ""))
     return page(view_of(decided.document, columns, unit, (decided.row, decided.hash), later))
 
@@ -206,7 +206,7 @@ def rows_csv(found: Iterable[Told]) -> str:
     """Rows as CSV; what a spreadsheet would take for a formula is made text."""
     out = io.StringIO()
     writer = csv.writer(out)
-    names = ("row", "when_s", "kind", "who", "region", "why", "old", "new", "evidence", "verdict")
+    names = ("row", "when_s", "kind", "who", "loop", "region", "why", "old", "new", "evidence", "verdict")
     writer.writerow(names)
     for one in found:
         document = one.to_dict()

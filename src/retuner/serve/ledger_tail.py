@@ -3,6 +3,7 @@
 from collections import deque
 from pathlib import Path
 
+from retuner.decision_page.row_values import part, parts, words
 from retuner.errors import LedgerError
 from retuner.ledger import LedgerReader, Row
 from retuner.ledger.chain import GENESIS, next_row
@@ -47,11 +48,10 @@ class LedgerTail:
         self._reader = LedgerReader(path)
         self.count, self.head = 0, GENESIS
         self.broken = ""
-        self.first: Document = {}
+        self.names: list[str] = []
         self.told: deque[Told] = deque(maxlen=ROWS_KEPT)
         self.decisions: deque[Decided] = deque(maxlen=DECISIONS_KEPT)
-        self.commits: list[tuple[float, str]] = []
-        self.shown = Shown()
+        self.shown: dict[str, Shown] = {}
         self.ended = False
         self.interrupted = False
 
@@ -72,9 +72,14 @@ class LedgerTail:
             taken += 1
         return taken
 
-    def decision(self, number: int) -> Decided | None:
-        """A decision by its number."""
-        return next((one for one in reversed(self.decisions) if one.number == number), None)
+    def decision(self, loop: str, number: int) -> Decided | None:
+        """A decision of a loop by its number."""
+        own = (one for one in reversed(self.decisions) if words(one.document, "loop") == loop)
+        return next((one for one in own if one.number == number), None)
+
+    def shown_of(self, loop: str) -> Shown:
+        """What of a loop a person may refer to."""
+        return self.shown.get(loop) or Shown()
 
     def close(self) -> None:
         """Close the file."""
@@ -93,13 +98,19 @@ class LedgerTail:
     def _take(self, row: Row) -> None:
         self.count, self.head = row.seq, row.hash
         self.told.append(told(row))
-        shown((row,), self.shown)
         body = row.body
         if row.kind == "session":
-            self.first = body
-        elif row.kind == "decision":
+            config = part(body, "config")
+            self.names = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
+            self.shown = {name: Shown() for name in self.names}
+        for name in self._about(body):
+            shown((row,), self.shown[name])
+        if row.kind == "decision":
             self.decisions.append(Decided(row))
-        elif row.kind == "committed" and body.get("why") == "retune":
-            self.commits.append((row.clock_s, str(body.get("region"))))
         elif row.kind == "end":
             self.ended, self.interrupted = True, bool(body.get("interrupted"))
+
+    def _about(self, body: Document) -> list[str]:
+        """The loops that a row is about: the one that it names, where there are several, or all."""
+        named = body.get("loop") if len(self.names) > 1 else None
+        return [name for name in self.names if named in {None, name}]

@@ -12,7 +12,7 @@ from pathlib import Path
 from retuner.errors import LedgerError, UserError
 from retuner.live_view.live_file import LiveFileError, LiveReader
 from retuner.serve.ledger_tail import LedgerTail
-from retuner.session.outputs import LEDGER, is_live_file
+from retuner.session.outputs import LEDGER, is_live_file, loop_folder
 
 NOBODY_S = 1e9
 """The age of what is not there."""
@@ -33,6 +33,10 @@ class WatchedLoop:
     def name(self) -> str:
         """As its configuration names it."""
         return str(self.reader.head.get("loop", ""))
+
+    def order_folder(self, session: Path) -> Path:
+        """Where orders to this loop are put, below its session's folder."""
+        return loop_folder(session, self.name if self.reader.head.get("several") else "")
 
     def age_s(self) -> float:
         """How long ago anything was written, by the machine's clock."""

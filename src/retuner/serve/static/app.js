@@ -429,7 +429,7 @@ class Loop {
     this.export_.setAttribute("href", `/api/ledger/${encodeURIComponent(this.session)}/csv?q=${q}`);
     const found = await get(`/api/ledger/${encodeURIComponent(this.session)}?q=${q}`).catch(() => null);
     if (!found || state.page !== this) return;
-    const names = [["row", "row"], ["time", "when_s"], ["what", "kind"], ["who", "who"], ["region", "region"], ["why", "why"], ["old", "old"], ["new", "new"], ["verdict", "verdict"]];
+    const names = [["row", "row"], ["time", "when_s"], ["what", "kind"], ["who", "who"], ["loop", "loop"], ["region", "region"], ["why", "why"], ["old", "old"], ["new", "new"], ["verdict", "verdict"]];
     const body = found.rows.slice(-150).reverse().map((r) => el("tr", {}, names.map(([, k]) => el("td", {}, k === "when_s" ? clock(r[k], 1e4) : String(r[k])))));
     this.parts.rows.className = "scroll";
     this.parts.rows.replaceChildren(el("table", {}, el("tr", {}, names.map(([n]) => el("th", {}, n))), body));
@@ -447,7 +447,7 @@ class Loop {
   follow() { this.live = true; this.span = Math.min(this.span, 1200 * this.doc.head.sample_time_s); this.show(); }
   async again() { const doc = await get(`/api/loop/${this.key_}`); this.doc = doc; await this.window(); this.fill(); this.draw(); this.ledger(); }
 
-  act(title, text, order) { act(title, text, { session: this.session, ...order }); }
+  act(title, text, order) { act(title, text, [{ loop: this.key_, ...order }]); }
 
   key(event) {
     const acts = { l: () => this.follow(), w: () => this.whole(), ArrowLeft: () => this.pan(-0.5), ArrowRight: () => this.pan(0.5), "+": () => this.scale(0.5), "-": () => this.scale(2) };
@@ -508,14 +508,14 @@ async function askToken() {
   return given !== null && login(given.token);
 }
 
-async function act(title, text, order) {
+async function act(title, text, orders) {
   if (!state.acting && !(await askToken())) return;
   const given = await ask({ title, text: `${text} Who orders it stands in the ledger before it takes effect.`, yes: "Yes, do it", token: false });
   if (!given) return;
   if (!given.name) { notice("An order names who gives it: nothing was done.", true); return; }
   sessionStorage.setItem("name", given.name);
   try {
-    await post("/api/order", { ...order, by: given.name, note: given.note });
+    for (const order of orders) await post("/api/order", { ...order, by: given.name, note: given.note });
     notice("Ordered; the session takes it at its next sample, and the ledger shows what came of it.");
   } catch (error) {
     if (error.status === 401) setActing(false);
@@ -525,9 +525,9 @@ async function act(title, text, order) {
 
 async function holdEverything() {
   const found = await get("/api/overview");
-  const running = found.sessions.filter((s) => !s.ended);
-  const one = state.page instanceof Loop ? running.filter((s) => s.name === state.page.session) : running;
-  for (const s of one) await act(`Hold everything in ${s.name}?`, MODES.off, { session: s.name, order: "mode", region: "", mode: "off" });
+  const loops = found.sessions.filter((s) => !s.ended).flatMap((s) => s.loops);
+  const orders = loops.map((l) => ({ loop: l.key, order: "mode", region: "", mode: "off" }));
+  if (orders.length) await act(`Hold everything: ${orders.length === 1 ? loops[0].head.loop : `all ${orders.length} loops`}?`, MODES.off, orders);
 }
 
 function setActing(may) {
