@@ -13,7 +13,7 @@ function el(name, attributes = {}, ...children) {
     else if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
     else if (value !== false && value !== null && value !== undefined) made.setAttribute(key, value === true ? "" : value);
   }
-  made.append(...children.flat().filter((c) => c !== null && c !== undefined && c !== false));
+  made.append(...children.flat(Infinity).filter((c) => c !== null && c !== undefined && c !== false));
   return made;
 }
 
@@ -171,7 +171,7 @@ function badge(loop, here) {
   if (loop.broken) return ["ledger broken", "bad"];
   if (loop.waiting.length) return ["needs you", "bad"];
   if (loop.ended) return ["ended", "warn"];
-  if (loop.silent_s) return [`no sample for ${clock(loop.silent_s, 1e4)}`, "bad"];
+  if (loop.silent_s) return [`no sample for ${clock(loop.silent_s, 5000)}`, "bad"];
   if (here && here.trial !== "idle") return [here.trial, "warn"];
   if (here?.mode === "off") return ["off", "warn"];
   return ["watching", "good live"];
@@ -309,7 +309,7 @@ class Loop {
     this.boxes.sp.textContent = words(s[1]);
     this.boxes.pv.textContent = words(s[2]);
     this.boxes.co.textContent = words(s[3], 3) + (s[5] ? " at its limit" : "");
-    this.boxes.t.textContent = clock(s[0], 1e4);
+    this.boxes.t.textContent = clock(s[0], 5000);
   }
 
   fill() {
@@ -376,7 +376,7 @@ class Loop {
     grid.append(...regions.map((r, i) => {
       const age = r.learned_s === null ? null : now - r.learned_s, by = this.colourBy === "ms";
       const cell = el("div", { class: `cell${i === this.doc.state.region ? " here" : ""}`, title: `${r.name}: ${r.settings}; commissioned ${r.commissioned}; ${r.records} records; ${r.trial}; mode ${r.mode}` },
-        el("b", {}, r.name), by ? `Ms ${msWords(r)}` : age === null ? "nothing known" : `${clock(age, 1e4)} ago`, r.trial === "idle" ? "" : ` ${r.trial}`);
+        el("b", {}, r.name), by ? `Ms ${msWords(r)}` : age === null ? "nothing known" : `${clock(age, 5000)} ago`, r.trial === "idle" ? "" : ` ${r.trial}`);
       cell.style.background = by ? msTone(r.ms, r.unstable, limit) : ageTone(age, now);
       return cell;
     }));
@@ -403,7 +403,7 @@ class Loop {
     const list = this.doc.decisions.slice(-30).reverse();
     this.parts.decisions.className = "scroll";
     this.parts.decisions.replaceChildren(...(list.length ? list : []).map((d) => el("div", { class: `decision${d.action === "none" ? "" : " changes"}` },
-      el("p", {}, el("b", {}, `${MARKS[d.action]?.symbol ?? ""}${d.number}`), ` ${clock(d.t_s, 1e4)} ${d.region}: `, el("b", {}, d.cause), d.change ? `, ${d.change}` : ", nothing changed"),
+      el("p", {}, el("b", {}, `${MARKS[d.action]?.symbol ?? ""}${d.number}`), ` ${clock(d.t_s, 5000)} ${d.region}: `, el("b", {}, d.cause), d.change ? `, ${d.change}` : ", nothing changed"),
       el("p", { class: "muted" }, [d.response, d.reason, d.judgement].filter(Boolean).join("; ")),
       el("div", { class: "bar" }, el("button", { type: "button", onclick: () => this.open(d.number) }, "the whole reasoning"),
         d.action === "commit" && !this.doc.ended ? el("button", { type: "button", onclick: () => this.act(`Take back decision ${d.number}?`,
@@ -430,7 +430,7 @@ class Loop {
     const found = await get(`/api/ledger/${encodeURIComponent(this.session)}?q=${q}`).catch(() => null);
     if (!found || state.page !== this) return;
     const names = [["row", "row"], ["time", "when_s"], ["what", "kind"], ["who", "who"], ["loop", "loop"], ["region", "region"], ["why", "why"], ["old", "old"], ["new", "new"], ["verdict", "verdict"]];
-    const body = found.rows.slice(-150).reverse().map((r) => el("tr", {}, names.map(([, k]) => el("td", {}, k === "when_s" ? clock(r[k], 1e4) : String(r[k])))));
+    const body = found.rows.slice(-150).reverse().map((r) => el("tr", {}, names.map(([, k]) => el("td", {}, k === "when_s" ? clock(r[k], 5000) : String(r[k])))));
     this.parts.rows.className = "scroll";
     this.parts.rows.replaceChildren(el("table", {}, el("tr", {}, names.map(([n]) => el("th", {}, n))), body));
   }

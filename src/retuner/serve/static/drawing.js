@@ -123,7 +123,7 @@ export class Charts {
     const value = (u, v) => (v === null || v === undefined ? "-" : Number(v.toPrecision(5)));
     const { unit } = view();
     this.top = new uPlot({
-      ...base, height: 300, padding: [18, 8, 0, 0],
+      ...base, height: 300, padding: [18, 24, 0, 0],
       axes: [time(false), axis(`pv, sp [${unit}]`, 52)],
       series: [{ label: "time", value: label },
         { label: `sp [${unit}]`, stroke: () => colour("sp"), dash: [6, 4], width: 1.3, value, paths: uPlot.paths.stepped({ align: 1 }) },
@@ -136,7 +136,7 @@ export class Charts {
       },
     }, this.data().top, place);
     this.bottom = new uPlot({
-      ...base, height: 150, legend: { show: false },
+      ...base, height: 150, padding: [8, 24, 0, 0], legend: { show: false },
       axes: [time(true), axis("co [%]", 52)],
       series: [{ label: "time", value: label }, { label: "co [%]", stroke: () => colour("co"), width: 1.4, value }],
       hooks: { drawClear: [(u) => bands(u, view().columns, [])], draw: [(u) => marks(u, view().decisions, false)], setSelect: [selected] },
