@@ -34,8 +34,8 @@ from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
+from retuner.session.loop_session import LoopSession
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import Session
 
 CHANNELS = itertools.count()
 PLANT = LinearProcess(1.0, (50.0,), (), 5.0)
@@ -75,7 +75,7 @@ class Wire:
         host = CanDevice(self.near, CanDeviceSettings(sample_time_s=1.0, probation_samples=probation))
         settings = RetunerSettings(1.0, 100.0, mode, band=0.05, trial=TrialSettings(**trial))
         self.rows: list[tuple[str, Mapping[str, object]]] = []
-        self.session = Session(host, Retuner(table, settings), ScenarioPlayer(None), self._record)
+        self.session = LoopSession(host, Retuner(table, settings), ScenarioPlayer(None), self._record)
         self.session.orders = self._ordered
         self.heard: Callable[[can.Message], bool] = lambda message: True  # noqa: ARG005  what of the device arrives
         self.asked: list[Decision] = []
