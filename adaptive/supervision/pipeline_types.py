@@ -14,6 +14,7 @@ from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Basis
@@ -172,7 +173,8 @@ class End(NamedTuple):
 class Findings:
     """One question and what is found about it, stage by stage.
 
-    learned : what the record taught. unexplained : share of the record's pv that its model leaves open.
+    growth : of a swing that only the loop itself can make. learned : what the record taught.
+    unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. The others are those of StageResult, None for as before.
@@ -180,6 +182,7 @@ class Findings:
 
     question: Question
     end: End | None = None
+    growth: Growth | None = None
     learned: Learned | None = None
     unexplained: float = 0.0
     in_use: RegionModel | None = None

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from retuner.commands.approve import Person, order_back
 from retuner.commands.options import By, Json, Loop, Note, Session
-from retuner.errors import UserError
+from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.report.ledger_words import Told, told
@@ -188,7 +188,7 @@ def _table(lines: list[Told]) -> Table:
         table.add_column(escape(head), justify="right" if head in {"row", "time [s]"} else "left", overflow="fold")
     for line in lines:
         values = line.to_dict() | {"when_s": f"{line.when_s:,.1f}"}
-        table.add_row(*(escape(str(values[name])) for name in shown.values()))
+        table.add_row(*(escape(one_line(values[name])) for name in shown.values()))
     return table
 
 
@@ -203,9 +203,10 @@ def _list(rows: list[Row]) -> str:
     several = _several(lines)
     for line in lines:
         where = f"{line.loop} {line.region}" if several else line.region
-        out.append(escape(f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {where}".rstrip()))
+        head = f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {where}"
+        out.append(escape(one_line(head.rstrip())))
         change = f"{line.old} -> {line.new}" if line.old and line.new else line.new
-        out += [f"       {escape(text)}" for text in (line.why, change, line.evidence, line.verdict) if text]
+        out += [f"       {escape(one_line(text))}" for text in (line.why, change, line.evidence, line.verdict) if text]
     return "\n".join(out)
 
 

@@ -67,6 +67,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
     return RetunerSettings(
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
+        pv_range=(loop.pv_min, loop.pv_max),
         mode=mode or Mode(a.mode),
         region_modes=region_modes(config, mode),
         band=a.noise_band,
@@ -149,7 +150,7 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         co_rate_per_s=loop.co_rate_pct_per_s,
         b=loop.b,
         tau_f_s=loop.tau_f_s,
-        trial_samples=round(config.device.confirm_within_s / loop.sample_time_s) if config.device else 0,
+        trial_samples=round(config.confirm_within_s / loop.sample_time_s),
         key=commit_key(config),
     )
 

@@ -17,7 +17,15 @@ from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import DecideHere, Decider
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews
-from retuner.drivers.device import CommandDone, Device, Event, Reverted, RunningChanged, WriteDone, WriteFailed
+from retuner.drivers.device import (
+    CommandDone,
+    Device,
+    Event,
+    Reverted,
+    RunningChanged,
+    WriteDone,
+    WriteFailed,
+)
 from retuner.drivers.state_machine import StateMachine
 from retuner.ledger import Recorder
 from retuner.report.trend import Trend
