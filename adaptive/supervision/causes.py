@@ -125,7 +125,7 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
 
 
 def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
-    """Whether a response of three peaks grows: a model that says unstable is listened to, whatever it says of how fast."""
+    """Whether a response of three peaks grows: a model that says unstable is listened to, however fast it says so."""
     damping = record.response.damping
     return damping is not None and damping > settings.swing.grows
 
