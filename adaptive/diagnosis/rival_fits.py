@@ -32,6 +32,10 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 
 HARMONICS = 5
 """Of an outside oscillation: a triangle or a saw is told from its first five to two percent."""
+MORE_HARMONICS = 11
+"""The same where a loop shows its slope instead, as squares with sharp corners."""
+SHARP = 4
+"""Samples in the shortest wave of those, at least."""
 WHITE = 0
 """Order of the filter for what is left: a filter would whiten any slow oscillation without naming its cause."""
 WEAKENED = 3.0
@@ -60,6 +64,16 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
         found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
     best = min(found, key=lambda c: c.criterion)
     return improved(best, most_loads, Seen(found))
+
+
+def sharper(tone: Candidate) -> Candidate:
+    """The same tone with as many harmonics as sharp corners need, where the record shows them and they pay."""
+    record = tone.fit.misfit.record
+    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    if period_s < SHARP * MORE_HARMONICS * record.sample_time_s:
+        return tone
+    finer = judged(refine(replace(tone.fit.misfit, harmonics=MORE_HARMONICS), tone.fit.p))
+    return min(tone, finer, key=lambda c: c.criterion)
 
 
 # A valve that sticks: the two published two-parameter models, S the stick band, J the slip jump, in units of co.
@@ -191,11 +205,12 @@ class Sticking:
     fit: Candidate
 
 
-def turns(sticking: Sticking) -> int:
-    """How often the valve of an explanation turns round in its record."""
-    moved = np.diff(sticking.valve.position(sticking.fit.fit.misfit.record.co))
-    ways = np.sign(moved[moved != 0])
-    return int(np.sum(np.diff(ways) != 0))
+def turns_s(sticking: Sticking) -> FloatArray:
+    """When the valve of an explanation turns round, in record time."""
+    record = sticking.fit.fit.misfit.record
+    moved = np.diff(sticking.valve.position(record.co))
+    rows = np.flatnonzero(moved)
+    return np.asarray(record.t_s[rows[1:][np.diff(np.sign(moved[rows])) != 0]], dtype=np.float64)
 
 
 def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
