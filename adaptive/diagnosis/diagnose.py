@@ -28,10 +28,11 @@ from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, sta
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.indexes.screening import Screening, screen
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
 # Stiction or an oscillation from outside, where one of them explains a record clearly better than the loop by itself.
@@ -220,7 +221,26 @@ def _compared(
             return Found(verdict, fits=fits)
     if stood is not None:
         return Found(standing_verdict(stood, evidence), fits=fits)
-    return linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
+    told = linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
+    tone = fits.get("external")
+    return told if tone is None else _by_tone(told, tone, settings)
+
+
+def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found:
+    """External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well."""
+    record = tone.fit.misfit.record
+    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    if told.diagnosis.cause != Cause.UNKNOWN or _left(tone) > settings.tone_explains:
+        return told
+    size = np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2])
+    if record.span_s < settings.tone_cycles * period_s or size < settings.tone_size * float(np.std(record.pv)):
+        return told
+    reason = (
+        f"an oscillation from outside with a period of {period_s:.3g} s explains the record; the loop by itself, with "
+        f"load steps, does so as well, but then: {told.diagnosis.reason}"
+    )
+    evidence = told.diagnosis.evidence | {"external_period_s": period_s}
+    return replace(told, diagnosis=Diagnosis(Cause.EXTERNAL, 0.6, evidence, reason))
 
 
 def _of_setpoint(window: Window, verdict: Diagnosis) -> bool:
@@ -345,8 +365,16 @@ def _left(candidate: Candidate) -> float:
 
 
 def _time_scale(best: Candidate) -> float:
-    """A typical time of the record's movement where there is no period: a tenth of it."""
-    return best.fit.misfit.record.span_s / 10
+    """A typical time of the record's movement where no period was seen: where co moves most."""
+    record = best.fit.misfit.record
+    return 2 * math.pi / _peak(record.co - np.linspace(record.co[0], record.co[-1], len(record.co)), record)
+
+
+def _peak(x: FloatArray, record: Record) -> float:
+    """Frequency at which a signal moves most, rad/s, of those with two cycles in the record."""
+    power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)), PADDED * len(x))) ** 2
+    first = FEWEST_CYCLES * PADDED
+    return 2 * math.pi * (first + int(np.argmax(power[first:]))) / (PADDED * len(x) * record.sample_time_s)
 
 
 def _periods(valve: Sticking, period_s: float) -> list[float]:
@@ -360,12 +388,8 @@ def _periods(valve: Sticking, period_s: float) -> list[float]:
 def _frequencies(best: Candidate, periods_s: Sequence[float]) -> list[float]:
     """Where to look for a tone, rad/s: at periods that were seen, and at the peak of what the linear fit leaves."""
     record = best.fit.misfit.record
-    left = record.pv - best.fit.explained
-    power = np.abs(np.fft.rfft(left * np.hanning(len(left)), PADDED * len(left))) ** 2
-    first = FEWEST_CYCLES * PADDED
-    peak = first + int(np.argmax(power[first:]))
     found: list[float] = []
-    for w in (*(2 * math.pi / p for p in periods_s), 2 * math.pi * peak / (PADDED * len(left) * record.sample_time_s)):
+    for w in (*(2 * math.pi / p for p in periods_s), _peak(record.pv - best.fit.explained, record)):
         if all(abs(math.log(w / other)) > SAME_TONE for other in found):
             found.append(w)
     return found

@@ -62,6 +62,7 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
         found.append(judged(refine(base, np.append(fit.fit.p, np.log(w)))))
         starts = (x, weak) if base.loads else (weak,)  # without loads the first is the one above
         found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
+        found.append(judged(refine(*_afresh(plain, w))))
     best = min(found, key=lambda c: c.criterion)
     return improved(best, most_loads, Seen(found))
 
@@ -74,6 +75,27 @@ def sharper(tone: Candidate) -> Candidate:
         return tone
     finer = judged(refine(replace(tone.fit.misfit, harmonics=MORE_HARMONICS), tone.fit.p))
     return min(tone, finer, key=lambda c: c.criterion)
+
+
+FRESH_LAGS = (2.0, 8.0, 30.0, 120.0)
+FRESH_THETAS = (1.0, 4.0, 16.0)
+"""Samples in the lag and dead time that a process beside a tone is looked for with."""
+FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)
+"""Its gain in ranges of pv over ranges of co."""
+
+
+def _afresh(plain: Misfit, w: float) -> tuple[Misfit, FloatArray]:
+    """A first-order process beside a tone, from a grid: load steps bought instead of the tone lead the process astray.
+
+    plain : without load steps. w : of the tone, rad/s.
+    """
+    record, misfit = plain.record, replace(plain, type=ProcessType.FOPDT)
+    dt, usual = record.sample_time_s, record.pv_range / (record.co_range or 1.0)
+    points = [
+        np.array([np.log(gain * usual / (lag * dt)), np.log(theta * dt), np.log(lag * dt), np.log(w)])
+        for lag, theta, gain in product(FRESH_LAGS, FRESH_THETAS, FRESH_GAINS)
+    ]
+    return misfit, points[int(np.argmin(misfit.costs(points)))]
 
 
 # A valve that sticks: the two published two-parameter models, S the stick band, J the slip jump, in units of co.

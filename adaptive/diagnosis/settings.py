@@ -44,6 +44,8 @@ class DiagnosisSettings:
         leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
         tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 30 (odds of e^15 against it:
         the eleven parameters of a tone leave 2 % less of any record).
+    tone_cycles : of a tone that is believed where the loop's own explanation leaves the cause open; default 3.
+        tone_size : and its amplitude in standard deviations of pv; 0.2 to 1.2, default 0.4.
     many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
         many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
@@ -75,6 +77,8 @@ class DiagnosisSettings:
     tone_as_good: float = 0.95
     tone_as_good_loads: float = 0.98
     tone_odds: float = 30.0
+    tone_cycles: float = 3.0
+    tone_size: float = 0.4
     many_loads: int = 5
     many_loads_beside: int = 4
     spread_limit: float = 0.5

@@ -114,7 +114,7 @@ class Co:
         """Where the valve is, shape (n,)."""
         u, y = self.u, slips.first
         out = np.full(len(u), y)
-        for at, until in zip(slips.rows, (*slips.rows[1:], len(u)), strict=True):
+        for at, until in zip(slips.rows, (*slips.rows, len(u))[1:], strict=True):
             apart = float(u[at]) - y
             stop = min(int(self._stops[1 if apart > 0 else -1][at]), until)
             out[at:stop] = u[at:stop] - slips.share * apart
