@@ -2,11 +2,11 @@
 
     python benchmarks/hostile/inputs.py [KIND ...] [--count N] [--seed S]
 
-Kinds, all without names: frames, datagrams, dbc, config, gains, csv, ledger, commands. Per kind of file: N mutants of
-good examples (mutants.py) and every cut of one. frames: N random and mutated ones at the decoder's, the device's and
-the host's door; datagrams: the same for udp_multicast. commands: N/200 of each kind of file through the command line,
-which must end in 0, in 1 (the answer is no; a broken ledger), or in 2 with one line on stderr. Prints a line of JSON
-per kind; status 1 when anything went wrong. Nightly: --count 100000 for files, 1000000 for frames.
+Kinds, all without names: frames, datagrams, dbc, config, gains, csv, export, ledger, commands. Per kind of file: N
+mutants of good examples (mutants.py) and every cut of one. frames: N random and mutated ones at the decoder's, the
+device's and the host's door; datagrams: the same for udp_multicast. commands: N/200 of each kind of file through the
+command line, which must end in 0, in 1 (the answer is no; a broken ledger), or in 2 with one line on stderr. Prints a
+line of JSON per kind; status 1 when anything went wrong. Nightly: --count 100000 for files, 1000000 for frames.
 """
 
 import argparse
@@ -31,6 +31,7 @@ from mutants import cuts, mutant
 
 from retuner import cli
 from retuner.config import load_config
+from retuner.drivers.historian.loop_record import read_loop_record
 from retuner.drivers.protocol.codec import DbcError, Refused, plans_of, read_dbc, schema, schema_of
 from retuner.drivers.recorded.recording import RecordingError, read_recording
 from retuner.errors import ConfigError, LedgerError
@@ -128,6 +129,22 @@ def recording(path: Path) -> Judge:
     return judge
 
 
+def exported(path: Path) -> Judge:
+    """A record as a plant exports it."""
+
+    def judge(data: bytes) -> str:
+        path.write_bytes(data)
+        try:
+            read = read_loop_record([path]).recording
+        except RecordingError as error:
+            return one_line(error)
+        if not all(math.isfinite(v) for values in (read.t_s, read.pv, read.co) for v in values):
+            raise WrongError("a number that is not finite was taken")
+        return "accepted"
+
+    return judge
+
+
 def ledger(path: Path, good: bytes) -> Judge:
     """A ledger: refused, broken, or what it was."""
     path.write_bytes(good)
@@ -192,17 +209,26 @@ def good_csv() -> bytes:
     return ("t,sp,pv,co\n" + "\n".join(rows) + "\n").encode()
 
 
+def good_export() -> bytes:
+    """A small record as a historian writes it: preamble, tags, units, stamps, decimal comma, a missing value."""
+    rows = [f"14.03.2024 21:5{i // 6}:{i % 6}0;{50 + i % 3},5;{50 - i},25;{30 + i},0;AUTO" for i in range(30)]
+    rows[7] = rows[7].replace("43,25", "Bad")
+    head = "Export of the plant\n\nZeit;FIC1.SP;FIC1.PV;FIC1.OP;FIC1.MODE\n;m3/h;m3/h;%;\n"
+    return (head + "\n".join(rows) + "\n").encode("latin-1")
+
+
 def examples(folder: Path) -> dict[str, tuple[bytes, Judge, Judge]]:
     """Per kind: a good example, who judges its mutants, who judges its cuts."""
     shipped = files("retuner.drivers").joinpath("retuner.dbc").read_bytes()
     oven, csv, sqlite = (ROOT / "examples" / "oven.toml").read_bytes(), good_csv(), good_ledger(folder)
     configs, recordings = config(folder / "x.toml"), recording(folder / "x.csv")
-    ledgers = ledger(folder / "x.sqlite", sqlite)
+    ledgers, exports = ledger(folder / "x.sqlite", sqlite), exported(folder / "FIC1.csv")
     return {
         "dbc": (shipped, dbc, dbc),
         "config": (oven, configs, configs),
         "gains": (to_toml(TABLE).encode(), gains, cut_gains),
         "csv": (csv, recordings, recordings),
+        "export": (good_export(), exports, exports),
         "ledger": (sqlite, ledgers, ledgers),
     }
 
@@ -301,7 +327,7 @@ def run(arguments: list[str]) -> tuple[int, str]:
 
 def main() -> int:
     """Judge the kinds that were asked for."""
-    names = ("frames", "datagrams", "dbc", "config", "gains", "csv", "ledger", "commands")
+    names = ("frames", "datagrams", "dbc", "config", "gains", "csv", "export", "ledger", "commands")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", help=", ".join(names))
     parser.add_argument("--count", type=int, default=100_000)

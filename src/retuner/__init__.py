@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
     from retuner.api import diagnose as diagnose
     from retuner.api import identify as identify
+    from retuner.api import read as read
     from retuner.config import load_config as load_config
     from retuner.conversions import gains_of as gains_of
     from retuner.conversions import process_of as process_of
@@ -48,6 +49,7 @@ _HOMES = {
     "diagnose": "api",
     "gains_of": "conversions",
     "identify": "api",
+    "read": "api",
     "load_config": "config",
     "margins": "adaptive.loop.margins",
     "performance": "adaptive.loop.performance",

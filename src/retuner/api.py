@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +16,14 @@ from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, ide
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.signals.sample import Window
+from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
+from retuner.drivers.historian.record_form import RecordForm
 from retuner.schedule.gains import PidGains
 from retuner.tuning import TuneResult
 
 Numbers = Sequence[float] | npt.NDArray[np.floating]
+Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[np.timedelta64]
+"""Seconds, or moments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +48,10 @@ class Identification:
 
 
 def identify(
-    t: Numbers,
-    sp: Numbers,
-    pv: Numbers,
-    co: Numbers,
+    t: Times | LoopRecord,
+    sp: Numbers | None = None,
+    pv: Numbers | None = None,
+    co: Numbers | None = None,
     *,
     open_loop: bool = False,
     gains: PidGains | None = None,
@@ -56,8 +62,9 @@ def identify(
 
     Parameters
     ----------
-    t : time in seconds, increasing. sp, pv : setpoint and process value. co : controller output, held between samples.
-        All of shape (n,), n >= 3.
+    t : time in seconds, or moments (datetime64, a DatetimeIndex), increasing; or a record of `retuner.read`, which has
+        all four. sp, pv : setpoint and process value. co : controller output, held between samples. All of shape (n,),
+        n >= 3.
     open_loop : the record is an experiment in manual that begins at rest. gains : the controller in force, for the sign
         of the process and its margins now. co_min, co_max : limits of the final element; a recorded co beyond them is
         taken to have stood at the limit.
@@ -67,8 +74,64 @@ def identify(
     ValueError
         Shapes differ, a value is not finite, time does not increase, or pv or co never moves.
     """
-    window = Window(*(np.asarray(v, dtype=np.float64) for v in (t, sp, pv, co)))
+    window = window_of(t, sp, pv, co)
     return identify_record(window, open_loop=open_loop, gains=gains, co_min=co_min, co_max=co_max)
+
+
+def read(*sources: object, form: RecordForm | None = None, **known: Any) -> LoopRecord:
+    """Read a recorded loop as it was exported; `assumed` of the result says what was made of its form.
+
+    Parameters
+    ----------
+    sources : a path to text or Parquet, a folder, a frame of pandas, polars or arrow; or several that belong together.
+    form : what is known of the record's form; or the fields of a RecordForm by name, as in tag="FIC101".
+
+    Raises
+    ------
+    RecordingError (a ValueError)
+        It cannot be read, or is ambiguous; the message names what would answer it.
+    TypeError
+        No such field of a form.
+    """
+    return read_loop_record(sources, replace(form or RecordForm(), **known))
+
+
+def window_of(
+    t: Times | LoopRecord, sp: Numbers | None = None, pv: Numbers | None = None, co: Numbers | None = None
+) -> Window:
+    """A record for a fit, out of arrays or as it was read.
+
+    Raises
+    ------
+    ValueError
+        A signal is missing, shapes differ, a value is not finite, or time does not increase.
+    """
+    if isinstance(t, LoopRecord):
+        if not (sp is None and pv is None and co is None):
+            raise ValueError("a record has sp, pv and co of its own; give either it or arrays")
+        return t.recording.window()
+    if sp is None or pv is None or co is None:
+        raise ValueError("give t, sp, pv and co, or a record of retuner.read")
+    return Window(seconds(t), *(np.asarray(v, dtype=np.float64) for v in (sp, pv, co)))
+
+
+def seconds(t: Times) -> npt.NDArray[np.float64]:
+    """Times as seconds: numbers are seconds already, moments count from the first one."""
+    values = np.asarray(t)
+    if values.dtype.kind == "O":  # Python's own moments; numpy knows those without a zone
+        values = np.array([np.datetime64(_moment(v), "us") for v in values])
+    if values.dtype.kind == "M":
+        values = values - values[:1]
+    if values.dtype.kind == "m":
+        return values / np.timedelta64(1, "s")
+    return values.astype(np.float64)
+
+
+def _moment(value: object) -> datetime:
+    """A moment without its zone, in UTC if it had one."""
+    if not isinstance(value, datetime):
+        raise ValueError(f"t = {value!r}: give seconds or moments")  # noqa: TRY004  any wrong value is a ValueError here
+    return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)
 
 
 def identify_record(
@@ -138,10 +201,10 @@ class RecordDiagnosis:
 
 
 def diagnose(
-    t: Numbers,
-    sp: Numbers,
-    pv: Numbers,
-    co: Numbers,
+    t: Times | LoopRecord,
+    sp: Numbers | None = None,
+    pv: Numbers | None = None,
+    co: Numbers | None = None,
     *,
     gains: PidGains | None = None,
     co_min: float | None = None,
@@ -159,7 +222,7 @@ def diagnose(
     ValueError
         Shapes differ, a value is not finite, or time does not increase.
     """
-    window = Window(*(np.asarray(v, dtype=np.float64) for v in (t, sp, pv, co)))
+    window = window_of(t, sp, pv, co)
     return diagnose_record(window, gains=gains, co_min=co_min, co_max=co_max)
 
 

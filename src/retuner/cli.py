@@ -1,4 +1,4 @@
-"""The command line: which commands there are. Each one stands in commands/<name>.py with its signature, and is imported
+"""The command line: which commands there are. Each one stands in commands/ with its signature, and is imported
 when it is called, so that `retuner --help` does not wait for numpy, scipy or python-can.
 
 A command returns its exit status: 0 ok, 1 the question's answer is no; main() adds 2 for wrong use or bad input, each
@@ -40,6 +40,8 @@ COMMANDS = {
     "experiment": "A step, setpoint or relay test: on demand, or from a recording.",
 }
 """Every command and what `retuner --help` says of it."""
+ON_RECORDS = frozenset({"diagnose", "identify", "reduce", "tune"})
+"""Those that stand in commands/recorded/: they work on records and models, and write to no controller."""
 
 
 class Commands(TyperGroup):
@@ -48,7 +50,8 @@ class Commands(TyperGroup):
     def resolve_command(self, *given: Any, **named: Any) -> tuple[str | None, Any, list[str]]:
         """The command's own module in place of its entry in the list."""
         name, _, rest = super().resolve_command(*given, **named)
-        return name, get_command(import_module(f"retuner.commands.{name}").app), rest
+        room = "commands.recorded" if name in ON_RECORDS else "commands"
+        return name, get_command(import_module(f"retuner.{room}.{name}").app), rest
 
 
 app = typer.Typer(

@@ -14,7 +14,8 @@ from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
-from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, renamed
+from retuner.commands.recorded.record_form import renamed
+from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop
 from retuner.decision_page.evidence_words import GROUPS, WORDS, evidence_lines, value_text
 from retuner.errors import UserError
 from retuner.tuning import tune
@@ -24,6 +25,7 @@ HEATER = Path(__file__).parents[1] / "data" / "heater" / "open_loop_step.csv"
 PNG = b"\x89PNG\r\n\x1a\n"
 Capture = pytest.CaptureFixture[str]
 KEYS = {
+    "assumed",
     "by_eye",
     "aim",
     "rival",
@@ -176,7 +178,7 @@ def test_it_reads_well(tmp_path, capsys):
         (["--tau-i", "20"], "need --kc"),
         (["--kc", "0"], "kc = 0"),
         (["--plot", "a.svg"], "ends in .png"),
-        (["--columns", "x=1"], "roles are t, sp, pv, co"),
+        (["--columns", "x=1"], "roles are t, date, sp, pv, co"),
         (["--columns", "pv=nothing"], 'no column "nothing"'),
     ],
 )
@@ -195,8 +197,8 @@ def test_records_too_short_for_anything_are_refused(tmp_path, capsys, command):
 
 def test_shared_options_are_read_once_for_both_commands(tmp_path):
     path = loop(tmp_path / "a.csv")
-    assert read_loop(RecordOptions(file=path)).sp is not None
-    assert controller(RecordOptions(file=path)) is None
+    assert read_loop(RecordOptions(files=[path])).recording.sp is not None
+    assert controller(RecordOptions(files=[path])) is None
     assert renamed("pv=temp, co=out") == {"pv": "temp", "co": "out"}
     with pytest.raises(UserError, match="each role once"):
         renamed("pv=a,pv=b")

@@ -21,7 +21,14 @@ def judged(*arguments: object) -> dict:
 
 @pytest.mark.parametrize(
     ("kind", "count", "cut_every"),
-    [("dbc", 150, 300), ("config", 600, 5), ("gains", 1000, 1), ("csv", 1000, 1), ("ledger", 600, 61)],
+    [
+        ("dbc", 150, 300),
+        ("config", 600, 5),
+        ("gains", 1000, 1),
+        ("csv", 1000, 1),
+        ("export", 800, 9),
+        ("ledger", 600, 61),
+    ],
 )
 def test_a_hostile_file_ends_in_one_line_or_is_harmless(kind: str, count: int, cut_every: int) -> None:
     count = sized(count // 3, count)

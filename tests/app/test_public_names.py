@@ -2,14 +2,19 @@
 
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from inspect import ismodule
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import retuner
+from retuner.api import window_of
 
 ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT / "tests" / "data"
 PROMISED = ["Retuner", "LoopSample", "GainTable", "PidGains", "identify", "diagnose", "tune"]
 """The names that README and the design promise."""
 
@@ -55,3 +60,29 @@ def test_after_every_import_the_names_are_what_they_were(order: str) -> None:
         from retuner import {", ".join(PROMISED)}
         from retuner import *"""
     subprocess.run([sys.executable, "-P", "-c", script], check=True)
+
+
+def test_moments_are_seconds_whatever_their_type() -> None:
+    begin = datetime(2024, 3, 14, 12, tzinfo=UTC)
+    moments = [begin + timedelta(seconds=10 * i) for i in range(5)]
+    naive = [moment.replace(tzinfo=None) for moment in moments]
+    expected = np.arange(5) * 10.0
+    for t in (expected, moments, naive, np.array(naive, dtype="datetime64[us]"), pd.DatetimeIndex(naive)):
+        np.testing.assert_allclose(window_of(t, *[expected] * 3).t_s, expected)
+    spans = np.array(naive, dtype="datetime64[us]") - np.datetime64(naive[0])
+    np.testing.assert_allclose(window_of(spans, *[expected] * 3).t_s, expected)
+
+
+def test_a_record_is_taken_as_it_was_read() -> None:
+    read = retuner.read(DATA / "raw" / "historian_export_1.txt")
+    frame = pd.DataFrame({"PV": read.recording.pv, "SP": read.recording.sp, "OP": read.recording.co})
+    again = retuner.read(frame, dt_s=10.0)
+
+    assert np.array_equal(window_of(again).pv, window_of(read).pv)
+    assert np.array_equal(window_of(again).t_s, window_of(read).t_s)
+    with pytest.raises(ValueError, match="has sp, pv and co of its own"):
+        window_of(read, [1.0], [1.0], [1.0])
+    with pytest.raises(ValueError, match=r"or a record of retuner\.read"):
+        window_of([1.0, 2.0])
+    with pytest.raises(TypeError, match="colour"):
+        retuner.read(frame, colour="red")

@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from retuner.commands.options import Json
-from retuner.drivers.recorded.recording import ROLES, Recording, read_recording, require_setpoint
+from retuner.commands.recorded.record_form import FormOptions, read_record
+from retuner.drivers.historian.loop_record import LoopRecord
+from retuner.drivers.recorded.recording import Recording, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.schedule.forms import Form, from_form
 from retuner.schedule.gains import PidGains
@@ -20,12 +22,14 @@ FEWEST_SAMPLES = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordOptions:
+class RecordOptions(FormOptions):
     """A recorded loop and the controller that was in force; times in seconds, limits in units of co."""
 
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or Parquet with columns t, sp, pv, co.")]
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="A record as exported: text or Parquet, or a file for each signal."),
+    ]
     open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
-    columns: Annotated[str, typer.Option(help="Other names: t=time,pv=temp,co=out,sp=target.")] = ""
     kc: Annotated[float | None, typer.Option(help="Gain of the controller in force.")] = None
     tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
     tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
@@ -36,8 +40,8 @@ class RecordOptions:
     as_json: Json = False
 
 
-def read_loop(options: RecordOptions) -> Recording:
-    """The record, checked against what the options say of it.
+def read_loop(options: RecordOptions) -> LoopRecord:
+    """The record with what was assumed in reading it, checked against what the options say of it.
 
     Raises
     ------
@@ -47,11 +51,11 @@ def read_loop(options: RecordOptions) -> Recording:
     _check_limits(options)
     if options.plot is not None and options.plot.suffix.lower() != ".png":
         raise UserError(f"--plot {options.plot}: give a name that ends in .png")
-    recording = read_recording(options.file, renamed(options.columns))
+    read = read_record(options.files, options, in_automatic=not options.open_loop)
     if not options.open_loop:
-        require_setpoint(recording)
-    _check_range(recording, options)
-    return recording
+        require_setpoint(read.recording)
+    _check_range(read.recording, options)
+    return read
 
 
 def _check_range(recording: Recording, options: RecordOptions) -> None:
@@ -80,23 +84,6 @@ def require_length(recording: Recording) -> None:
         raise UserError(
             f"{recording.source}: {n} samples say nothing of a loop; give at least {FEWEST_SAMPLES}, better 100"
         )
-
-
-def renamed(text: str) -> dict[str, str]:
-    """--columns as role to column name.
-
-    Raises
-    ------
-    UserError
-        A part is not role=name, a role is not known, or is given twice.
-    """
-    found: dict[str, str] = {}
-    for part in (p.strip() for p in text.split(",") if p.strip()):
-        role, equals, name = part.partition("=")
-        if not equals or role not in ROLES or not name or role in found:
-            raise UserError(f"--columns {part}: give role=name, each role once; roles are {', '.join(ROLES)}")
-        found[role] = name
-    return found
 
 
 def controller(options: RecordOptions) -> PidGains | None:

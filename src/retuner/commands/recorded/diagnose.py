@@ -23,7 +23,8 @@ from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
 from retuner.commands.options import signed_by
-from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.commands.recorded.record_form import tell_assumed
+from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
 from retuner.drivers.recorded.recording import Recording
@@ -71,14 +72,18 @@ def diagnose(options: DiagnoseOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    recording = read_loop(options)
+    read = read_loop(options)
+    recording = read.recording
     require_length(recording)
-    with user_input(str(options.file)):
+    with user_input(recording.source):
         found = _found(recording, gains, options)
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))
+    tell_assumed(read.assumed, options)
     if options.as_json:
-        sys.stdout.write(json.dumps(document(found), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(
+            json.dumps({**document(found), "assumed": [a.what for a in read.assumed]}, indent=2, allow_nan=False) + "\n"
+        )
     else:
         sys.stdout.write("\n".join(described(found)) + "\n")
     return 1 if found.result.diagnosis.cause == Cause.UNKNOWN else 0

@@ -10,7 +10,8 @@ import typer
 
 from retuner.api import Identification, identify_record
 from retuner.commands.options import signed_by
-from retuner.commands.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.commands.recorded.record_form import tell_assumed
+from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import user_input
 from retuner.files import write_whole
@@ -37,17 +38,21 @@ def identify(options: IdentifyOptions) -> int:
         The file or an option cannot be used.
     """
     gains = controller(options)
-    recording = read_loop(options)
+    read = read_loop(options)
+    recording = read.recording
     require_excitation(recording)
     require_length(recording)
-    with user_input(str(options.file)):
+    with user_input(recording.source):
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )
     if options.plot is not None:
         write_whole(options.plot, _picture(recording, found, options))
+    tell_assumed(read.assumed, options)
     if options.as_json:
-        sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(
+            json.dumps({**found.to_dict(), "assumed": [a.what for a in read.assumed]}, indent=2, allow_nan=False) + "\n"
+        )
     else:
         sys.stdout.write("\n".join(described(found)) + "\n")
     return 0 if found.estimate.identifiable else 1

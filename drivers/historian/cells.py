@@ -1,0 +1,121 @@
+"""Fields as numbers: decimal comma, thousands, words for a missing value, quality flags. nan is what is missing."""
+
+import re
+from collections.abc import Iterable, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.raw_table import MISSING, RawTable
+from retuner.drivers.historian.record_form import RecordForm
+from retuner.drivers.recorded.recording import NUMBER, RecordingError
+
+COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?")
+THOUSANDS = MappingProxyType(
+    {
+        ".": re.compile(r"[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+"),
+        ",": re.compile(r"[+-]?[0-9]{1,3}(?:\.[0-9]{3})+,[0-9]+"),
+    }
+)
+THREE_AFTER = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
+"""What may be a thousand and some as well as one and some thousandths."""
+SYSTEM_STATE = re.compile(r"\[-[0-9]+\].*")
+"""A state of the historian instead of a value, as in "[-11059] No Good Data"."""
+GOOD_WORDS = frozenset({"good", "ok", "valid", "normal", "g", "true", "good, annotated"})
+BAD_WORDS = frozenset({"bad", "uncertain", "invalid", "b", "u", "false", "questionable", "substituted", "stale"})
+OPC_GOOD = 192
+"""Quality of OPC from which a value is good (OPC Data Access 2.05, 6.8)."""
+
+
+def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tuple[str, tuple[Assumption, ...]]:
+    """The decimal mark of a table's columns: a comma where one stands inside numbers and no point does.
+
+    Raises
+    ------
+    RecordingError
+        All commas stand before three digits: they may part the thousands.
+    """
+    if form.decimal:
+        return form.decimal, ()
+    fields = [f.strip() for p in places for f in _text(table, p)]
+    commas = [f for f in fields if COMMA.fullmatch(f)]
+    if not commas or any("." in f and NUMBER.fullmatch(f) for f in fields):
+        return ".", ()
+    if all(THREE_AFTER.fullmatch(f) for f in commas):
+        raise RecordingError(
+            f"{table.source}: {commas[0]} may be a thousand or a fraction; say --decimal , or --decimal ."
+        )
+    return ",", (Assumption("decimal comma", 'decimal = ","'),)
+
+
+def _text(table: RawTable, place: int) -> Sequence[str]:
+    """A column's fields where they are text."""
+    column = table.columns[place]
+    return () if isinstance(column, np.ndarray) else column
+
+
+def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> FloatArray:
+    """A column as numbers, nan where a value is missing, shape (n,).
+
+    Raises
+    ------
+    RecordingError
+        A field is neither a number nor a word for a missing value, or the column holds times.
+    """
+    column = table.columns[place]
+    if isinstance(column, np.ndarray):
+        if column.dtype.kind == "M":
+            raise RecordingError(f"{table.source}: {table.names[place]} holds times; a number is wanted")
+        return np.where(np.isfinite(column), column, np.nan)
+    missing = MISSING | {word.strip().lower() for word in form.bad}
+    found = np.empty(len(column))
+    for i, field in enumerate(column):
+        found[i] = _number(table, place, i, field.strip(), decimal, missing)
+    return found
+
+
+def _number(table: RawTable, place: int, row: int, text: str, decimal: str, missing: frozenset[str]) -> float:
+    """One field."""
+    if decimal == "." and NUMBER.fullmatch(text):
+        return float(text)
+    plain = text.removesuffix("%")
+    if decimal == ",":
+        plain = plain.replace(".", "") if THOUSANDS[","].fullmatch(plain) else plain
+        plain = plain.replace(",", ".") if "." not in plain else "?"
+    elif THOUSANDS["."].fullmatch(plain):
+        plain = plain.replace(",", "")
+    if NUMBER.fullmatch(plain):
+        return float(plain)
+    if text.lower() in missing or SYSTEM_STATE.fullmatch(text):
+        return np.nan
+    why = f" is no number; if it stands for a missing value say --bad {quoted(text[:40])}"
+    if decimal == "." and COMMA.fullmatch(text):
+        why = " has a decimal comma, others a point; write one of them"
+    raise RecordingError(f"{table.source}{table.places[row]}: {table.names[place]} = {text[:40]!a}{why}")
+
+
+def good(table: RawTable, place: int, form: RecordForm) -> np.ndarray:
+    """Where a quality says that a value is good, shape (n,): words, OPC's numbers, or what the form names.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be told which of its values are good.
+    """
+    column = table.columns[place]
+    words = [str(f).strip().lower().removesuffix(".0") for f in column]
+    seen = set(words)
+    if form.good:
+        return np.array([word == form.good.strip().lower() for word in words])
+    if len(seen) == 1 and not seen <= BAD_WORDS:
+        return np.ones(len(words), dtype=bool)
+    if seen <= GOOD_WORDS | BAD_WORDS | MISSING:
+        return np.array([word in GOOD_WORDS for word in words])
+    if all(word.isdigit() or word in MISSING for word in seen):
+        opc = np.array([word.isdigit() and int(word) >= OPC_GOOD for word in words])
+        if opc.any():
+            return opc
+    shown, name = ", ".join(sorted(seen)[:6]), table.names[place]
+    raise RecordingError(f"{table.source}: quality {name} is {shown}; say --good with the one that is good")

@@ -1,0 +1,89 @@
+"""Tables that are no text: Parquet, and frames of pandas, polars and arrow, none of which need be installed."""
+
+from pathlib import Path
+
+import numpy as np
+
+from retuner.drivers.historian.assumption import Assumption
+from retuner.drivers.historian.raw_table import Column, RawTable
+from retuner.drivers.recorded.recording import RecordingError
+
+
+def is_frame(source: object) -> bool:
+    """Whether this is a data frame: it has columns by name."""
+    return not isinstance(source, (str, Path)) and (hasattr(source, "columns") or hasattr(source, "column_names"))
+
+
+def table_of_frame(frame: object) -> RawTable:
+    """A frame of pandas (its index counts as a column where it has times or a name), polars or arrow.
+
+    Raises
+    ------
+    RecordingError
+        A column can be made neither numbers nor times nor text.
+    """
+    reset = getattr(frame, "reset_index", None)
+    assumed: tuple[Assumption, ...] = ()
+    if reset is not None:
+        index = frame.index  # type: ignore[attr-defined]
+        if index.name is not None or np.asarray(index).dtype.kind == "M":
+            frame = reset(names="t") if index.name is None else reset()
+    names = list(getattr(frame, "column_names", None) or frame.columns)  # type: ignore[attr-defined]
+    columns = [_column(str(name), frame[name]) for name in names]  # type: ignore[index]
+    size = len(columns[0]) if columns else 0
+    return RawTable(
+        "the frame", tuple(map(str, names)), tuple(columns), [f": row {i + 1}" for i in range(size)], assumed
+    )
+
+
+def _column(name: str, series: object) -> Column:
+    """One column."""
+    combined = getattr(series, "to_numpy", None)
+    values = np.asarray(combined() if combined is not None else series)
+    if values.dtype.kind in "iuf":
+        return values.astype(np.float64)
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[ns]")
+    if values.dtype.kind == "O":
+        return _objects(name, values)
+    return [str(value) for value in values]
+
+
+def _objects(name: str, values: np.ndarray) -> Column:
+    """A column of Python's own objects: numbers and None, moments, decimals, or text."""
+    some = [v for v in values if v is not None]
+    if some and all(hasattr(v, "timestamp") for v in some):
+        return np.array(
+            ["NaT" if v is None else np.datetime64(int(v.timestamp() * 1e6), "us") for v in values],
+            dtype="datetime64[ns]",
+        )
+    if some and not any(isinstance(v, (str, bool)) for v in some):
+        try:
+            return np.array([np.nan if v is None else float(v) for v in values])
+        except (TypeError, ValueError):
+            raise RecordingError(f"column {name}: {some[0]!r} is neither a number nor a time nor text") from None
+    return ["" if v is None else str(v) for v in values]
+
+
+def table_of_parquet(path: Path) -> RawTable:
+    """The table of a Parquet file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    except ImportError:
+        raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
+    try:
+        with pq.ParquetFile(path) as file:
+            frame = file.read()
+    except (OSError, pa.ArrowException) as error:
+        raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
+    columns = tuple(_column(name, frame.column(name)) for name in frame.column_names)
+    return RawTable(str(path), tuple(frame.column_names), columns, [f": row {i + 1}" for i in range(frame.num_rows)])

@@ -1,0 +1,165 @@
+"""A loop out of whatever a plant exports: one table or several, one loop or many, and what was assumed on the way.
+
+    tables -> signals by tag and role -> the loop that is meant -> rows in order -> one clock -> Recording + assumptions
+
+What is ambiguous is not guessed: the refusal names the option that answers it.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.frames import is_frame, table_of_frame, table_of_parquet
+from retuner.drivers.historian.raw_table import RawTable, read_text_table
+from retuner.drivers.historian.record_form import SIGNALS, RecordForm
+from retuner.drivers.historian.row_order import Trend, joined
+from retuner.drivers.historian.table_signals import TableSignals, signals_of
+from retuner.drivers.recorded.recording import LARGEST, Recording, RecordingError
+
+FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
+TAGS_SHOWN = 8
+WHOLE = RecordForm()
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRecord:
+    """A record with what was assumed in reading it. tag : of the loop, "" where the record names none."""
+
+    recording: Recording
+    assumed: tuple[Assumption, ...]
+    tag: str = ""
+
+
+class _Loop(NamedTuple):
+    """Signals of one loop by role, and where it is automatic (stretches of time), where that is known."""
+
+    tag: str
+    trends: Mapping[str, Trend]
+
+
+def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_automatic: bool = False) -> LoopRecord:
+    """Read one loop.
+
+    Parameters
+    ----------
+    sources : paths of text or Parquet files or folders of them, or data frames (pandas, polars, arrow); several are
+        signals of one loop apart, or its record in pieces. form : what is known of their form. in_automatic : where the
+        record has modes in words, take its longest stretch in automatic.
+
+    Raises
+    ------
+    RecordingError
+        A source cannot be read, holds no loop or several, or is ambiguous: one line with the option that answers it.
+    """
+    tables = [table for source in sources for table in _tables(source, form)]
+    if not tables:
+        raise RecordingError("no file in the folder; give text (.csv, .txt) or .parquet")
+    read = [signals_of(table, form, in_automatic=in_automatic) for table in tables]
+    loop = _chosen(_together(read), form, tables[0])
+    for role, trend in loop.trends.items():
+        if not len(trend.t_s):
+            raise RecordingError(f"{tables[0].source}: {role} has no value that is known; name another column")
+    t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
+    assumed = _told_once([*(a for one in read for a in one.assumed), *told])
+    source = tables[0].source if len(tables) == 1 else f"{tables[0].source} and {len(tables) - 1} more"
+    if form.sp is not None and "sp" not in values:
+        values["sp"] = np.full(len(t_s), form.sp)
+    if len(t_s) < 3:
+        raise RecordingError(f"{source}: a record needs at least 3 samples, this one has {len(t_s)}")
+    origin = 0.0 if abs(t_s[0]) < LARGEST and _counted_from_zero(t_s) else float(t_s[0])
+    recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
+    return LoopRecord(recording, assumed, loop.tag)
+
+
+def _counted_from_zero(t_s: FloatArray) -> bool:
+    """Whether stamps are times of the record's own and no moments of a calendar."""
+    return abs(float(t_s[0])) < 1e8
+
+
+def _tables(source: object, form: RecordForm) -> list[RawTable]:
+    """The tables of a source."""
+    if is_frame(source):
+        return [table_of_frame(source)]
+    path = Path(str(source))
+    if path.is_dir():
+        inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in FILES_OF_A_FOLDER)
+        return [table for p in inside for table in _tables(p, form)]
+    return [table_of_parquet(path) if path.suffix.lower() == ".parquet" else read_text_table(path, form)]
+
+
+def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
+    """Signals of all tables by tag and role: pieces of one signal one after the other."""
+    pieces: dict[str, dict[str, list[Trend]]] = {}
+    for one in read:
+        for tag, trends in one.loops.items():
+            for role, trend in trends.items():
+                pieces.setdefault(tag, {}).setdefault(role, []).append(trend)
+    if len(pieces) > 1 and "" in pieces and not {"pv", "co"} <= pieces[""].keys():
+        shared = pieces.pop("")
+        for roles in pieces.values():
+            for role, found in shared.items():
+                roles.setdefault(role, found)
+    return {
+        tag: {role: _one_after_the_other(role, found, read[0].source) for role, found in roles.items()}
+        for tag, roles in pieces.items()
+    }
+
+
+def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:
+    """A signal that is recorded in pieces."""
+    if len(pieces) == 1:
+        return pieces[0]
+    pieces = sorted((p for p in pieces if len(p.t_s)), key=lambda p: float(p.t_s[0]))
+    for a, b in pairwise(pieces):
+        if b.t_s[0] <= a.t_s[-1]:
+            raise RecordingError(
+                f"{source}: {role} is there twice at the same time; give one file for it, or --columns"
+            )
+    return Trend(
+        np.concatenate([p.t_s for p in pieces]),
+        np.concatenate([p.values for p in pieces]),
+        any(p.held for p in pieces),
+    )
+
+
+def _chosen(loops: Mapping[str, Mapping[str, Trend]], form: RecordForm, table: RawTable) -> _Loop:
+    """The loop that is meant."""
+    whole = {tag: trends for tag, trends in loops.items() if {"pv", "co"} <= trends.keys()}
+    if form.tag:
+        fitting = [tag for tag in whole if tag.lower() == form.tag.lower()]
+        if not fitting:
+            raise RecordingError(
+                f"{table.source}: no loop {quoted(form.tag)} with pv and co; there is {_listed(whole)}"
+            )
+        return _Loop(fitting[0], whole[fitting[0]])
+    if len(whole) == 1:
+        tag, trends = next(iter(whole.items()))
+        return _Loop(tag, trends)
+    if whole:
+        raise RecordingError(f"{table.source}: {len(whole)} loops in it; say --tag with one of {_listed(whole)}")
+    roles = {role for trends in loops.values() for role in trends}
+    missing, there = "co" if "pv" in roles else "pv", _listed(table.names)
+    raise RecordingError(
+        f'{table.source}: no column "{missing}"; there is {there}; name it as in --columns {missing}=NAME'
+    )
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Some names."""
+    found = [name or "(no tag)" for name in names]
+    more = f" and {len(found) - TAGS_SHOWN} more" if len(found) > TAGS_SHOWN else ""
+    return (", ".join(found[:TAGS_SHOWN]) or "nothing") + more
+
+
+def _told_once(assumed: Iterable[Assumption]) -> tuple[Assumption, ...]:
+    """Each assumption once."""
+    return tuple(dict.fromkeys(assumed))
+
+
+__all__ = ["SIGNALS", "LoopRecord", "read_loop_record"]

@@ -1,0 +1,207 @@
+"""A table as it stands in a file: which encoding, which delimiter, where the names are and where the rows begin.
+
+The rows are the lines of the most usual number of fields in which at least half of the fields are values (numbers,
+stamps, words for a missing value). Of the lines before the first row that have as many fields, the one in which most
+names are known is the header: units and descriptions stand in the others.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.record_form import DELIMITERS, RecordForm
+from retuner.drivers.historian.tags import known_roles
+from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError
+
+Column = Sequence[str] | FloatArray | npt.NDArray[np.datetime64]
+"""Fields as text, numbers (nan where there is none), or times."""
+
+VALUE = re.compile(
+    r"[+-]?[0-9.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?%?"  # a number, with any point
+    r"|[0-9]{1,4}[-/.][0-9A-Za-z]{1,9}[-/.][0-9]{1,4}.*"  # a date, with or without the time
+    r"|[0-9]{1,2}:[0-9]{2}.*"  # a time of day
+)
+MISSING = frozenset(
+    {
+        "", "-", "--", "?", "nan", "null", "none", "na", "n/a", "#n/a", "#value!", "#ref!", "bad", "no data", "nodata",
+        "no good data for calculation", "bad input", "i/o timeout", "comm fail", "not connect", "pt created",
+        "scan off", "arc off-line", "shutdown", "intf shut", "offline", "out of serv", "under range", "over range",
+        "configure",
+    }
+)  # fmt: skip
+"""Words for a value that is not there, in small letters; historians write them into the column of the value."""
+LOOKED_AT = 400
+"""Lines that the form is told from: enough to see a preamble of any length beside rows."""
+NOTHING = "nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class RawTable:
+    """A table before anything is made of its fields.
+
+    source : where it is from, for messages. names : of the columns. columns : of equal length, one for each name.
+    places : of the rows, as a message tells them. assumed : what was found out of its form.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    columns: tuple[Column, ...]
+    places: Sequence[str]
+    assumed: tuple[Assumption, ...] = ()
+
+
+def read_text_table(path: Path, form: RecordForm) -> RawTable:
+    """The table of a text file.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, is no text, or has no rows of values.
+    """
+    text, assumed = _decoded(path, form)
+    if "\0" in text:
+        number = text[: text.index("\0")].count("\n") + 1
+        raise RecordingError(f"{path}:{number}: a NUL byte; this is no text file")
+    lines = [(i, line.lstrip("# ")) for i, line in enumerate(text.splitlines(), start=1) if line.strip("# ")]
+    if not lines:
+        raise RecordingError(f"{path}: there is nothing in it; give a record with time, pv and co")
+    delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in _sample(lines)])
+    rows = [(number, _fields(path, number, line, delimiter)) for number, line in lines]
+    header, body, cut = _shape(path, rows, form)
+    assumed += cut
+    names, told = _names(header, len(body[0][1]))
+    columns = tuple(zip(*(fields for _, fields in body), strict=True))
+    return RawTable(str(path), names, columns, [f":{number}" for number, _ in body], (*assumed, *told))
+
+
+def _decoded(path: Path, form: RecordForm) -> tuple[str, tuple[Assumption, ...]]:
+    """The file as text: by its mark, else as UTF-8 where it is that, else by its bytes as Windows writes them."""
+    try:
+        if path.is_file() and path.stat().st_size > SIZE_MAX:
+            raise RecordingError(f"{path}: larger than {SIZE_MAX} bytes; cut the record into pieces")
+        data = path.read_bytes() if path.is_file() else None
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from error
+    if data is None:
+        raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
+    for encoding, assumed in _encodings(data, form):
+        try:
+            return data.decode(encoding), assumed
+        except UnicodeDecodeError as error:
+            if form.encoding:
+                raise RecordingError(
+                    f"{path}: byte {error.start} is no {form.encoding}; give the right encoding"
+                ) from error
+    raise AssertionError("any bytes are Latin-1")
+
+
+def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumption, ...]]]:
+    """Encodings to be tried, in their order, with what is told of each."""
+    if form.encoding:
+        return [(form.encoding, ())]
+    known: list[tuple[str, tuple[Assumption, ...]]] = [("utf-8-sig", ())]
+    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if wide:
+        known.insert(0, ("utf-16", (Assumption("read as UTF-16", 'encoding = "utf-16"'),)))
+    elif data[1:400:2].count(0) > 0.4 * len(data[1:400:2]) and data[:1] != b"\0":
+        known.insert(0, ("utf-16-le", (Assumption("read as UTF-16", 'encoding = "utf-16-le"'),)))
+    latin = "latin-1"
+    return [*known, (latin, (Assumption("not UTF-8: read as Latin-1", f'encoding = "{latin}"'),))]
+
+
+def _sample(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Lines from the middle and the end: rows, whatever stands before them."""
+    half = LOOKED_AT // 2
+    return lines if len(lines) <= LOOKED_AT else [*lines[len(lines) // 2 :][:half], *lines[-half:]]
+
+
+def is_value(field: str) -> bool:
+    """Whether a field is a number, a stamp or a word for a missing value."""
+    text = field.strip().strip('"')
+    return bool(VALUE.fullmatch(text)) or text.lower() in MISSING
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """The delimiter under which most lines have the same number of fields, more than one, with most values in them."""
+
+    def speaks_for(delimiter: str) -> tuple[float, float, int]:
+        split = [line.split(delimiter) for line in lines]
+        count, times = Counter(map(len, split)).most_common(1)[0]
+        if count < 2:
+            return (0.0, 0.0, 0)
+        fields = [field for row in split for field in row]
+        return (times / len(split), sum(map(is_value, fields)) / len(fields), count)
+
+    best = max(("\t", ";", ",", "|"), key=lambda d: tuple(round(x, 1) for x in speaks_for(d)[:2]))
+    return best if speaks_for(best)[2] else " "
+
+
+def _fields(path: Path, number: int, line: str, delimiter: str) -> list[str]:
+    """Fields of one line; quotes must close on it."""
+    if delimiter == " ":
+        return line.split()
+    if '"' not in line:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True))
+    except csv.Error as error:
+        raise RecordingError(f"{path}:{number}: quoting: {error}; close the quote on its line") from error
+
+
+Rows = list[tuple[int, list[str]]]
+
+
+def _is_row(fields: Sequence[str]) -> bool:
+    """Whether a line is a row of values and not names."""
+    values = [bool(VALUE.fullmatch(field.strip())) for field in fields]
+    return any(values) and sum(map(is_value, fields)) >= len(fields) / 2
+
+
+def _shape(path: Path, rows: Rows, form: RecordForm) -> tuple[list[list[str]], Rows, tuple[Assumption, ...]]:
+    """Lines that may hold the names, the rows of values, and what was left out."""
+    counted = Counter(len(fields) for _, fields in rows[-LOOKED_AT:] if _is_row(fields))
+    if not counted:
+        header = ", ".join(rows[0][1]) or NOTHING
+        raise RecordingError(f"{path}: no row of numbers; there is {header[:80]}")
+    width = counted.most_common(1)[0][0]
+    first = next(i for i, (_, fields) in enumerate(rows) if len(fields) == width and _is_row(fields))
+    if form.header is not None:
+        first = max(first, sum(number <= form.header for number, _ in rows))
+    before, body = rows[:first], rows[first:]
+    told: tuple[Assumption, ...] = ()
+    if len(body) > 1 and len(body[-1][1]) != width:
+        told = (Assumption("the last line is cut: left out"),)
+        body = body[:-1]
+    for number, fields in body:
+        if len(fields) != width:
+            hint = "; a decimal comma needs ; between fields" if len(fields) == 2 * width else ""
+            raise RecordingError(f"{path}:{number}: {len(fields)} fields, other rows have {width}{hint}")
+    if form.header is not None:
+        return [fields for number, fields in before if number == form.header], body, told
+    return [fields for _, fields in before if width in {len(fields), len(fields) + 1}], body, told
+
+
+def _names(candidates: list[list[str]], width: int) -> tuple[tuple[str, ...], tuple[Assumption, ...]]:
+    """The header: of the candidates the one that says most."""
+    if not candidates:
+        told = Assumption("no header: columns are called 1, 2, ... in their order", "header = 0")
+        return tuple(str(i + 1) for i in range(width)), (told,)
+    best = max(candidates, key=known_roles)
+    names = [name.strip().strip('"') for name in best] + [""] * (width - len(best))
+    return tuple(name or str(i + 1) for i, name in enumerate(names)), ()
+
+
+def repeated(table: RawTable, place: int) -> RecordingError | None:
+    """The refusal of a column whose name stands twice."""
+    name = table.names[place]
+    if table.names.count(name) > 1:
+        return RecordingError(f"{table.source}: two columns are called {quoted(name)}; rename one")
+    return None

@@ -1,0 +1,155 @@
+"""What a person may fix of a record's form; whatever is left open is found in the record, and told.
+
+The same names stand in a `[record]` section of a TOML file:
+
+    [record]
+    tag = "FIC101"
+    columns = { pv = "flow", co = "valve" }
+    time_format = "%d.%m.%Y %H:%M:%S"
+    decimal = ","
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from retuner.drivers.recorded.recording import RecordingError
+
+SIGNALS = ("sp", "pv", "co")
+COLUMN_ROLES = ("t", "date", *SIGNALS, "mode", "quality", "tag", "value")
+"""What a column may be: time (or time of day beside a date), signals, mode, quality; tag and value of long tables."""
+TIME_UNITS = MappingProxyType({"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0})
+"""Units of a time given as a number, in seconds."""
+DECIMALS = (".", ",")
+DELIMITERS = MappingProxyType({",": ",", ";": ";", "\t": "\t", "tab": "\t", "|": "|", " ": " ", "space": " "})
+NONE = MappingProxyType[str, str]({})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordForm:
+    """The form of a record as far as a person fixes it; empty and None leave it to be found.
+
+    Parameters
+    ----------
+    columns : column names by role (COLUMN_ROLES). tag : which loop of a table of many, as in FIC101 of FIC101.PV.
+    sp : the setpoint where no column has it, in the unit of pv. dt_s : the time between rows where no column tells, s.
+    time_format : of stamps as text, in the codes of strptime. time_unit : of stamps as numbers, one of TIME_UNITS.
+    zone : of stamps without one, as in Europe/Berlin. decimal : "." or ",". delimiter : between fields. encoding : of
+    the text. header : the line that holds the names, counted from 1; 0 for none. good : what the quality of a good
+    value says. bad : further words that stand for a missing value.
+
+    Raises
+    ------
+    ValueError
+        A value out of its range; the message names it.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=lambda: NONE)
+    tag: str = ""
+    sp: float | None = None
+    dt_s: float | None = None
+    time_format: str = ""
+    time_unit: str = ""
+    zone: str = ""
+    decimal: str = ""
+    delimiter: str = ""
+    encoding: str = ""
+    header: int | None = None
+    good: str = ""
+    bad: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for role, name in self.columns.items():
+            if role not in COLUMN_ROLES or not name:
+                raise ValueError(f'columns: "{role}" = "{name}": roles are {", ".join(COLUMN_ROLES)}, each with a name')
+        for name, value in (("sp", self.sp), ("dt_s", self.dt_s)):
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"{name} = {value}: give a finite number")
+        if self.dt_s is not None and self.dt_s <= 0:
+            raise ValueError(f"dt_s = {self.dt_s:g}: time goes forward; give a number above 0")
+        self._one_of("time_unit", self.time_unit, tuple(TIME_UNITS))
+        self._one_of("decimal", self.decimal, DECIMALS)
+        self._one_of("delimiter", self.delimiter, tuple(DELIMITERS))
+        self._known_elsewhere()
+
+    @staticmethod
+    def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+        """Refuse what is none of the known values."""
+        if value and value not in known:
+            raise ValueError(f"{name} = {value!r}: give one of {', '.join(map(repr, known))}")
+
+    def _known_elsewhere(self) -> None:
+        """Refuse what Python's own tables do not know."""
+        if self.header is not None and self.header < 0:
+            raise ValueError(f"header = {self.header}: lines are counted from 1; 0 stands for none")
+        try:
+            "".encode(self.encoding or "utf-8")
+        except LookupError:
+            raise ValueError(f"encoding = {self.encoding!r}: not known; give utf-8, utf-16, cp1252, ...") from None
+        try:
+            if self.zone:
+                ZoneInfo(self.zone)
+        except (ZoneInfoNotFoundError, ValueError, OSError):
+            raise ValueError(f"zone = {self.zone!r}: not known; give a name as Europe/Berlin") from None
+
+
+def form_from_toml(path: Path) -> RecordForm:
+    """The `[record]` section of a TOML file.
+
+    Raises
+    ------
+    RecordingError
+        No such file or section, a key that is not known, or a value of another kind or out of range.
+    """
+    try:
+        section = tomllib.loads(path.read_text(encoding="utf-8")).get("record")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise RecordingError(f"{path}: not TOML: {str(error).splitlines()[0]}") from error
+    if not isinstance(section, dict):
+        raise RecordingError(f"{path}: no section [record]; begin one with a line [record]")
+    known = {f.name: f for f in fields(RecordForm)}
+    given: dict[str, Any] = dict(section)
+    for name, value in given.items():
+        if name not in known:
+            raise RecordingError(f"{path}: [record] {name}: no such key; there is {', '.join(known)}")
+        if not _fits(name, value):
+            raise RecordingError(f"{path}: [record] {name} = {value!r}: give {KINDS.get(name, 'text in quotes')}")
+    try:
+        given["bad"] = tuple(given.get("bad", ()))
+        return replace(RecordForm(), **given)
+    except ValueError as error:
+        raise RecordingError(f"{path}: [record] {error}") from error
+
+
+KINDS = MappingProxyType(
+    {
+        "columns": 'names by role as in { pv = "flow" }',
+        "sp": "a number",
+        "dt_s": "a number in seconds",
+        "header": "the number of a line",
+        "bad": 'words as in ["Offline"]',
+    }
+)
+"""What a key of another kind than text takes."""
+
+
+def _fits(name: str, value: object) -> bool:
+    """Whether a value is of the kind that a key takes."""
+    match name:
+        case "columns":
+            return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
+        case "sp" | "dt_s":
+            return isinstance(value, (int, float)) and not isinstance(value, bool)
+        case "header":
+            return isinstance(value, int) and not isinstance(value, bool)
+        case "bad":
+            return isinstance(value, list) and all(isinstance(v, str) for v in value)
+        case _:
+            return isinstance(value, str)

@@ -1,0 +1,97 @@
+"""Rows in the order of time: newest first, a few out of place, several to a stamp; signals of several clocks as one.
+
+A signal that a historian stores by exception has a row only when it changed; between its rows it stands where it stood.
+So where most stamps of pv are not among those of co or sp, these are held from their last row.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.historian.assumption import Assumption
+from retuner.drivers.recorded.recording import RecordingError
+
+FEW = 0.01
+"""Share of rows that may be out of order and are put in place; more of them are two records in one file."""
+SHARED = 0.95
+"""Share of the stamps of pv from which another signal has the same clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """One signal: stamps in seconds and values, shape (n,) each; no value is nan. held : it is stored by exception."""
+
+    t_s: FloatArray
+    values: FloatArray
+    held: bool = False
+
+
+def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list[Assumption]]:
+    """Rows to be kept in the order of time, their stamps (increasing), and what was assumed.
+
+    Raises
+    ------
+    RecordingError
+        Time goes back too often for rows that were put in a wrong place.
+    """
+    told: list[Assumption] = []
+    places = np.flatnonzero(np.isfinite(t_s))
+    steps = np.diff(t_s[places])
+    if len(steps) and np.mean(steps <= 0) > 1 - FEW and np.any(steps < 0):
+        places = places[::-1]
+        told.append(Assumption("newest first: turned round"))
+        steps = np.diff(t_s[places])
+    back = np.flatnonzero(steps < 0)
+    if len(back) > FEW * len(places):
+        i = places[back[0] + 1]
+        raise RecordingError(
+            f"{source}: sample {i + 1}: t = {t_s[i]:.12g} follows {t_s[places[back[0]]]:.12g}; time must increase, "
+            "so cut the file where another record begins"
+        )
+    if len(back):
+        places = places[np.argsort(t_s[places], kind="stable")]
+        told.append(Assumption(f"{len(back)} rows out of order: put in place"))
+    places, stamps, more = _distinct(places, t_s[places])
+    return places, stamps, told + more
+
+
+def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:
+    """The same with every stamp once: several rows to each are spread over it, single repeats keep the last."""
+    unique, first, counts = np.unique(stamps, return_index=True, return_counts=True)
+    if len(unique) == len(stamps):
+        return places, stamps, []
+    usual = int(np.median(counts))
+    if usual < 2 or len(unique) < 2:
+        last = first + counts - 1
+        repeats = len(stamps) - len(unique)
+        return places[last], unique, [Assumption(f"{repeats} repeated stamps: the last row of each kept")]
+    width = float(np.median(np.diff(unique)))
+    rank = np.arange(len(stamps)) - np.repeat(first, counts)
+    rank[: counts[0]] += max(usual - int(counts[0]), 0)  # the first stamp may be cut: its last rows are there
+    spread = np.repeat(unique, counts) + rank * width / np.maximum(np.repeat(counts, counts), usual)
+    return places, spread, [Assumption(f"{usual} rows to a stamp: spread evenly over {width:g} s")]
+
+
+def joined(pv: Trend, others: dict[str, Trend]) -> tuple[FloatArray, dict[str, FloatArray], list[Assumption]]:
+    """Stamps of pv at which all signals are known, all signals there (pv too), and what was assumed."""
+    t_s, told = pv.t_s, []
+    known = np.ones(len(t_s), dtype=bool)
+    values: dict[str, FloatArray] = {"pv": pv.values}
+    for role, trend in others.items():
+        at, same = np.searchsorted(trend.t_s, t_s, side="right") - 1, np.zeros(len(t_s), dtype=bool)
+        inside = at >= 0
+        same[inside] = np.abs(trend.t_s[at[inside]] - t_s[inside]) < 1e-6
+        values[role] = trend.values[np.maximum(at, 0)]
+        if not trend.held and same.mean() >= SHARED:
+            known &= same
+            continue
+        known &= inside & (t_s <= _until(trend))
+        told.append(Assumption(f"{role} has rows of its own: held between them"))
+    return t_s[known], {role: v[known] for role, v in values.items()}, told
+
+
+def _until(trend: Trend) -> float:
+    """Until when a signal stored by exception is known: its last row and as long again as it ever stood."""
+    longest = float(np.max(np.diff(trend.t_s))) if len(trend.t_s) > 1 else np.inf
+    return float(trend.t_s[-1]) + longest

@@ -1,0 +1,289 @@
+"""The signals of one table: which column is the time, which are signals of which loop, and their values that are known.
+
+A wide table has a column for each signal; a long one has a row for each value, with the signal's tag in it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.cells import decimal_mark, good, numbers
+from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
+from retuner.drivers.historian.record_form import SIGNALS, RecordForm
+from retuner.drivers.historian.row_order import Trend, in_order
+from retuner.drivers.historian.tags import TIME_UNIT, loops, named
+from retuner.drivers.historian.time_stamps import DIGITS, Stamps, from_numbers, from_text
+from retuner.drivers.recorded.recording import NUMBER, RecordingError
+
+HELD_FROM = 0.05
+"""Share of blanks from which a column is stored by exception and not full of faults."""
+BESIDE = ("t", "date", "quality", "mode", "tag")
+"""Roles of columns that hold no signal."""
+MANUAL = ("man", "hand", "off", "iman", "lo", "track", "init")
+"""How words of modes begin in which the controller has not the valve."""
+SILENT = frozenset({"sp", "pv", "co"})
+"""Column names that need no telling."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableSignals:
+    """Signals of a table by tag and role, and what was assumed."""
+
+    source: str
+    loops: Mapping[str, Mapping[str, Trend]]
+    assumed: tuple[Assumption, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """The rows that are kept in the order of time, and their stamps."""
+
+    rows: np.ndarray
+    t_s: FloatArray
+
+
+def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False) -> TableSignals:
+    """Read a table; of a record with modes only its longest stretch in automatic, where that is wanted.
+
+    Raises
+    ------
+    RecordingError
+        A named column is not there, there is no time, or a field is none of a value's forms.
+    """
+    found = loops(table.names)
+    plain = found.get("", {})
+    told = list(table.assumed)
+    if _is_long(plain, found, form):
+        return _long(table, plain, form, told)
+    wanted = _signal_places(table, found, form)
+    if not any(wanted.values()):
+        return TableSignals(table.source, {}, tuple(told))
+    decimal, mark = decimal_mark(table, [p for roles in wanted.values() for p in roles.values()], form)
+    clock, more = _clock(table, found, form, decimal)
+    told += [*mark, *more]
+    good_rows = _good(table, plain.get("quality", []), form, told)
+    known: dict[str, dict[str, Trend]] = {}
+    for tag, roles in wanted.items():
+        qualities = found.get(tag, {}).get("quality", []) if tag else []
+        rows = good_rows & _good(table, qualities, form, told)
+        if in_automatic:
+            rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, told)
+        known[tag] = _trends(table, roles, decimal, clock, rows, form, told)
+    return TableSignals(table.source, known, tuple(told))
+
+
+def _is_long(plain: Mapping[str, list[int]], found: Mapping[str, Mapping[str, list[int]]], form: RecordForm) -> bool:
+    """Whether each row names its signal."""
+    named_so = {"tag", "value"} <= {*plain, *form.columns}
+    return named_so and not any({"pv", "co"} & roles.keys() for roles in found.values())
+
+
+def _column(table: RawTable, role: str, form: RecordForm, otherwise: Sequence[int]) -> int | None:
+    """The column of a role: as it is named, else the first that was found."""
+    name = form.columns.get(role)
+    if name is None:
+        return otherwise[0] if otherwise else None
+    if name not in table.names:
+        there = ", ".join(table.names[:12]) or "nothing"
+        raise RecordingError(
+            f'{table.source}: no column "{name}"; there is {there}; name it as in --columns {role}=NAME'
+        )
+    return table.names.index(name)
+
+
+def _signal_places(
+    table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm
+) -> dict[str, dict[str, int]]:
+    """Columns of the signals by tag and role; what a person names belongs to every loop there is."""
+    own = {role for role in SIGNALS if role in form.columns}
+    if {"pv", "co"} <= own:
+        found = {"": found.get("", {})}
+    places: dict[str, dict[str, int]] = {}
+    for tag, roles in (found or {"": {}}).items():
+        if form.tag and tag and tag.lower() != form.tag.lower():
+            continue
+        for role in SIGNALS:
+            place = _column(table, role, form, roles.get(role, []))
+            if place is not None:
+                places.setdefault(tag, {})[role] = place
+                _refuse_repeated(table, place)
+    return places or _by_file_name(table, found, form)
+
+
+def _refuse_repeated(table: RawTable, place: int) -> None:
+    """Refuse a column whose name stands twice."""
+    error = repeated(table, place)
+    if error is not None:
+        raise error
+
+
+def _by_file_name(
+    table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm
+) -> dict[str, dict[str, int]]:
+    """A file of one signal: its name says which; its column is the only one beside the time."""
+    read = named(PurePath(table.source).stem)
+    role = "co" if read.role == "mv" else read.role
+    used = {place for roles in found.values() for r in BESIDE for place in roles.get(r, [])}
+    used |= {table.names.index(name) for name in form.columns.values() if name in table.names}
+    free = [place for place in range(len(table.names)) if place not in used]
+    if role not in SIGNALS or not free:
+        return {}
+    values = found.get("", {}).get("value", free)
+    return {read.tag: {role: values[0]}}
+
+
+def _clock(
+    table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm, decimal: str
+) -> tuple[_Clock, list[Assumption]]:
+    """Rows in the order of time."""
+    if form.dt_s is not None:
+        rows = np.arange(len(table.places))
+        return _Clock(rows, (rows * form.dt_s).astype(np.float64)), []
+    stamps = _stamps(table, found, form, decimal)
+    rows, t_s, told = in_order(stamps.t_s, table.source)
+    return _Clock(rows, t_s), [*stamps.assumed, *told]
+
+
+def _stamps(table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm, decimal: str) -> Stamps:
+    """The time of each row."""
+    times = [place for roles in found.values() for place in roles.get("t", [])]
+    dates = [place for roles in found.values() for place in roles.get("date", [])]
+    place, date = _column(table, "t", form, times), _column(table, "date", form, dates)
+    place, date = (date, None) if place is None else (place, date)
+    place = _by_content(table) if place is None else place
+    if place is None:
+        raise RecordingError(
+            f'{table.source}: no column "t"; there is {", ".join(table.names[:12])}; name it as in --columns t=NAME, '
+            "or say --dt with the seconds between rows"
+        )
+    _refuse_repeated(table, place)
+    column = table.columns[place]
+    if isinstance(column, np.ndarray) and column.dtype.kind == "M":
+        return Stamps(np.where(np.isnat(column), np.nan, column.astype("datetime64[ns]").astype(np.int64) / 1e9))
+    text = [] if isinstance(column, np.ndarray) else [field.strip() for field in column]
+    if text and _written_out(text):
+        apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
+        days = [str(d) for d in apart] if apart is not None else None
+        return from_text(text, days, form, table.source)
+    return from_numbers(numbers(table, place, decimal, form), table.names[place], _unit(table.names[place]), form)
+
+
+def _written_out(fields: Sequence[str]) -> bool:
+    """Whether stamps are dates and times, as text or in digits, and no count of seconds."""
+    some = [field.replace(",", ".") for field in fields[:: max(1, len(fields) // 20)] if field]
+    return all(DIGITS.fullmatch(field) for field in some) or not all(NUMBER.fullmatch(field) for field in some)
+
+
+def _unit(name: str) -> str:
+    """The unit of time that a column's name holds, or nothing."""
+    return TIME_UNIT.get(named(name).unit, "")
+
+
+def _by_content(table: RawTable) -> int | None:
+    """The first column that holds dates, whatever it is called."""
+    for place, column in enumerate(table.columns):
+        if isinstance(column, np.ndarray):
+            if column.dtype.kind == "M":
+                return place
+            continue
+        some = [field.strip() for field in column[:20]]
+        if all(VALUE.fullmatch(f) and ":" in f for f in some) or all(DIGITS.fullmatch(f) for f in some):
+            return place
+    return None
+
+
+def _good(table: RawTable, places: Sequence[int], form: RecordForm, told: list[Assumption]) -> np.ndarray:
+    """Rows whose quality is good."""
+    rows = np.ones(len(table.places), dtype=bool)
+    named_so = form.columns.get("quality")
+    places = [table.names.index(named_so)] if named_so in table.names else places
+    for place in places:
+        rows &= good(table, place, form)
+    if not rows.all():
+        told.append(Assumption(f"{int(np.sum(~rows))} rows of bad quality left out"))
+    return rows
+
+
+def _automatic(
+    table: RawTable, places: Sequence[int], clock: _Clock, form: RecordForm, told: list[Assumption]
+) -> np.ndarray:
+    """Rows of the longest stretch in automatic, where a column says the mode in words; else all."""
+    everything = np.ones(len(table.places), dtype=bool)
+    place = _column(table, "mode", form, places)
+    column = table.columns[place] if place is not None else np.zeros(0)
+    if isinstance(column, np.ndarray):
+        return everything
+    manual = np.array([column[row].strip().lower().startswith(MANUAL) for row in clock.rows])
+    if not manual.any() or manual.all():
+        return everything
+    edges = np.flatnonzero(np.diff(np.r_[1, manual, 1]))
+    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda stretch: stretch[1] - stretch[0])
+    told.append(Assumption(f"the longest stretch in automatic taken, {end - begin} of {len(manual)} rows"))
+    everything[:] = False
+    everything[clock.rows[begin:end]] = True
+    return everything
+
+
+def _trends(
+    table: RawTable,
+    roles: Mapping[str, int],
+    decimal: str,
+    clock: _Clock,
+    good_rows: np.ndarray,
+    form: RecordForm,
+    told: list[Assumption],
+) -> dict[str, Trend]:
+    """Signals of one loop without what is missing."""
+    trends = {}
+    for role, place in roles.items():
+        values = numbers(table, place, decimal, form)
+        known = (np.isfinite(values) & good_rows)[clock.rows]
+        held = role != "pv" and _stored_by_exception(table, place)
+        missing = int(np.sum(~np.isfinite(values[clock.rows])))
+        if missing and not held:
+            told.append(Assumption(f"{missing} values of {role} missing: left out"))
+        if table.names[place] not in SILENT:
+            name = quoted(table.names[place])
+            told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))
+        trends[role] = Trend(clock.t_s[known], values[clock.rows][known], held)
+    return trends
+
+
+def _stored_by_exception(table: RawTable, place: int) -> bool:
+    """Whether a column is blank where its signal did not change."""
+    column = table.columns[place]
+    if isinstance(column, np.ndarray):
+        return bool(np.mean(np.isnan(column)) > HELD_FROM) if column.dtype.kind == "f" else False
+    return sum(not field.strip() for field in column) > HELD_FROM * len(column)
+
+
+def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, told: list[Assumption]) -> TableSignals:
+    """Signals of a table with a row for each value."""
+    tag_at, value_at = (
+        _column(table, "tag", form, plain.get("tag", [])),
+        _column(table, "value", form, plain.get("value", [])),
+    )
+    assert tag_at is not None
+    assert value_at is not None
+    tags = np.array([str(field).strip() for field in table.columns[tag_at]])
+    decimal, mark = decimal_mark(table, [value_at], form)
+    values = numbers(table, value_at, decimal, form)
+    stamps = _stamps(table, {"": plain}, form, decimal)
+    good_rows = _good(table, plain.get("quality", []), form, told)
+    known: dict[str, dict[str, Trend]] = {}
+    told += [*mark, *stamps.assumed]
+    for name in np.unique(tags):
+        read = named(str(name))
+        role = "co" if read.role == "mv" else read.role
+        if role not in SIGNALS or (form.tag and read.tag.lower() != form.tag.lower()):
+            continue
+        mine = np.flatnonzero((tags == name) & np.isfinite(values) & good_rows)
+        rows, t_s, more = in_order(stamps.t_s[mine], table.source)
+        told += more
+        known.setdefault(read.tag, {})[role] = Trend(t_s, values[mine][rows])
+        told.append(Assumption(f"{role} is {quoted(str(name))}"))
+    return TableSignals(table.source, known, tuple(told))

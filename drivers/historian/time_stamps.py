@@ -1,0 +1,227 @@
+"""Stamps as seconds from the first one: text in the usual forms, numbers of any epoch, dates and times of day apart.
+
+Several forms may fit a text (03/04/2024 is in March or in April). A form is one that fits every row; where two fit and
+give other times between the rows, the record is not read before a person has said which. Numbers are seconds where
+their size says nothing else: seconds, milliseconds, ... since 1970, days of a spreadsheet, or digits of date and time.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta, timezone
+from types import MappingProxyType
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.record_form import TIME_UNITS, RecordForm
+from retuner.drivers.recorded.recording import RecordingError
+
+DATES = (
+    "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y",
+    "%d/%m/%y", "%m/%d/%y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d %Y", "%b %d, %Y", "%Y%m%d",
+)  # fmt: skip
+"""Forms of a date, in the codes of strptime."""
+TIME_OF_DAY = re.compile(
+    r"(?P<h>[0-9]{1,2}):(?P<m>[0-9]{2})(?::(?P<s>[0-9]{2})(?:[.,](?P<f>[0-9]{1,9}))?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+    r"\s*(?P<zone>Z|UTC|GMT|[+-][0-9]{2}:?[0-9]{2})?"
+)
+DIGITS = re.compile(r"(?:19|20)[0-9]{12}(?:\.[0-9]+)?")
+"""Date and time written together as 20241015215500."""
+EPOCHS = MappingProxyType({"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)})
+"""Range of numbers that count from 1970, from 2001 to 2096, by unit."""
+SPREADSHEET_DAYS = (30_000.0, 60_000.0)
+"""Days since 1899-12-30 from 1982 to 2064: a spreadsheet's stamps as numbers."""
+DAY_S = 86_400.0
+HOUR_S = 3600.0
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """Times of the rows in seconds since any moment, nan where a row has no stamp; and what was assumed."""
+
+    t_s: FloatArray
+    assumed: tuple[Assumption, ...] = ()
+
+
+def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> Stamps:
+    """Numeric stamps.
+
+    Parameters
+    ----------
+    values : nan where missing. name : of the column. unit : that its name tells, or "".
+    """
+    if form.time_unit or unit in TIME_UNITS:
+        return Stamps(values * TIME_UNITS[form.time_unit or unit])
+    typical = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+    for known, (low, high) in EPOCHS.items():
+        if low <= typical <= high:
+            told = Assumption(f"time counted from 1970 in {known}", f'time_unit = "{known}"')
+            return Stamps(values * TIME_UNITS[known], (told,))
+    step = float(np.nanmedian(np.abs(np.diff(values)))) if len(values) > 1 else 1.0
+    if SPREADSHEET_DAYS[0] <= typical <= SPREADSHEET_DAYS[1] and 0 < step < 1.0 / 24:
+        return Stamps(values * DAY_S, (Assumption("time in days of a spreadsheet", 'time_unit = "d"'),))
+    silent = name.strip().lower() in {"t", "t_s", "time_s"}
+    told = Assumption(f"time {quoted(name)} in seconds", 'time_unit = "s"')
+    return Stamps(values, () if silent else (told,))
+
+
+def from_text(fields: Sequence[str], days: Sequence[str] | None, form: RecordForm, source: str) -> Stamps:
+    """Stamps as text, and where the date stands apart its fields.
+
+    Raises
+    ------
+    RecordingError
+        No form fits all rows, or two do that differ.
+    """
+    joined = [f"{d.strip()} {f.strip()}" for d, f in zip(days, fields, strict=True)] if days is not None else fields
+    texts = [text.strip() for text in joined]
+    if form.time_format:
+        return Stamps(_of_format(texts, form, source))
+    if all(DIGITS.fullmatch(text) for text in texts[:SHOWN]):
+        told = Assumption("stamps as digits of date and time", 'time_format = "%Y%m%d%H%M%S"')
+        return Stamps(_timed(texts, _digits, form, source), (told,))
+    return _of_usual_forms(texts, form, source)
+
+
+def _of_usual_forms(texts: list[str], form: RecordForm, source: str) -> Stamps:
+    """The usual form that fits all rows."""
+    fitting: dict[str, FloatArray] = {}
+    for date in DATES:
+        if not _fits_sample(texts, date):
+            continue
+        try:
+            fitting[date] = _timed(texts, _reader(date), form, source)
+        except _UnfitError:
+            continue
+    if not fitting:
+        shown = next((text for text in texts if text), "")
+        raise RecordingError(
+            f"{source}: time {shown[:40]!a} is of no usual form; say --time-format as in %d.%m.%Y %H:%M:%S"
+        )
+    (first, times), *others = fitting.items()
+    whole = quoted(_whole(first, texts[0]))
+    for other, elsewhere in others:
+        if not np.allclose(elsewhere - elsewhere[0], times - times[0], atol=1e-3, equal_nan=True):
+            raise RecordingError(f"{source}: {texts[0][:40]!a} may be {first} or {other}; say --time-format {whole}")
+    return Stamps(times, (Assumption(f"time as {first} and the time of day", f"time_format = {whole}"),))
+
+
+def _whole(date: str, text: str) -> str:
+    """The format of date and time of a text whose date has this one."""
+    found = TIME_OF_DAY.search(text)
+    if found is None:
+        return date
+    between = "T" if "T" in text[: found.start()] else " "
+    hours = "%I:%M" if found["half"] else "%H:%M"
+    rest = (":%S" if found["s"] else "") + (".%f" if found["f"] else "") + (" %p" if found["half"] else "")
+    rest += "%z" if found["zone"] else ""
+    return date + between + hours + rest
+
+
+class _UnfitError(ValueError):
+    """A form does not fit a row."""
+
+
+def _fits_sample(texts: Sequence[str], date: str) -> bool:
+    """Whether a form fits some rows all over the record."""
+    reader = _reader(date)
+    rows = [text for text in texts if text]
+    try:
+        for text in rows[:: max(1, len(rows) // 20)]:
+            reader(text)
+    except _UnfitError:
+        return False
+    return bool(rows)
+
+
+def _reader(date: str) -> Callable[[str], datetime]:
+    """A reader of stamps whose date has this form; the days that were read are kept."""
+    days: dict[str, datetime] = {}
+
+    def read(text: str) -> datetime:
+        clock = TIME_OF_DAY.search(text)
+        day = (text[: clock.start()] if clock else text).strip().removesuffix("T").strip().rstrip(",")
+        if clock is not None and clock.end() != len(text.rstrip()):
+            raise _UnfitError(text)
+        if day not in days:
+            try:
+                days[day] = datetime.strptime(day, date)  # noqa: DTZ007  the zone follows
+            except ValueError:
+                raise _UnfitError(text) from None
+        return days[day] if clock is None else _at(days[day], clock)
+
+    return read
+
+
+def _at(day: datetime, clock: re.Match[str]) -> datetime:
+    """A time of a day."""
+    hour, minute, second = int(clock["h"]), int(clock["m"]), int(clock["s"] or 0)
+    if clock["half"]:
+        if not 1 <= hour <= 12:
+            raise _UnfitError(clock[0])
+        hour = hour % 12 + (12 if clock["half"][0] in "Pp" else 0)
+    if hour > 24 or minute > 59 or second > 60:
+        raise _UnfitError(clock[0])
+    fraction = float(f"0.{clock['f']}") if clock["f"] else 0.0
+    moment = day + timedelta(hours=hour, minutes=minute, seconds=second + fraction)
+    zone = clock["zone"]
+    if not zone:
+        return moment
+    if zone[0] not in "+-":
+        return moment.replace(tzinfo=UTC)
+    offset = timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
+    return moment.replace(tzinfo=timezone(-offset if zone[0] == "-" else offset))
+
+
+def _digits(text: str) -> datetime:
+    """Digits of date and time."""
+    try:
+        moment = datetime.strptime(text[:14], "%Y%m%d%H%M%S")  # noqa: DTZ007  the zone follows
+    except ValueError:
+        raise _UnfitError(text) from None
+    return moment + timedelta(seconds=float("0" + text[14:]) if len(text) > 14 else 0.0)
+
+
+def _of_format(texts: Sequence[str], form: RecordForm, source: str) -> FloatArray:
+    """Stamps of the format that a person gave."""
+
+    def read(text: str) -> datetime:
+        try:
+            return datetime.strptime(text, form.time_format)  # noqa: DTZ007  the zone follows
+        except ValueError:
+            raise RecordingError(f"{source}: time {text[:40]!a} is not of the form {form.time_format}") from None
+
+    return _timed(texts, read, form, source)
+
+
+def _timed(texts: Sequence[str], read: Callable[[str], datetime], form: RecordForm, source: str) -> FloatArray:
+    """Seconds since 1970 of each text, nan where there is none."""
+    zone = ZoneInfo(form.zone) if form.zone else None
+    found, last = np.full(len(texts), math.nan), -math.inf
+    backwards = False
+    for i, text in enumerate(texts):
+        if not text:
+            continue
+        found[i] = _seconds(read(text), zone, last)
+        backwards |= zone is None and -HOUR_S <= found[i] - last < 0
+        last = found[i]
+    ordered = np.diff(found[np.isfinite(found)])
+    if backwards and int(np.sum(ordered < 0)) == 1 and found[-1] > np.nanmax(found[:-1]):
+        raise RecordingError(f"{source}: the clock goes back by an hour once; say --zone as in Europe/Berlin")
+    return found
+
+
+def _seconds(moment: datetime, zone: ZoneInfo | None, last: float) -> float:
+    """Seconds since 1970; of the two hours of one name in autumn the one that goes on after the last stamp."""
+    if moment.tzinfo is None and zone is None:
+        return (moment.replace(tzinfo=UTC) - EPOCH).total_seconds()
+    if moment.tzinfo is not None:
+        return (moment - EPOCH).total_seconds()
+    early, late = ((moment.replace(tzinfo=zone, fold=fold) - EPOCH).total_seconds() for fold in (0, 1))
+    return late if early <= last < late else early

@@ -1,0 +1,1 @@
+"""Commands on records and models: nothing here writes to a controller."""

@@ -1,0 +1,96 @@
+"""Options for the form of a record, and telling what was assumed where they leave it open."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from retuner.drivers.historian.assumption import Assumption, in_a_line, in_full
+from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
+from retuner.drivers.historian.record_form import COLUMN_ROLES, RecordForm, form_from_toml
+from retuner.errors import UserError, user_input
+
+PANEL = "The form of the record (else found in it, and told)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormOptions:
+    """How a record is written; what is left open is found in it."""
+
+    columns: Annotated[
+        str, typer.Option(help="Names of columns: t=time,pv=temp,co=out,sp=target.", rich_help_panel=PANEL)
+    ] = ""
+    tag: Annotated[str, typer.Option(help="Which loop of many: FIC101 of FIC101.PV.", rich_help_panel=PANEL)] = ""
+    sp: Annotated[float | None, typer.Option(help="The setpoint where no column has it.", rich_help_panel=PANEL)] = None
+    dt: Annotated[
+        float | None, typer.Option(help="Seconds between rows where no column has the time.", rich_help_panel=PANEL)
+    ] = None
+    time_format: Annotated[str, typer.Option(help="Stamps, as in %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)] = ""
+    time_unit: Annotated[str, typer.Option(help="Time as a number: s, ms, min, h, d.", rich_help_panel=PANEL)] = ""
+    zone: Annotated[str, typer.Option(help="Of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)] = ""
+    decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
+    good: Annotated[str, typer.Option(help="What the quality of a good value says.", rich_help_panel=PANEL)] = ""
+    bad: Annotated[str, typer.Option(help="A further word for a missing value.", rich_help_panel=PANEL)] = ""
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
+    ] = None
+    assume: Annotated[
+        bool, typer.Option("--assume", help="Print what was assumed as a section record.", rich_help_panel=PANEL)
+    ] = False
+
+
+def record_form(options: FormOptions) -> RecordForm:
+    """What the options fix, over what the file of --record fixes.
+
+    Raises
+    ------
+    UserError, RecordingError
+        A value out of range, or a file that cannot be used.
+    """
+    form = form_from_toml(options.record) if options.record is not None else RecordForm()
+    texts = ("tag", "time_format", "time_unit", "zone", "decimal", "good")
+    given: dict[str, Any] = {name: getattr(options, name) for name in texts if getattr(options, name)}
+    given |= {k: v for k, v in (("sp", options.sp), ("dt_s", options.dt)) if v is not None}
+    given |= {"bad": (*form.bad, options.bad)} if options.bad else {}
+    with user_input("the form of the record"):
+        return replace(form, columns={**form.columns, **renamed(options.columns)}, **given)
+
+
+def renamed(text: str) -> dict[str, str]:
+    """--columns as role to column name.
+
+    Raises
+    ------
+    UserError
+        A part is not role=name, a role is not known, or is given twice.
+    """
+    found: dict[str, str] = {}
+    for part in (p.strip() for p in text.split(",") if p.strip()):
+        role, equals, name = part.partition("=")
+        if not equals or role not in COLUMN_ROLES or not name or role in found:
+            raise UserError(f"--columns {part}: give role=name, each role once; roles are {', '.join(COLUMN_ROLES)}")
+        found[role] = name
+    return found
+
+
+def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bool = False) -> LoopRecord:
+    """The record in these files.
+
+    Raises
+    ------
+    UserError, RecordingError
+        A file or an option cannot be used.
+    """
+    return read_loop_record(files, record_form(options), in_automatic=in_automatic)
+
+
+def tell_assumed(assumed: tuple[Assumption, ...], options: FormOptions) -> None:
+    """What was assumed, on the error stream, beside the result: in one line, or as a [record] section."""
+    if options.assume:
+        sys.stderr.write("\n".join(in_full(assumed)) + "\n")
+    elif assumed:
+        sys.stderr.write(f"assumed: {in_a_line(assumed)} (--assume prints how to fix it otherwise)\n")

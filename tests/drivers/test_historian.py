@@ -1,0 +1,386 @@
+"""Records as plants export them: what is found is right, what was assumed is told, what is ambiguous is asked."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from effort import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.drivers.historian.assumption import in_a_line, in_full, quoted
+from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
+from retuner.drivers.historian.record_form import RecordForm, form_from_toml
+from retuner.drivers.historian.tags import loops, named
+from retuner.drivers.recorded.recording import RecordingError, read_recording
+
+DATA = Path(__file__).parent.parent / "data"
+N = 60
+T = np.arange(N) * 10.0
+SP = np.where(T < 200, 50.5, 55.0)
+PV = np.round(50 + np.sin(0.37 * np.arange(N)), 3)
+CO = np.round(30 + 3 * np.cos(0.11 * np.arange(N)), 2)
+BEGIN = datetime(2024, 3, 14, 21, 55)  # noqa: DTZ001  a plant's clock has no zone
+LATE = datetime(2024, 1, 31, 23, 55)  # noqa: DTZ001  goes on into the next month
+
+Cells = Sequence[object] | np.ndarray
+
+
+def stamps(form: str, begin: datetime = BEGIN) -> list[str]:
+    return [(begin + timedelta(seconds=float(t))).strftime(form) for t in T]
+
+
+def comma(values: Iterable[float]) -> list[str]:
+    return [str(value).replace(".", ",") for value in values]
+
+
+def text(header: str, *columns: Cells, sep: str = ",") -> str:
+    rows = "\n".join(sep.join(str(column[i]) for column in columns) for i in range(len(columns[0])))
+    return f"{header}\n{rows}\n" if header else rows + "\n"
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[..., Path]:
+    def write(content: str, name: str = "a.csv", encoding: str = "utf-8") -> Path:
+        path = tmp_path / name
+        path.write_bytes(content.encode(encoding))
+        return path
+
+    return write
+
+
+def is_the_loop(read: LoopRecord, *, with_sp: bool = True) -> None:
+    record = read.recording
+    np.testing.assert_allclose(record.t_s, T, atol=1e-3)
+    assert np.array_equal(record.pv, PV)
+    assert np.array_equal(record.co, CO)
+    assert (record.sp is not None) == with_sp
+    if record.sp is not None:
+        assert np.array_equal(record.sp, SP)
+
+
+EPOCH = [BEGIN.replace(tzinfo=UTC).timestamp() + t for t in T]
+US = "Timestamp,FIC101.SP,FIC101.PV,FIC101.OP"
+FORMS = {
+    "plain": (text("t,sp,pv,co", T, SP, PV, CO), ""),
+    "quoted": (text('"t","sp","pv","co"', *([f'"{v}"' for v in c] for c in (T, SP, PV, CO))), ""),
+    "trailing delimiter": (text("t;sp;pv;co", T, SP, PV, [f"{v};" for v in CO], sep=";"), ""),
+    "spaces": (text("t  sp  pv  co", T, SP, PV, CO, sep="   "), ""),
+    "a comment as header": (text("# of the pilot plant\n# t sp pv co", T, SP, PV, CO, sep=" "), ""),
+    "German": (
+        text("Zeit;Sollwert;Istwert;Stellwert", stamps("%d.%m.%Y %H:%M:%S"), *map(comma, (SP, PV, CO)), sep=";"),
+        "decimal comma; time as %d.%m.%Y",
+    ),
+    "American": (text(US, stamps("%m/%d/%Y %I:%M:%S %p"), SP, PV, CO), "time as %m/%d/%Y"),
+    "date and time apart": (
+        text("Date,Time,SP,PV,OP", stamps("%d/%m/%Y"), stamps("%H:%M:%S"), SP, PV, CO),
+        "time as %d/%m/%Y",
+    ),
+    "told by the month": (text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", LATE), SP, PV, CO), "time as %d/%m/%Y"),
+    "month by its name": (text(US, stamps("%d-%b-%y %H:%M:%S.000"), SP, PV, CO), "time as %d-%b-%y"),
+    "ISO with zone": (text(US, stamps("%Y-%m-%dT%H:%M:%SZ"), SP, PV, CO), "time as %Y-%m-%d"),
+    "epoch": (text("time,sp,pv,co", EPOCH, SP, PV, CO), "from 1970 in s"),
+    "epoch in ms": (text("time,sp,pv,co", [int(1000 * t) for t in EPOCH], SP, PV, CO), "from 1970 in ms"),
+    "days of a spreadsheet": (text("time,sp,pv,co", 45000 + T / 86400, SP, PV, CO), "days of a spreadsheet"),
+    "digits": (text("time,sp,pv,co", stamps("%Y%m%d%H%M%S"), SP, PV, CO), "digits of date and time"),
+    "hours": (text("time [h],sp,pv,co", T / 3600, SP, PV, CO), ""),
+    "minutes": (text("time_min,sp,pv,co", T / 60, SP, PV, CO), ""),
+    "newest first": (
+        text("time,sp,pv,co", stamps("%Y-%m-%d %H:%M:%S")[::-1], SP[::-1], PV[::-1], CO[::-1]),
+        "newest first",
+    ),
+    "units row": (text("time,SP,PV,OP\ns,degC,degC,%", T, SP, PV, CO), 'time "time" in seconds'),
+    "preamble": (
+        "Export of plant X\nby operator, at 10:00\n\n" + text(US, stamps("%Y-%m-%d %H:%M:%S"), SP, PV, CO),
+        'pv is "FIC101.PV"',
+    ),
+    "stamps of a minute": (text("time,sp,pv,co", stamps("%Y-%m-%d %H:%M"), SP, PV, CO), "6 rows to a stamp"),
+    "cut in a row": (text("t,sp,pv,co", T, SP, PV, CO) + "600,5", "last line is cut"),
+    "manipulated variable": (text("t,F1.SV,F1.PV,F1.MV", T, SP, PV, CO), 'co is "F1.MV"'),
+    "measured value": (text("t,F1.SP,F1.MV,F1.OP", T, SP, PV, CO), 'pv is "F1.MV"'),
+    "further columns": (text("t,sp,pv,co,note", T, SP, PV, CO, ["all, well".replace(",", "")] * N), ""),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_form_is_found_and_told(written: Callable[..., Path], name: str) -> None:
+    content, told = FORMS[name]
+    read = read_loop_record([written(content)])
+
+    is_the_loop(read)
+    if told:
+        assert told in in_a_line(read.assumed)
+    else:
+        assert read.assumed == ()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "told"),
+    [("utf-8-sig", ""), ("latin-1", "Latin-1"), ("utf-16", "UTF-16"), ("utf-16-le", "UTF-16")],
+)
+def test_encodings_are_found(written: Callable[..., Path], encoding: str, told: str) -> None:
+    content = text("t\tsp\tpv\tco\tÖl °C", T, SP, PV, CO, T, sep="\t")
+    read = read_loop_record([written(content, encoding=encoding)])
+
+    is_the_loop(read)
+    assert told in in_a_line(read.assumed)
+
+
+def test_a_real_export_is_read_as_it_is() -> None:
+    read = read_loop_record([DATA / "raw" / "historian_export_1.txt"])
+
+    assert read.tag == "2411FIC20102"
+    assert len(read.recording.t_s) == 751
+    assert np.all(np.diff(read.recording.t_s) == 10.0)
+    assert (read.recording.pv[0], read.recording.co[0]) == (99.3204336, 24.016456452)
+    assert read.recording.sp is not None
+    assert read.recording.sp[0] == 99.99994
+
+
+@pytest.mark.parametrize("path", sorted(DATA.glob("*/*.csv")), ids=lambda path: path.stem)
+def test_a_plain_record_is_read_as_the_strict_reader_reads_it(path: Path) -> None:
+    strict, read = read_recording(path), read_loop_record([path])
+
+    assert read.assumed == ()
+    for name in ("t_s", "sp", "pv", "co"):
+        assert np.array_equal(getattr(strict, name), getattr(read.recording, name))
+
+
+def test_missing_values_are_left_out_and_counted(written: Callable[..., Path]) -> None:
+    pv = [str(v) for v in PV]
+    for row, word in ((5, "Bad"), (9, ""), (12, "[-11059] No Good Data For Calculation"), (13, "NULL"), (20, "Kaputt")):
+        pv[row] = word
+    path = written(text("t,sp,pv,co", T, SP, pv, CO))
+    with pytest.raises(RecordingError, match=r"a.csv:22: pv = 'Kaputt' is no number; .* say --bad"):
+        read_loop_record([path])
+    read = read_loop_record([path], RecordForm(bad=("kaputt",)))
+
+    assert "5 values of pv missing" in in_a_line(read.assumed)
+    assert read.recording.t_s.tolist() == [t for i, t in enumerate(T) if i not in {5, 9, 12, 13, 20}]
+
+
+@pytest.mark.parametrize(("fine", "poor"), [("Good", "Bad"), ("192", "24"), ("ok", "uncertain")])
+def test_values_of_bad_quality_are_left_out(written: Callable[..., Path], fine: str, poor: str) -> None:
+    quality = [poor if i == 7 else fine for i in range(N)]
+    read = read_loop_record([written(text("t,sp,pv,co,quality", T, SP, PV, CO, quality))])
+
+    assert len(read.recording.t_s) == N - 1
+    assert 70.0 not in read.recording.t_s
+    assert "1 rows of bad quality" in in_a_line(read.assumed)
+
+
+def test_a_quality_that_nobody_knows_is_asked_for(written: Callable[..., Path]) -> None:
+    path = written(text("t,sp,pv,co,quality", T, SP, PV, CO, [i % 2 for i in range(N)]))
+    with pytest.raises(RecordingError, match="quality quality is 0, 1; say --good"):
+        read_loop_record([path])
+    assert len(read_loop_record([path], RecordForm(good="1")).recording.t_s) == N // 2
+
+
+def test_signals_in_files_of_their_own_are_joined(written: Callable[..., Path]) -> None:
+    when = stamps("%Y-%m-%d %H:%M:%S")
+    files = [
+        written(text("Timestamp,Value", when, c), f"FIC7.{r}.csv") for r, c in (("PV", PV), ("OP", CO), ("SP", SP))
+    ]
+    read = read_loop_record(files)
+
+    is_the_loop(read)
+    assert read.tag == "FIC7"
+
+
+def test_an_output_stored_by_exception_is_held(written: Callable[..., Path]) -> None:
+    moves = np.flatnonzero(np.arange(N) % 7 == 0)
+    files = [written(text("t,pv", T, PV), "pv.csv"), written(text("t,co", T[moves] - 1.0, CO[moves]), "co.csv")]
+    read = read_loop_record(files, RecordForm(sp=50.0))
+
+    assert "co has rows of its own: held" in in_a_line(read.assumed)
+    assert np.array_equal(read.recording.co, CO[(np.arange(N) // 7) * 7])
+    assert read.recording.sp is not None
+    assert np.all(read.recording.sp == 50.0)
+
+
+def test_a_table_of_many_loops_asks_which(written: Callable[..., Path]) -> None:
+    path = written(text("t,A.SP,A.PV,A.OP,B.SP,B.PV,B.OP", T, SP + 1, PV, CO, SP, PV, CO))
+    with pytest.raises(RecordingError, match="2 loops in it; say --tag with one of A, B"):
+        read_loop_record([path])
+    is_the_loop(read_loop_record([path], RecordForm(tag="b")))
+    with pytest.raises(RecordingError, match='no loop "C"'):
+        read_loop_record([path], RecordForm(tag="C"))
+
+
+def test_a_long_table_has_a_row_for_each_value(written: Callable[..., Path]) -> None:
+    when = stamps("%Y-%m-%d %H:%M:%S")
+    rows = [f"F1.{r},{when[i]},{c[i]},Good" for i in range(N) for r, c in (("PV", PV), ("SP", SP), ("OP", CO))]
+    read = read_loop_record([written("Tag,Timestamp,Value,Quality\n" + "\n".join(rows))])
+
+    is_the_loop(read)
+    assert read.tag == "F1"
+
+
+def test_a_record_in_pieces_is_put_together(tmp_path: Path, written: Callable[..., Path]) -> None:
+    for i, part in enumerate((slice(40, N), slice(0, 40))):
+        written(text("t,sp,pv,co", T[part], SP[part], PV[part], CO[part]), f"day{i}.csv")
+    is_the_loop(read_loop_record([tmp_path]))
+    written(text("t,sp,pv,co", T[:3], SP[:3], PV[:3], CO[:3]), "again.csv")
+    with pytest.raises(RecordingError, match="is there twice at the same time"):
+        read_loop_record([tmp_path])
+
+
+def test_only_the_longest_stretch_in_automatic_is_taken_where_that_is_asked(written: Callable[..., Path]) -> None:
+    mode = ["MAN" if i < 10 or i == 20 else "AUTO" for i in range(N)]
+    path = written(text("t,sp,pv,co,mode", T, SP, PV, CO, mode))
+    read = read_loop_record([path], in_automatic=True)
+
+    assert np.array_equal(read.recording.t_s, T[21:])
+    assert f"{N - 21} of {N} rows" in in_a_line(read.assumed)
+    assert len(read_loop_record([path]).recording.t_s) == N
+
+
+CLOCK_BACK = "time,sp,pv,co\n" + "".join(
+    f"2024-10-27 0{h}:{m:02d}:00,1,{h + m},{m}\n" for h, m in [(1, 30), (2, 0), (2, 30), (2, 0), (2, 30), (3, 0)]
+)
+
+
+def test_the_hour_that_comes_twice_needs_the_zone(written: Callable[..., Path]) -> None:
+    path = written(CLOCK_BACK)
+    with pytest.raises(RecordingError, match="clock goes back by an hour once; say --zone"):
+        read_loop_record([path])
+    read = read_loop_record([path], RecordForm(zone="Europe/Berlin"))
+
+    assert np.all(np.diff(read.recording.t_s) == 1800.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "form", "message"),
+    [
+        ("", RecordForm(), "there is nothing in it"),
+        ("hello world\nthis is, no table\n", RecordForm(), "no row of numbers"),
+        (text("", T, SP, PV, CO), RecordForm(), 'no column "pv"; there is 1, 2, 3, 4; name it as in --columns pv=NAME'),
+        (text("sp,pv,co", SP, PV, CO), RecordForm(), 'no column "t".* or say --dt'),
+        (text("t,sp,pv", T, SP, PV), RecordForm(), 'no column "co"'),
+        (text("t,pv,pv,co", T, SP, PV, CO), RecordForm(), 'two columns are called "pv"'),
+        (text("t,pv,co", [1, 2, 3, 4] * 15, PV, CO), RecordForm(), "sample 5: t = 1 follows 4; time must increase"),
+        (text("t;pv;co", T, ["1,100"] * N, ["7"] * N, sep=";"), RecordForm(), "may be a thousand or a fraction"),
+        (text("t;pv;co", T, comma(PV), CO, sep=";"), RecordForm(), "has a decimal comma, others a point"),
+        (text("t,pv,co", T, PV, CO).replace("10.0,", "10.0,1,"), RecordForm(), ":3: 4 fields, other rows have 3"),
+        (text("t,pv,co", T, PV, CO), RecordForm(columns={"pv": "x"}), 'no column "x"; there is t, pv, co'),
+        (text("t,pv,co", ["some day"] * N, PV, CO), RecordForm(), "is of no usual form; say --time-format"),
+        (text("t,pv,co", stamps("%H:%M"), PV, CO), RecordForm(time_format="%H.%M"), "is not of the form %H.%M"),
+    ],
+)
+def test_what_is_no_record_or_may_be_two_is_refused_in_one_line(
+    written: Callable[..., Path], content: str, form: RecordForm, message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message) as told:
+        read_loop_record([written(content)], form)
+    assert "\n" not in str(told.value)
+    assert "a.csv" in str(told.value)
+
+
+def test_a_day_that_may_be_a_month_is_asked_for_only_where_it_matters(written: Callable[..., Path]) -> None:
+    night = datetime(2024, 3, 4, 23, 55)  # noqa: DTZ001  a plant's clock has no zone
+    asked = written(text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", night), SP, PV, CO))
+    with pytest.raises(RecordingError, match=r'may be %d/%m/%Y or %m/%d/%Y; say --time-format "%d/%m/%Y %H:%M:%S"'):
+        read_loop_record([asked])
+    is_the_loop(read_loop_record([asked], RecordForm(time_format="%d/%m/%Y %H:%M:%S")))
+    noon = datetime(2024, 3, 4, 12, 0)  # noqa: DTZ001  a plant's clock has no zone
+    is_the_loop(read_loop_record([written(text("Time,SP,PV,OP", stamps("%d/%m/%Y %H:%M:%S", noon), SP, PV, CO))]))
+
+
+def test_what_was_assumed_can_be_fixed_by_its_own_words(tmp_path: Path, written: Callable[..., Path]) -> None:
+    for name, (content, _) in FORMS.items():
+        path = written(content)
+        read = read_loop_record([path])
+        kept = tmp_path / "form.toml"
+        kept.write_text("\n".join(in_full(read.assumed)) + "\n", encoding="utf-8")
+        again = read_loop_record([path], form_from_toml(kept))
+        assert np.array_equal(again.recording.t_s, read.recording.t_s), name
+        assert np.array_equal(again.recording.pv, read.recording.pv), name
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[other]\n", r"no section \[record\]"),
+        ("[record]\nspan = 3\n", r"\[record\] span: no such key"),
+        ('[record]\nsp = "50"\n', r"\[record\] sp = '50': give a number"),
+        ("[record]\ndt_s = -1\n", r"\[record\] dt_s = -1"),
+        ('[record]\nzone = "Mars/Olympus"\n', "zone = 'Mars/Olympus': not known"),
+        ('[record]\ndecimal = "x"\n', "decimal = 'x': give one of"),
+        ('[record]\ncolumns = { mv = "x" }\n', 'columns: "mv" = "x": roles are'),
+        ("[record\n", "not TOML"),
+    ],
+)
+def test_a_form_that_is_none_is_refused_in_one_line(tmp_path: Path, content: str, message: str) -> None:
+    path = tmp_path / "form.toml"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(RecordingError, match=message) as told:
+        form_from_toml(path)
+    assert "\n" not in str(told.value)
+
+
+def test_frames_of_pandas_and_arrow_are_read_like_files(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    when = [BEGIN + timedelta(seconds=float(t)) for t in T]
+    by_index = pd.DataFrame({"SP": SP, "PV": PV, "OP": CO}, index=pd.DatetimeIndex(when))
+    is_the_loop(read_loop_record([by_index]))
+    is_the_loop(read_loop_record([pd.DataFrame({"t": T, "sp": SP, "pv": PV, "co": CO})]))
+    table = pa.table({"time": when, "sp": SP, "pv": [None if i == 3 else v for i, v in enumerate(PV)], "co": CO})
+    assert len(read_loop_record([table]).recording.t_s) == N - 1
+    pq.write_table(table, tmp_path / "a.parquet")
+    assert len(read_loop_record([tmp_path / "a.parquet"]).recording.t_s) == N - 1
+
+
+@pytest.mark.parametrize(
+    ("name", "tag", "role"),
+    [
+        ("FIC101.PV", "FIC101", "pv"),
+        ("unit1/TIC-5 Set Point (degC)", "unit1/TIC-5", "sp"),
+        ("LC_3_OP [%]", "LC_3", "co"),
+        ("Controller Output", "", "co"),
+        ("Temperature", "", ""),
+        ("2411FIC20102.MV", "2411FIC20102", "mv"),
+        ("t [min]", "", "t"),
+    ],
+)
+def test_names_tell_loop_and_role(name: str, tag: str, role: str) -> None:
+    assert (named(name).tag, named(name).role) == (tag, role)
+
+
+def test_mv_is_what_the_other_names_leave_open() -> None:
+    assert loops(["F.PV", "F.MV", "F.SV"])["F"].keys() == {"pv", "co", "sp"}
+    assert loops(["F.MV", "F.OP"])["F"].keys() == {"pv", "co"}
+    assert "mv" in loops(["F.MV"])["F"]
+
+
+@given(st.text(max_size=30))
+def test_any_text_can_be_quoted(content: str) -> None:
+    import tomllib
+
+    kept = content.encode("utf-8", "ignore").decode()
+    assert tomllib.loads(f"x = {quoted(kept)}")["x"] == kept
+
+
+@given(data=st.data())
+@settings(max_examples=examples(60), deadline=None)
+def test_any_order_of_columns_delimiters_and_decimals_is_the_same_record(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    order = data.draw(st.permutations(range(4)))
+    sep = data.draw(st.sampled_from([";", "\t", "|"]))
+    mark = data.draw(st.sampled_from([".", ","]))
+    columns = [stamps("%Y-%m-%d %H:%M:%S"), *([f"{v}".replace(".", mark) for v in c] for c in (SP, PV, CO))]
+    names = ["Time", "X.SP", "X.PV", "X.OUT"]
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_text(text(sep.join(names[i] for i in order), *(columns[i] for i in order), sep=sep), encoding="utf-8")
+    is_the_loop(read_loop_record([path]))
+
+
+def test_a_form_validates_what_it_is_given() -> None:
+    for wrong in ({"sp": np.inf}, {"dt_s": 0.0}, {"header": -1}, {"encoding": "klingon"}, {"time_unit": "fortnight"}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            replace(RecordForm(), **wrong)
