@@ -69,11 +69,21 @@ class AdmissionSettings:
             "Largest share of a response with the output at a limit",
             0,
             1,
-            source="a fit takes co as it was applied; half of it must still move",
+            source="a fit takes co as it was applied, at a limit or not; only what never moves shows nothing",
         ),
-    ] = 0.5
-    lost_share: Annotated[float, Setting("Largest share of lost samples", 0, 0.5, source="one in ten")] = 0.1
-    uneven: Annotated[float, Setting("Share of the median by which an uneven interval is off")] = 0.25
+    ] = 1.0
+    lost_share: Annotated[
+        float, Setting("Largest share of lost samples", 0, 0.5, source="a fit takes each sample at its own time")
+    ] = 0.35
+    uneven: Annotated[
+        float,
+        Setting(
+            "Share of the median by which an interval is off that no late stamp makes: samples came in bursts",
+            0.1,
+            1,
+            source="stamps off by 30 % make intervals off by 60 %",
+        ),
+    ] = 0.65
     uneven_share: Annotated[float, Setting("Largest share of samples at uneven times", 0, 1, source="one in ten")] = 0.1
     repeated_share: Annotated[
         float,
@@ -344,7 +354,7 @@ def _own_setpoint(seen: _Seen) -> _Counted:
 
 
 def _free_output(seen: _Seen) -> _Counted:
-    """Not at a limit for most of the time."""
+    """Not at a limit for longer than the user wants to learn from."""
     own, limit = seen.own, seen.settings.limited_share
     share = sum(sample.limited != 0 for sample in own) / len(own)
     if share <= limit:
@@ -357,10 +367,15 @@ def _excited(seen: _Seen) -> _Counted:
     error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
     bands, least = float(np.max(error)) / seen.response.band, seen.settings.excitation_bands
     numbers = AdmissionNumbers(peak_bands=bands)
-    for ground, values in ((Ground.CO_FROZEN, seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
+    for ground, values in ((_frozen_co(seen), seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
         if values.max() == values.min():
-            return _Counted(numbers, ground)
+            return _Counted(replace(numbers, limit=seen.settings.limited_share), ground)
     return _Counted(numbers) if bands >= least else _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
+
+
+def _frozen_co(seen: _Seen) -> Ground:
+    """What an output is called that never moves: at a limit it is held there."""
+    return Ground.SATURATED if all(sample.limited for sample in seen.own) else Ground.CO_FROZEN
 
 
 _RULES = (

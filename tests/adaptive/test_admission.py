@@ -57,13 +57,13 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.TOO_LONG: lambda s: s[AT + 10 :],
     Ground.MANUAL: lambda s: changed(s, range(60, 61), mode=LoopMode.MANUAL),
     Ground.OUT_OF_RANGE: lambda s: changed(s, range(60, 62), pv=1e6),
-    Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6],
-    Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.4 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
+    Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6 < 3],
+    Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.8 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
     Ground.REPEATED: stuck,
     Ground.LEFT_REGION: lambda s: changed(s, range(70, 90), x=9.0),
     Ground.GAINS_CHANGED: lambda s: changed(s, range(70, N), revision=1),
     Ground.SETPOINT_LED: lambda s: led(s, 3),
-    Ground.SATURATED: lambda s: changed(s, range(AT, AT + 60), limited=1),
+    Ground.SATURATED: lambda s: changed(s, range(N), co=100.0, limited=1),
     Ground.CO_FROZEN: lambda s: changed(s, range(N), co=40.0),
     Ground.PV_FROZEN: lambda s: changed(s, range(N), pv=0.5),
     Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.042 * x.sp, pv=0.042 * x.pv) for x in s],
@@ -94,6 +94,15 @@ def test_refusals_name_a_cause_that_changes_nothing() -> None:
             assert not diagnosis.retune
     limited = judged(FAULTS[Ground.SATURATED](swing()))
     assert limited.diagnosis().cause is Cause.SATURATION
+
+
+def test_an_output_at_its_limit_is_a_known_input() -> None:
+    assert judged(changed(swing(), range(AT, N), limited=1)).admitted
+
+
+def test_late_stamps_and_every_fifth_sample_lost_are_taken() -> None:
+    late = [s._replace(t_s=s.t_s + 0.3 * math.sin(1.7 * i)) for i, s in enumerate(swing()) if i % 5]
+    assert judged(late).admitted
 
 
 def test_what_happened_before_the_response_is_no_fault_of_it() -> None:

@@ -58,7 +58,9 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
     trial = TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
-        timeout_s=a.trial_timeout_s,
+        inconclusive=a.trial_inconclusive,
+        settles=a.trial_settles,
+        edit_hold_s=a.edit_hold_s,
         cool_down_s=a.cool_down_s,
         lock_out_after=a.lock_out_after,
     )
