@@ -29,6 +29,7 @@ COMMANDS = {
     "check": "Say what is wrong with a configuration: file, line, key, limit; or show it when all is well.",
     "run": "Watch a loop, retune it over CAN, and leave a report.",
     "device": "Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped.",
+    "conformance": "Play host and stranger to a device on a bus, and tell what it does wrong by the protocol.",
     "replay": "Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?",
     "serve": "Show sessions in a browser, live and afterwards, and let a person act from there.",
     "report": "Make the report of a recorded session again, or the page of one decision, with pictures.",

@@ -24,6 +24,7 @@ ORDER = (
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
+        "conformance",
         "historian",
         "profiles", "dbc", "canopen",
     )),
