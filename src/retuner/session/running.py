@@ -7,7 +7,6 @@ bench.py says what the places are like; here the session is put together there, 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,10 +20,9 @@ from retuner.decisions.warm_up import warm_up
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
-from retuner.drivers.host.connection import CanDevice
 from retuner.errors import LedgerError, UserError
 from retuner.ledger import Recorder, Row
-from retuner.session.assembly import device_settings, make_retuner, retuner_settings
+from retuner.session.assembly import device_settings, make_device, make_retuner, prove_order, retuner_settings
 from retuner.session.bench import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
 from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
@@ -104,7 +102,6 @@ class _Loop:
         self._before, self._known = before.folder, before.known.get(name)
         self.record = LoopRecorder(run.keep, name, run.observer, run.ledger_failed)
         self.pretuning = Pretuning(config, self.record, self._say) if config.adaptation.pretune else None
-        self.device: CanDevice | None = None
         self.session: LoopSession | None = None
 
     def begin(self, port: FramePort, decider: Decider, speed: float = 1.0, *, remember: bool = False) -> LoopSession:
@@ -112,13 +109,13 @@ class _Loop:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
         remembered, why_not = self._recalled() if remember else (None, "")
-        device = CanDevice(
-            port, device_settings(self.config, speed), remembered.last_s if remembered is not None else None
-        )
+        after_s = remembered.last_s if remembered is not None else None
+        device = make_device(self.config, port, speed, after_s=after_s)
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
         player = ScenarioPlayer(self.config.scenario)
         session = LoopSession(device, retuner, player, self.record, self._sampled, decider)
-        self.device, self.session, self.record.loop = device, session, session
+        self.session = self.record.loop = session
+        prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -134,8 +131,7 @@ class _Loop:
         if self.pretuning is None:
             return
         settings = device_settings(self.config, speed)
-        settings = replace(settings, owner=settings.owner % OWNERS + 1)  # its lease is counted by itself
-        device = CanDevice(port, settings)
+        device = make_device(self.config, port, speed, owner=settings.owner % OWNERS + 1)  # its lease counts by itself
 
         def turned() -> float:
             turn()
@@ -285,7 +281,7 @@ class Run:
             loop.begin(buses.port(i), decider, speed, remember=remember)
             for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))
         ]
-        buses.keep_leases([loop.device for loop in self._loops if loop.device is not None])
+        buses.keep_leases([loop.device for loop in loops])
         self.session = Session(loops, self.observer.said)
         return self.session
 
