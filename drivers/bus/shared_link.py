@@ -121,8 +121,8 @@ class LinkPort:
     def receive_all(self, limit: int = WAITING_MAX) -> list[can.Message]:
         """The node's frames that have arrived, oldest first, at most limit."""
         with self._share.lock:
-            if not self._share.read_by_thread:
-                self._share.pump()
+            if not self._share.read_by_thread or not self._waiting:  # a process that was held up: what came meanwhile
+                self._share.pump()  # may still be where the thread has not been yet, and is no silence
             waiting = self._waiting
             if len(waiting) > limit:
                 return [waiting.popleft() for _ in range(limit)]

@@ -142,3 +142,10 @@ def test_a_thread_that_fails_says_so_and_the_ports_read_for_themselves() -> None
         assert isinstance(there.reader.defect, ZeroDivisionError)
         there.far.send(can.Message(arbitration_id=1 << 5, is_extended_id=False, data=b"\x02"))
         assert [bytes(one.data) for one in there.share.port(1).receive_all()] == [b"\x02"]
+
+
+def test_what_the_thread_has_not_read_yet_is_no_silence() -> None:
+    there = Read()
+    there.share.read_by_thread = True  # and the thread does not get to run
+    there.far.send(can.Message(arbitration_id=1 << 5, is_extended_id=False, data=b"\x03"))
+    assert [bytes(one.data) for one in there.share.port(1).receive_all()] == [b"\x03"]
