@@ -18,7 +18,7 @@ from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
-from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of
+from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
@@ -154,10 +154,7 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
     if hidden_sigma(loop.window.pv):
         unsure = unsure or "pv was compressed by its recorder, and the shape of a response is the recorder's"
     if not unsure and between > loop.settings.fit.apart_limit:
-        unsure = (
-            f"the record can be explained in two ways, as white noise beside load steps and as a drift: two models, "
-            f"gains apart by a factor of {factor_text(between)}"
-        )
+        unsure = TWO_WAYS.format(factor_text(between))
         if not asked:
             return _torn(loop, found, other.log.model(), unsure)
     return _open(found, unsure) if unsure else _first_step(loop, found)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from retuner.adaptive.indexes.glossary import GLOSSARY, Entry
 
 MARGINS = {
-    "ms": Entry("sensitivity peak Ms", "ratio", "at most 1.8", "Astrom & Hagglund 2006"),
+    "ms": Entry("sensitivity peak Ms", "ratio", "at most 1.75", "Astrom & Hagglund 2006"),
     "gm": Entry("gain margin", "ratio", "at least 2; SIMC has 3", ""),
     "pm_deg": Entry("phase margin", "deg", "at least 45; SIMC has 61", ""),
     "ki_ratio": Entry("SIMC's integral gain over the one in force", "ratio", "well above 1: slow", "Skogestad 2003"),
