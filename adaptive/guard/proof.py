@@ -26,7 +26,7 @@ from retuner.adaptive.guard.checks import (
     limit_checks,
     robustness_checks,
 )
-from retuner.adaptive.guard.limits import Goal, goals, nothing_left, without_short_derivative
+from retuner.adaptive.guard.limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
 from retuner.adaptive.guard.ruling import (
     BorderNumbers,
@@ -137,6 +137,8 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
 
 SHARES = (1.0, 0.5, 0.25)
 """Full, half and quarter step."""
+SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)
+"""Shares of a step that are tried where the controller rounds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,13 +186,9 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     doubt = _door(case) or evidence_doubt(request, settings)
     if doubt is not None and not (doubt[0] in EVIDENCE and (case.over or request.urgent)):
         return _refused(case, *doubt)
-    wanted = _goals(case)
-    open_goals = [goal for goal in wanted if not goal.no_room]
-    if not open_goals:
-        return _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers, wanted[0].notes)
-    small = _too_small(case, open_goals[0])
-    if small is not None:
-        return _refused(case, *small, open_goals[0].notes)
+    open_goals, refusal = _open_goals(case)
+    if refusal is not None:
+        return refusal
     if not request.models:
         return _unproved(case, open_goals[0])
     tried = list(_candidates(case, open_goals))
@@ -228,6 +226,29 @@ def _goals(case: _Case) -> list[Goal]:
     )
 
 
+def _open_goals(case: _Case) -> tuple[list[Goal], Verdict | None]:
+    """The goals that are worth a write, or why there is none.
+
+    Where kc stands at its limit already, a goal that moves tau_I alone is one; what the rule would give at a larger
+    tau_c is none by itself. For a loop over its Ms limit to which the rule gives nothing else there are calmer
+    settings than those in force.
+    """
+    wanted = _goals(case)
+    room = [goal for goal in wanted if not goal.no_room]
+    small = [_too_small(case, goal) for goal in room if goal.wanted == room[0].wanted]
+    if None in small:
+        return room[small.index(None) :], None
+    less = calmer(case.request, wanted[0]) if case.over and case.request.models else []
+    if less:
+        return less, None
+    if not room:
+        return [], _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers, wanted[0].notes)
+    assert small[0] is not None  # of none is it None
+    if case.over and small[0][0] is Ruling.TOO_SMALL:
+        return [], _refused(case, *_not_robust(case, case.request.in_force), room[0].notes)
+    return [], _refused(case, *small[0], room[0].notes)
+
+
 def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, Numbers] | None:
     """Why nothing worth a write is left of the goal, if so."""
     request, wanted = case.request, case.request.proposal.gains
@@ -260,13 +281,30 @@ def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[TriedSettings]:
 
 
 def _inside(case: _Case, candidate: TriedSettings) -> Iterator[TriedSettings]:
-    """The candidate, if it keeps every limit; remembers the first limit that one did not keep."""
-    gains = without_short_derivative(candidate.gains, case.request, case.settings)
-    checks = limit_checks(case.request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
-    failed = next((check for check in checks if not check.passed), None)
-    case.outside = case.outside or failed
-    if failed is None:
-        yield replace(candidate, gains=gains)
+    """The candidate as the controller would hold it, if it keeps every limit; remembers the first that one did not.
+
+    Rounding may carry a step past a limit that it was cut to, so one that is rounded may stop a little short of it.
+    """
+    request = case.request
+    for short in SHORT_OF_LIMIT if request.units is not None else (1.0,):
+        nearer = _between(request.in_force, candidate.gains, short)
+        gains = request.held(without_short_derivative(nearer, request, case.settings))
+        if gains is None:
+            continue
+        checks = limit_checks(request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
+        failed = next((check for check in checks if not check.passed), None)
+        case.outside = case.outside or failed
+        if failed is None:
+            yield replace(candidate, gains=gains)
+            return
+
+
+def _between(old: PidGains, new: PidGains, share: float) -> PidGains:
+    """The point after this share of the way."""
+    if share == 1.0:
+        return new
+    pairs = ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
+    return PidGains(*(o + share * (n - o) for o, n in pairs))
 
 
 def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
@@ -330,7 +368,12 @@ def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, Numbers]:
     gains = tried[-1].gains
     if case.at_border is not None and case.loops.within(gains, s.ms_nominal, s.ms_worst):
         return Ruling.NOT_ROBUST_AT_BORDER, BorderNumbers(case.at_border.value, case.at_border.limit)
-    tried_ms = case.loops.nominal(gains), case.loops.worst(gains)
+    return _not_robust(case, gains)
+
+
+def _not_robust(case: _Case, gains: PidGains) -> tuple[Ruling, Numbers]:
+    """Gains that are over the limits of Ms, with it."""
+    s, tried_ms = case.settings, (case.loops.nominal(gains), case.loops.worst(gains))
     return Ruling.NOT_ROBUST, NotRobustNumbers(*tried_ms, s.ms_nominal, s.ms_worst)
 
 
@@ -352,7 +395,10 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     request, s = case.request, case.settings
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
     limit = math.inf if way_out else s.pattern_step_max
-    gains = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
+    wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
+    gains = request.held(wanted)
+    if gains is None:
+        return _refused(case, *_outside(case), goal.notes)
     numbers = FactorNumbers(change_factor(request.in_force, gains), None if way_out else limit)
     checks = tuple(limit_checks(request, gains, s, factor=limit))
     case.outside = next((check for check in checks if not check.passed), None)

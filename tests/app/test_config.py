@@ -1,5 +1,6 @@
 """A configuration is accepted whole or refused with file, line, key, limit and what to do."""
 
+import re
 import runpy
 import tomllib
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from retuner.commands.init import starter
 from retuner.config import Config, load_config
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import OvenPlantConfig
-from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, parse_config
+from retuner.config.loading import LARGEST_FILE, ConfigFlaw, UnusableError, load_session, parse_config
 from retuner.config.setting import Section
 from retuner.drivers.plants.oven_plant import OvenSettings
 from retuner.errors import ConfigError
@@ -296,7 +297,7 @@ def test_the_examples_are_accepted() -> None:
     found = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
     assert found
     for path in found:
-        assert load_config(path).gain_table().revision == 0
+        assert {one.gain_table().revision for one in load_session(path)[0].loops} == {0}
 
 
 def test_the_reference_page_is_in_step_with_the_models() -> None:
@@ -308,8 +309,18 @@ def test_the_reference_page_is_in_step_with_the_models() -> None:
 def test_the_trial_time_leaves_room_for_the_probation(tmp_path: Path) -> None:
     oven = (Path(__file__).resolve().parents[2] / "examples" / "oven.toml").read_text()
     path = tmp_path / "oven.toml"
+    path.write_text(oven)
+    assert load_config(path).confirm_within_s == 120.0  # on by default: 60 samples
     path.write_text(oven.replace('kind = "virtual"', 'kind = "virtual"\nconfirm_within_s = 30.0'))
     assert load_config(path).device.confirm_within_s == 30.0
     path.write_text(oven.replace('kind = "virtual"', 'kind = "virtual"\nconfirm_within_s = 20.0'))
     with pytest.raises(ConfigError, match=r"confirm_within_s = 20 s must be 0, or 30 to 131070 s: the 5 samples"):
+        load_config(path)
+
+
+@pytest.mark.parametrize("text", ["\\u001b[2Joven", "oven\\u0007", "a\\u202eb", "two\\nlines"])
+def test_names_that_a_terminal_would_act_on_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "oven.toml"
+    path.write_text(re.sub(r'name = "[^"]*"', f'name = "{text}"'.replace("\\", "\\\\"), GOOD, count=1))
+    with pytest.raises(ConfigError, match="cannot be printed"):
         load_config(path)

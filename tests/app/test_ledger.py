@@ -18,7 +18,7 @@ from retuner.commands.run import LedgerSize
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
-from retuner.report.console import RunScreen
+from retuner.live_view.live_screen import LiveScreen
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -420,8 +420,50 @@ def test_a_run_tells_that_its_ledger_has_grown(tmp_path: Path, monkeypatch: pyte
         SHORT.replace("duration_s = 80.0", "duration_s = 5.0").replace(LATER_STEPS, "")
     )
     told: list[str] = []
-    monkeypatch.setattr(RunScreen, "say", lambda _, line: told.append(line))
+    monkeypatch.setattr(LiveScreen, "say", lambda _, line: told.append(line))
     with (tmp_path / "short.toml").open("a") as file:
         file.write("[output]\nledger_mb_warn = 1.5\n")
     assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0
     assert len([line for line in told if "has grown past 1.5 MB" in line]) == 1
+
+
+def test_a_file_that_somebody_else_has_locked_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("retuner.ledger.schema.BUSY_TIMEOUT_S", 0.001)
+    with Ledger(tmp_path / "l.sqlite") as ledger:
+        other = sqlite3.connect(tmp_path / "l.sqlite", isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        waited, real = [], ledger._connection
+
+        class Impatient:
+            """The connection; the other process lets go after three refusals."""
+
+            def execute(self, *arguments: object) -> object:
+                waited.append(arguments)
+                if len(waited) > 3 and other.in_transaction:
+                    other.execute("ROLLBACK")
+                return real.execute(*arguments)
+
+        ledger._connection = Impatient()
+        ledger.append("decision", {"a": 1}, 1.0)
+        ledger._connection = real
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(LedgerError, match="locked"):
+            ledger.append("decision", {"a": 2}, 2.0)
+        other.close()
+    assert len(waited) == 4
+    with LedgerReader(tmp_path / "l.sqlite") as reader:
+        assert reader.verify().rows == 1
+
+
+def test_a_reader_that_stays_keeps_no_row_out_of_the_file(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    with LedgerReader(tmp_path / "ledger.sqlite") as reader:
+        for i in range(5):
+            ledger.append("decision", {"number": i}, float(i))
+        assert [row.seq for row in reader.rows_after(0, 3)] == [1, 2, 3]
+        assert [row.seq for row in reader.rows_after(3, 99)] == [4, 5]
+        ledger.close()
+        (tmp_path / "copy.sqlite").write_bytes((tmp_path / "ledger.sqlite").read_bytes())
+        with LedgerReader(tmp_path / "copy.sqlite") as copy:
+            assert copy.verify() == reader.verify()
+            assert copy.verify().rows == 5

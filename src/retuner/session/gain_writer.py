@@ -236,7 +236,20 @@ class GainWriter:
         wanted = self._in_table()
         known = wanted is not None and change_factor(event.running.gains, wanted) <= self._tolerance
         self._give_up(write, event.reason, now_s, event.running.gains, written=not known)
-        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE and not known else None
+        if known:
+            return None
+        if self._is_a_persons(event.running.gains):
+            return TrialEvent.OPERATOR_EDIT
+        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE else None
+
+    def _is_a_persons(self, running: PidGains) -> bool:
+        """Whether what runs is none of ours: neither in the table nor on trial. A mean of sets may be either."""
+        table, trials = self.retuner.table, self.retuner.trials
+        if table.lookup == Lookup.INTERPOLATED:
+            return False
+        tried = (gains for i in range(len(table.gains)) for gains in (trials.of(i).old, trials.of(i).new))
+        ours = (gains for gains in (*table.gains, *tried) if gains is not None)
+        return all(change_factor(running, gains) > SAME_GAINS for gains in ours)
 
     def _start(self, running: RunningSet, wanted: Wanted, now_s: float) -> None:
         """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.
@@ -335,7 +348,7 @@ class GainWriter:
         if table.lookup != Lookup.INTERPOLATED:
             return wanted
         new = table.with_gains(wanted.region, wanted.gains)
-        return replace(wanted, gains=new.at(wanted.region, *self.retuner.scheduled))
+        return replace(wanted, gains=self.retuner.settings.held(new.at(wanted.region, *self.retuner.scheduled)))
 
     def _drop(self, reason: str) -> None:
         """A decision that waited for the wire is not written."""
@@ -379,8 +392,8 @@ class GainWriter:
 
     def _in_table(self) -> PidGains | None:
         """What the table says should run here and now."""
-        region = self.retuner.region
-        return None if region is None else self.retuner.table.at(region, *self.retuner.scheduled)
+        region, retuner = self.retuner.region, self.retuner
+        return None if region is None else retuner.settings.held(retuner.table.at(region, *retuner.scheduled))
 
     @property
     def _tolerance(self) -> float:

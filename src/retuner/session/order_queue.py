@@ -21,7 +21,7 @@ from retuner.ledger import Recorder, Row
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
-from retuner.session.outputs import LEDGER, ORDERS
+from retuner.session.outputs import LEDGER, ORDERS, loop_folder
 from retuner.session.recorded_session import believed_rows, canonical, without_place
 
 # What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
@@ -46,7 +46,7 @@ class Shown:
     """proposals : by hash. newest : hash of the newest proposal, by region. changes : by number of the decision.
     tried : region by hash of the decision that changed it. waiting : hash of the change that has passed and waits for
     a person, by region. in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row,
-    s. approved : hashes that were taken already. files : names of order files that it has dealt with.
+    s. approved, rejected : hashes that were taken already. files : names of order files that it has dealt with.
     """
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
@@ -57,6 +57,7 @@ class Shown:
     in_force: dict[str, PidGains] = field(default_factory=dict)
     last_s: float = 0.0
     approved: set[str] = field(default_factory=set)
+    rejected: set[str] = field(default_factory=set)
     files: set[str] = field(default_factory=set)
 
     def standing(self, proposal: Proposal, expires_after_s: float) -> ProposalStanding:
@@ -73,7 +74,8 @@ class Shown:
         return [
             p
             for p in self.proposals.values()
-            if p.digest not in self.approved and self.standing(p, expires_after_s) is ProposalStanding.OPEN
+            if p.digest not in self.approved | self.rejected
+            and self.standing(p, expires_after_s) is ProposalStanding.OPEN
         ]
 
 
@@ -82,9 +84,9 @@ def superseded(successor: str) -> str:
     return f"a newer proposal of its region supersedes it: {successor[:SHORT]}" if successor else ""
 
 
-def shown(rows: Iterable[Row]) -> Shown:
-    """Read it off the rows of a ledger."""
-    found = Shown()
+def shown(rows: Iterable[Row], found: Shown | None = None) -> Shown:
+    """Read it off the rows of a ledger; found : what was read off the rows before them, which is changed."""
+    found = found or Shown()
     for row in rows:
         found.last_s = max(found.last_s, row.clock_s)
         body = row.body
@@ -111,7 +113,8 @@ def _order(found: Shown, body: Mapping[str, Any]) -> None:
     """One order that was dealt with."""
     found.files.add(str(body.get("file")))
     if body.get("accepted") is True:
-        found.approved.add(str(body.get("digest")))
+        taken = found.rejected if body.get("order") == OrderKind.REJECT else found.approved
+        taken.add(str(body.get("digest")))
         if found.waiting.get(str(body.get("region"))) == body.get("digest"):
             del found.waiting[str(body["region"])]
 
@@ -149,12 +152,16 @@ class Before(NamedTuple):
     trouble: str = ""
 
 
-def left_before(folder: Path | None) -> Before | None:
-    """Orders that a session which was there before has left undone; None without one, or when there are none."""
-    if folder is None or not (folder / ORDERS).is_dir():
+def left_before(session: Path | None, loop: str = "", known: Iterable[Row] | None = None) -> Before | None:
+    """Orders that a session which was there before has left undone; None without one, or when there are none.
+
+    loop : to which they were given, empty for the only one. known : the ledger's rows about it, if they were read.
+    """
+    folder = loop_folder(session, loop) if session is not None else None
+    if session is None or folder is None or not (folder / ORDERS).is_dir():
         return None
     try:
-        past = shown(believed_rows(folder / LEDGER))
+        past = shown(known if known is not None else believed_rows(session / LEDGER))
     except LedgerError as error:
         return Before(OrderBox(folder), Shown(), str(error))
     return Before(OrderBox(folder, past.files), past)
@@ -186,6 +193,7 @@ class OrderDesk:
         self._before = before
         self._queue: deque[tuple[Found, Before | None]] = deque()
         self._waiting: list[Waiting] = []
+        self._rejected: set[str] = set()
 
     def take(self, t_s: float) -> tuple[Decision, ...]:
         """Take in the next order, one a turn, since each may want a write; the decision that follows, if one does."""
@@ -210,7 +218,8 @@ class OrderDesk:
             return None
         meant, reason = self._meant(found.order, before)
         body |= {**found.order.to_dict(), **meant}
-        reason = reason or self._closed(str(body["region"]))
+        if found.order.kind is not OrderKind.MODE:
+            reason = reason or self._closed(str(body["region"]))
         past_s = before.shown.last_s if before else 0.0
         order = Waiting(str(body["region"]), {**body, "accepted": not reason, "reason": reason}, past_s)
         if reason or self._is_here(order) or not (body.get("proposal") or body.get("gains")):
@@ -230,10 +239,13 @@ class OrderDesk:
             reason = (
                 str(standing)
                 if standing is not ProposalStanding.OPEN
-                else self._superseded(Proposal.from_dict(proposal))
+                else self._closed(order.region) or self._superseded(Proposal.from_dict(proposal))
             )
+            reason = "it was rejected" if body["digest"] in self._rejected else reason
             if reason:
                 body |= {"accepted": False, "reason": reason}
+        if body["accepted"] and body.get("order") == OrderKind.REJECT:
+            self._rejected.add(str(body["digest"]))
         self._record("order", t_s, body)
         return feed(self._retuner, "order", body, t_s)
 
@@ -248,6 +260,11 @@ class OrderDesk:
             return {}, before.trouble
         if order.kind is OrderKind.APPROVE:
             return self._approved(order.digest, before)
+        if order.kind is OrderKind.REJECT:
+            return self._not_wanted(order.digest, before)
+        if order.kind is OrderKind.MODE:
+            past = "it was meant for the session before this one" if before is not None else ""
+            return {}, past or (self._no_such(order.region) if order.region else "")
         if order.kind is OrderKind.REVERT:
             change = self._change(order.decision, before)
             if change is None:
@@ -274,10 +291,24 @@ class OrderDesk:
         if decision is None:
             return {"proposal": None}, f"no proposal {digest[:8]} in this session"
         proposal = Proposal.of(decision)
+        if digest in self._rejected:
+            return {"region": decision.region, "proposal": None}, "it was rejected"
         if proposal is None:
             reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
             return {"region": decision.region, "proposal": None}, reason
         return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
+
+    def _not_wanted(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
+        """A proposal that is closed, or a change that waits for a person and is taken back."""
+        if before is not None:
+            return {}, "" if digest in before.shown.proposals else f"no proposal {digest[:SHORT]} in that session"
+        decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
+        if decision is None:
+            return {}, f"no proposal {digest[:SHORT]} in this session"
+        if Proposal.of(decision) is not None:
+            return {"region": decision.region, "tried": False}, ""
+        reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
+        return {"region": decision.region, "tried": True}, reason
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""
@@ -299,7 +330,13 @@ class OrderDesk:
     def _closed(self, region: str) -> str:
         """Why nothing may be ordered for a region, empty when it may."""
         names = self._retuner.table.regions.names
-        if region not in names:
-            return f"there is no region {region or 'without a name'}; there are {', '.join(names)}"
+        if missing := self._no_such(region):
+            return missing
         off = self._retuner.settings.mode_of(names.index(region)) == Mode.OFF
         return f"region {region} is off: nothing is written there" if off else ""
+
+    def _no_such(self, region: str) -> str:
+        """That there is no such region, empty when there is."""
+        names = self._retuner.table.regions.names
+        known = region in names
+        return "" if known else f"there is no region {region or 'without a name'}; there are {', '.join(names)}"
