@@ -138,8 +138,8 @@ class Decision:
 
     def canonical(self) -> bytes:
         """The bytes that replay must reproduce: JSON, sorted keys, no spaces, shortest round-trip floats."""
-        document = self.to_dict()
-        return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_own).encode()
+        body = self.to_dict()
+        return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_own).encode()
 
     def digest(self) -> str:
         """SHA-256 of the canonical bytes, in hexadecimal."""
@@ -147,7 +147,13 @@ class Decision:
 
 
 def _own(value: object) -> object:
-    """numpy's number as Python's own: a caller's gains may be such."""
+    """A number of numpy, as settings may bring it in, as one of Python.
+
+    Raises
+    ------
+    TypeError
+        It is none.
+    """
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} is no plain value")
