@@ -74,8 +74,7 @@ def locks(names: Sequence[str]) -> Locks:
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
     """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
-    a, loop = config.adaptation, config.loop
-    mode = _permitted(config, mode)
+    a, loop, mode = config.adaptation, config.loop, _permitted(config, mode)
     trial = TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
