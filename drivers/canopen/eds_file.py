@@ -125,11 +125,10 @@ class EdsFile:
         try:
             number: int | str = int(index, 16)
         except ValueError:
-            number = name
-        try:
-            entry = self.dictionary[number]
-        except KeyError:
-            raise ProfileError(f"{self.source}: no object {name!r}; {self._there(number)}", key) from None
+            number = index if index in self.dictionary else name
+        entry = self.dictionary.get(number)
+        if entry is None:
+            raise ProfileError(f"{self.source}: no object {name!r}; {self._there(number)}", key)
         if isinstance(entry, Variable):
             return entry
         if not sub:
