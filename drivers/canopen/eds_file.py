@@ -11,16 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import canopen
+from canopen.objectdictionary import datatypes
+
 from retuner.drivers.profiles.access import ProfileError
 from retuner.schedule.vendor_units import SINGLE_MAX, Holds
-
-try:
-    import canopen
-    from canopen.objectdictionary import datatypes
-except ImportError as missing:
-    raise ProfileError(
-        'CANopen devices need the package canopen; install it with: pip install "retuner[canopen]"', ("kind",)
-    ) from missing
 
 Key = tuple[str | int, ...]
 Variable = canopen.objectdictionary.ODVariable

@@ -48,8 +48,10 @@ from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.errors import UserError
 from retuner.ledger import Recorder
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
+SAME_GAINS = 1.00001
+"""Gains closer than this factor are one set, as for the gain writer."""
 REGION_ROOM = 4.0
 """The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
 
@@ -313,3 +315,5 @@ def prove_order(
     if foreign is not None and units is not None and isinstance(device, ForeignDevice):
         accepted = UNPROVED_ORDER in foreign.accept
         device.choose_way = OrderOfWrites(retuner, units, record, now, unproved=accepted)
+        if not accepted and retuner.table.lookup is Lookup.HARD:
+            device.fits = lambda gains: any(change_factor(gains, one) <= SAME_GAINS for one in retuner.table.gains)
