@@ -100,6 +100,12 @@ class RetunerSettings:
         except ValueError:
             return gains
 
+    def __post_init__(self) -> None:
+        for name in ("sample_time_s", "pv_span", "band", "wait_s", "setpoint_weight", "filter_s"):
+            value = getattr(self, name)
+            if value is not None and type(value) is not float:  # of numpy, which JSON refuses in part
+                object.__setattr__(self, name, float(value))
+
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""
         own = self.region_modes[region] if region < len(self.region_modes) else None

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.decision import Decision, gains_dict
-from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
+from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
+from retuner.adaptive.supervision.operator_orders import accept, approve, revert, set_mode, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pretune import pretune
@@ -135,6 +135,10 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
 
 def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:
     """What a person ordered."""
+    if body["order"] == "mode":
+        return set_mode(
+            retuner, retuner.table.index(str(body["region"])) if body["region"] else None, Mode(body["mode"])
+        )
     region = retuner.table.index(str(body["region"]))
     match body["order"]:
         case "approve" if body["proposal"] is not None:
@@ -143,6 +147,8 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
             accept(retuner, region, t_s)
         case "revert":
             return revert(retuner, region, gains_of(body["gains"]), t_s)
+        case "reject" if body["tried"]:
+            return retuner.taken_back(region)
         case "unlock":
             unlock(retuner, region, t_s)
         case _:
