@@ -151,7 +151,7 @@ def scores_of(
         commits,
         columns,
         fixed,
-        make_plant(config).linearise if config.device else None,
+        make_plant(config).linearise if config.device and config.device.plant else None,
         config.loop.sample_time_s,
         config.loop.tau_f_s,
         loads_at(config.scenario, columns["t"]),

@@ -19,6 +19,7 @@ from retuner.drivers.device import (
     CommandFailed,
     DeviceConflict,
     DeviceRestarted,
+    DeviceStopped,
     Event,
     ForeignHost,
     LeaseChanged,
@@ -32,7 +33,7 @@ from retuner.drivers.device import (
 )
 from retuner.schedule.gains import PidGains
 
-HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
+HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, DeviceStopped, VariableChanged)
 """Events after which no decision is written for a while."""
 
 
@@ -56,8 +57,8 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
             return "conflict", {"node": event.node}
         case SamplesLost():
             return "lost", {"count": event.count}  # "samples" is the place of every row
-        case CommandFailed():
-            return "command", {"command": event.command, "reason": event.reason}
+        case CommandFailed() | DeviceStopped():
+            return "stopped" if isinstance(event, DeviceStopped) else "command", asdict(event)
         case _:
             raise TypeError(f"{type(event).__name__} is not an event that a session records")
 
@@ -71,6 +72,8 @@ def abort_cause(event: Event) -> TrialEvent | None:
             return TrialEvent.LINK_LOST
         case DeviceRestarted():
             return TrialEvent.RESTARTED
+        case DeviceStopped():
+            return TrialEvent.DEVICE_STOPPED
         case Reverted():
             return TrialEvent.DEVICE_REVERTED
         case LeaseChanged():
