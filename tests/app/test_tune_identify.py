@@ -92,7 +92,7 @@ def test_identify_the_real_heater(capsys: Capture) -> None:
     assert model["k"] == pytest.approx(0.361, rel=0.02)
     assert model["tau1"] + model["tau2"] / 2 == pytest.approx(138, rel=0.03)
     assert 8 < model["theta"] + model["tau2"] / 2 < 15
-    assert 0 < found["std"]["tau1"] < 5
+    assert 5 < found["std"]["tau1"] < 12  # five percent of it beside the noise
     assert found["margins"]["ms"] < 1.7
     assert found["reason"]
 
@@ -149,8 +149,8 @@ def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None
     [
         ("t,sp,pv\n1,2,3\n", "co"),
         ("t,sp,pv,co\n1,2,3,4\n2,2,x,4\n3,2,3,5\n", ":3"),
-        ("t,sp,pv,co\n1,2,3,4\n2,2,nan,4\n3,2,3,5\n", ":3"),
-        ("t,sp,pv,co\n1,2,3,4\n1,2,3,4\n3,2,3,5\n", ":3"),
+        ("t,sp,pv,co\n1,2,3,4\n2,2,nan,4\n3,2,3,5\n", "at least 3 samples"),
+        ("t,sp,pv,co\n1,2,3,4\n1,2,3,4\n3,2,3,5\n", "at least 3 samples"),
         ("t,sp,pv,co\n1,2,3,4\n2,2,3,5\n3,2,3,6\n", "pv"),
         ("", ""),
     ],
