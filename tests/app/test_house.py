@@ -28,7 +28,8 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "ledger", "decisions", "",
+    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "ledger",
+    "decisions", "",
     "decision_page", "report", "experiment", "session", "live_view", "replay", "serve", "gain_export",
     "commands", "cli", "__main__",
 )
