@@ -21,13 +21,14 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
+        "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
         "historian",
     )),
     "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "", "ledger",
-    "decision_page", "report", "experiment", "decisions", "session", "replay", "commands", "cli", "__main__",
+    "decision_page", "report", "experiment", "audit", "decisions", "session", "replay", "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
 and "" is what `import retuner` gives. A package imports only from itself and from those before it."""
