@@ -71,7 +71,7 @@ def configured(case: str, seed: int) -> Config:
 def advised(case: str, seed: int) -> tuple[tuple[RegionAdvice, ...], int]:
     """What is proposed at the end of a run, and from how many records."""
     config = configured(case, seed)
-    session = Run(config, nothing, mode=Mode.ADVISE).simulated()
+    session = Run(config, nothing, mode=Mode.ADVISE).simulated().loops[0]
     region_models = session.retuner.region_models
     found = region_advice(session.table.regions, region_models, config.loop.sample_time_s, AdviceSettings())
     return found, sum(len(region_model.points) for region_model in region_models.values())

@@ -3,6 +3,7 @@
     python benchmarks/simulation.py                                   100 seeds, some seconds
     python benchmarks/simulation.py --seeds 10000 --steps 10000       1e8 steps: `make nightly`
     python benchmarks/simulation.py --first-seed 4711 --seeds 1       one seed again
+    python benchmarks/simulation.py --firmware                        drivers/firmware, compiled here, is the device
 
 With --state FILE a campaign that was stopped goes on where it was, as long as the code is the same. Exit status 1 when
 a promise was broken, or when a naive protocol over the same bus was not seen to fail.
@@ -28,6 +29,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=1000, help="controller samples per seed")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--state", type=Path, default=None, help="file that keeps what is done")
+    parser.add_argument("--firmware", action="store_true", help="the firmware in C in place of the virtual device")
     options = parser.parse_args()
     if min(options.seeds, options.steps, options.processes) < 1 or options.first_seed < 0:
         parser.error("--seeds, --steps and --processes must be 1 or more, --first-seed 0 or more")
@@ -37,7 +39,7 @@ def main() -> int:
 
 def _real(options: argparse.Namespace) -> bool:
     """The protocol itself; whether a promise was broken."""
-    campaign = Campaign(options.first_seed, options.seeds, options.steps, options.state)
+    campaign = Campaign(options.first_seed, options.seeds, options.steps, options.state, firmware=options.firmware)
     done_before = len(campaign.done)
     try:
         for outcome in campaign.run(options.processes):

@@ -40,8 +40,8 @@ from retuner.report.trend import Trend
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
+from retuner.session.loop_session import LoopSession
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import Session
 
 SAMPLE_S = 2.0
 STEP_EVERY_S = 3600.0
@@ -69,7 +69,7 @@ class Loop:
         table = GainTable(f"loop {number}", Regions("sp", "-", ("all",), 0.0, (), 100.0, 0.0, 0.0), (FIRST,))
         host = CanDevice(share.port(node), CanDeviceSettings(node=node, sample_time_s=SAMPLE_S, owner=number + 1))
         retuner = Retuner(table, RetunerSettings(SAMPLE_S, 100.0, mode=Mode.AUTO))
-        self.session = Session(host, retuner, ScenarioPlayer(None), self._record)
+        self.session = LoopSession(host, retuner, ScenarioPlayer(None), self._record)
         self.session.trend = Trend(TREND_ROWS)
         self.session.decisions = deque(maxlen=DECISIONS)
         self.high = False

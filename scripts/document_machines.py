@@ -12,7 +12,7 @@ from retuner.adaptive.experiments import phases as experiment
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
 from retuner.drivers.host import connection, write_protocol
-from retuner.session import gain_writer, session
+from retuner.session import gain_writer, loop_session
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "state-machines.md"
 HEAD = """# State machines
@@ -77,9 +77,9 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
     lambda: Machine(
         "The session",
         "From the first sample to the end, which takes an undecided change back.",
-        "src/retuner/session/session.py",
-        session.SessionPhase.WATCHING,
-        ways(session.COURSE),
+        "src/retuner/session/loop_session.py",
+        loop_session.SessionPhase.WATCHING,
+        ways(loop_session.COURSE),
     ),
     lambda: Machine(
         "The gain writer",

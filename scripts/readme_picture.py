@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 def main() -> None:
     """Run the demo with and without retuning, and draw it."""
     config = load_config(ROOT / "examples" / "oven.toml")
-    retuned = Run(config, nothing).simulated()
-    fixed = Run(config, nothing, mode=Mode.OFF).simulated()
+    retuned = Run(config, nothing).simulated().loops[0]
+    fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
     commits = [t for t, _ in retuned.commits]
     png = trend_png(retuned.trend.columns(), fixed.trend.columns(), commits, config.regions(), config.loop.pv_unit)
     (ROOT / "docs" / "oven.png").write_bytes(png)

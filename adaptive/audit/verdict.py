@@ -119,7 +119,8 @@ def joined_confidence(cause: Cause, stretches: Sequence[StretchVerdict]) -> floa
     ]
     if not naming:
         return 0.0
-    return 1 / (1 + math.exp(-(naming[0] + HALF * sum(naming[1:]) - HALF * sum(against))))
+    odds = naming[0] + HALF * sum(naming[1:]) - HALF * sum(against)
+    return min(1 / (1 + math.exp(-odds)), MOST_SURE)
 
 
 def _logit(confidence: float) -> float:

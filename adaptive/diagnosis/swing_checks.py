@@ -113,10 +113,10 @@ def not_seen(
     said = [abs(e) for e in peaks_of(traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0].e)]
     if not seen or len(said) < THIRD or not said[0]:
         return ""
-    third = said[2] / said[0] * seen[0]
+    second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
     least = settings.unseen_bands * response.band
-    if len(seen) < THIRD:
-        missing = response.ending == Ending.QUIET and third > least
+    if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
+        missing = response.ending == Ending.QUIET and min(second, third) > least
         return f"{_says(third)}, and the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""

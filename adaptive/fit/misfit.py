@@ -6,7 +6,8 @@ g and h are the impulse and step response of dynamics.py. The recorded co is the
 does not bias the fit, unlike ARX). The load steps a_j come at unknown times s_j. `start` is a state that was not rest,
 an input at rest that is not the resting co, and the unknown co of one dead time before: responses to a step and an
 impulse at the first sample, to a step one dead time later and to a ramp until then (and again at the end of each gap in
-time), with a prior, because nobody starts far from where he is; a ramp (drift) may be asked for in the same way. Loads
+time), with a prior, because nobody starts far from where he is; a ramp (drift) may be asked for in the same way, which
+an integrating process turns into a parabola (a load that drifts; a lag only delays it, as the start can do). Loads
 may be rounded: seen through a lag tau_d of their own, one for all. `tones` are a sinusoid and its harmonics from
 outside. All linear unknowns are projected out (variable projection, Golub & Pereyra 1973; Jacobian after Kaufman 1975);
 what is left is
@@ -211,7 +212,7 @@ class Misfit:
             found.append(_unit(dynamics.step(since - theta)))
             found.append(_unit(dynamics.ramp(since) - dynamics.ramp(since - theta)))
         if self.ramp:
-            found.append(t / self.record.span_s)
+            found.append((t / self.record.span_s) ** (1 if self.type in LAG else 2))
         found += [_unit(self._load(p, dynamics, j)) for j in range(self.loads)]
         if self.harmonics:
             w = math.exp(p[-1])

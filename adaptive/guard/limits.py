@@ -79,6 +79,21 @@ def goals(
     return [goal if over_limit else _integral_turned(goal, request.in_force) for goal in found]
 
 
+CALMER = (0.8, 0.64, 0.5, 0.35, 0.25)
+"""Shares of kc, and of 1/tau_I, that are tried for a loop over its Ms limit to which the rule gives nothing else."""
+
+
+def calmer(request: ChangeRequest, goal: Goal) -> list[Goal]:
+    """Less of kc, or a longer tau_I alone, from what is in force, the smallest step first; within what is locked."""
+    old, found = request.in_force, list[Goal]()
+    for share in CALMER:
+        for kp, ki in ((share, share), (1.0, share)):
+            gains = request.locks.keep(PidGains(kp * old.kp, ki * old.ki, kp * old.kd), old)
+            if not nothing_left(replace(goal, gains=gains), old):
+                found.append(Goal(gains, gains, goal.tau_c_s, ("the rule gives nothing else: calmer than in force",)))
+    return found
+
+
 def _integral_turned(goal: Goal, in_force: PidGains) -> Goal:
     """No room for a goal whose cuts leave less integral action where more was wanted, or the other way round."""
     wanted, left, now = (abs(gains.ki) for gains in (goal.wanted, goal.gains, in_force))

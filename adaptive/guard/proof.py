@@ -26,7 +26,7 @@ from retuner.adaptive.guard.checks import (
     limit_checks,
     robustness_checks,
 )
-from retuner.adaptive.guard.limits import Goal, goals, nothing_left, without_short_derivative
+from retuner.adaptive.guard.limits import Goal, calmer, goals, nothing_left, without_short_derivative
 from retuner.adaptive.guard.request import ChangeRequest, NeighbourBorder, Support
 from retuner.adaptive.guard.ruling import (
     BorderNumbers,
@@ -184,13 +184,9 @@ def prove(request: ChangeRequest, settings: GuardSettings) -> Verdict:
     doubt = _door(case) or evidence_doubt(request, settings)
     if doubt is not None and not (doubt[0] in EVIDENCE and (case.over or request.urgent)):
         return _refused(case, *doubt)
-    wanted = _goals(case)
-    open_goals = [goal for goal in wanted if not goal.no_room]
-    if not open_goals:
-        return _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers, wanted[0].notes)
-    small = _too_small(case, open_goals[0])
-    if small is not None:
-        return _refused(case, *small, open_goals[0].notes)
+    open_goals, refusal = _open_goals(case)
+    if refusal is not None:
+        return refusal
     if not request.models:
         return _unproved(case, open_goals[0])
     tried = list(_candidates(case, open_goals))
@@ -226,6 +222,29 @@ def _goals(case: _Case) -> list[Goal]:
             goals(t.gains, t.tau_c_s or 0.0, case.request, case.settings, over_limit=case.over) for t in wanted
         )
     )
+
+
+def _open_goals(case: _Case) -> tuple[list[Goal], Verdict | None]:
+    """The goals that are worth a write, or why there is none.
+
+    Where kc stands at its limit already, a goal that moves tau_I alone is one; what the rule would give at a larger
+    tau_c is none by itself. For a loop over its Ms limit to which the rule gives nothing else there are calmer
+    settings than those in force.
+    """
+    wanted = _goals(case)
+    room = [goal for goal in wanted if not goal.no_room]
+    small = [_too_small(case, goal) for goal in room if goal.wanted == room[0].wanted]
+    if None in small:
+        return room[small.index(None) :], None
+    less = calmer(case.request, wanted[0]) if case.over and case.request.models else []
+    if less:
+        return less, None
+    if not room:
+        return [], _refused(case, wanted[0].cut_by or Ruling.OUTSIDE_LIMITS, wanted[0].numbers, wanted[0].notes)
+    assert small[0] is not None  # of none is it None
+    if case.over and small[0][0] is Ruling.TOO_SMALL:
+        return [], _refused(case, *_not_robust(case, case.request.in_force), room[0].notes)
+    return [], _refused(case, *small[0], room[0].notes)
 
 
 def _too_small(case: _Case, goal: Goal) -> tuple[Ruling, Numbers] | None:
@@ -330,7 +349,12 @@ def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, Numbers]:
     gains = tried[-1].gains
     if case.at_border is not None and case.loops.within(gains, s.ms_nominal, s.ms_worst):
         return Ruling.NOT_ROBUST_AT_BORDER, BorderNumbers(case.at_border.value, case.at_border.limit)
-    tried_ms = case.loops.nominal(gains), case.loops.worst(gains)
+    return _not_robust(case, gains)
+
+
+def _not_robust(case: _Case, gains: PidGains) -> tuple[Ruling, Numbers]:
+    """Gains that are over the limits of Ms, with it."""
+    s, tried_ms = case.settings, (case.loops.nominal(gains), case.loops.worst(gains))
     return Ruling.NOT_ROBUST, NotRobustNumbers(*tried_ms, s.ms_nominal, s.ms_worst)
 
 

@@ -147,16 +147,26 @@ class Fits:
 
     @cached_property
     def free(self) -> list[Candidate]:
-        """With load steps wherever they pay, best first."""
-        return fitted(self._window, self._signs, self._settings)
+        """With load steps wherever they pay, best first.
+
+        What was found without load steps at setpoint changes is among it: a search with more freedom may miss it, but
+        where it is the better explanation it is the one.
+        """
+        found = self._anywhere
+        return found if self.barred[0].criterion >= found[0].criterion else self.barred
 
     @cached_property
     def barred(self) -> list[Candidate]:
         """With no load step at a setpoint change, best first."""
-        if not self._coincident(self.free[0]):
-            return self.free
+        if not self._coincident(self._anywhere[0]):
+            return self._anywhere
         settings = self._settings
         return candidates(self._window, self._signs, settings.choice, settings.most_samples, self._changes_s)
+
+    @cached_property
+    def _anywhere(self) -> list[Candidate]:
+        """What the search finds that may place load steps anywhere, best first."""
+        return fitted(self._window, self._signs, self._settings)
 
     def rival(self, best: Candidate) -> RivalModel | None:
         """The model without load steps at setpoint changes.

@@ -82,12 +82,13 @@ def _whitened(at: Candidate) -> Proposal | None:
 
 
 def _with_ramp(at: Candidate) -> Proposal | None:
-    """With a ramp; an integrating process has one already."""
+    """With a load that drifts along a ramp."""
     misfit = at.fit.misfit
-    if misfit.ramp or misfit.type in INTEGRATING:
+    if misfit.ramp:
         return None
-    t = misfit.record.t_s
-    if _gains(at, t[:, None])[0] < PROMISING * math.log(len(t)):
+    record = misfit.record
+    column = (record.t_s / record.span_s) ** (2 if misfit.type in INTEGRATING else 1)
+    if _gains(at, column[:, None])[0] < PROMISING * math.log(len(column)):
         return None
     return replace(misfit, ramp=True), at.fit.p
 

@@ -94,7 +94,7 @@ def _on(record: Record, found: Candidate) -> Candidate:
 
 
 def _seeds(rivals: list[Candidate]) -> list[Candidate]:
-    """Where the improvement starts: the best, the best of another structure, and the best without load steps.
+    """Where the improvement starts: the best, the best of another structure, without load steps, and with a drift.
 
     Where even the best leaves more than noise, the best of every structure: the truth may need more loads than seeded.
     """
@@ -103,8 +103,9 @@ def _seeds(rivals: list[Candidate]) -> list[Candidate]:
     by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
     by_type.sort(key=lambda c: c.criterion)
     far = best.colour.std > FAR * best.fit.misfit.record.noise_std
-    calm = [c for c in same if c.fit.misfit.loads == 0][:1]
-    return list(dict.fromkeys([*by_type[: None if far else 2], *calm]))
+    calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
+    drifting = [c for c in same if c.fit.misfit.ramp][:1]
+    return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting]))
 
 
 def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit]:
@@ -127,7 +128,15 @@ def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit
         with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
         found += [integrating, first, with_lag]
         found.append(with_second_lag(first, SECOND, [with_lag], 1 + (loads == 0)))
-    return found
+    return [*found, *_drifting(replace(misfit(FIRST, 0), ramp=True), seeds[0])]
+
+
+def _drifting(misfit: Misfit, points: list[FloatArray]) -> list[Fit]:
+    """First and second order beside a drift of pv: where all optima without one are fictions, no move leads there."""
+    if not points:
+        return []
+    first = _best(misfit, points)
+    return [first, with_second_lag(first, SECOND, [])]
 
 
 def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:

@@ -1,7 +1,7 @@
 """Whether a response may teach its region anything: the rules of admission, in the order in which they are asked.
 
-    kept whole, in automatic, telemetry complete and even, inside the region, gains unchanged, setpoint not led by
-    another loop, output free, something moves, and it rises well above the noise
+    kept whole, in automatic, pv in its range, telemetry complete and even, inside the region, gains unchanged,
+    setpoint not led by another loop, output free, something moves, and it rises well above the noise
 
 A record that is not admitted is not a weak record but a wrong one: the fit would believe it. What is only weak is
 admitted, because the fit weighs it. Learning stops likewise in commercial products when a loop saturates, is not in
@@ -9,6 +9,7 @@ control or its variable left the state being learned; what happens without such 
 (one night in frost mode spoils a winter of learning).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -25,6 +26,10 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
 from retuner.adaptive.weighed import Numbers
 from retuner.schedule.regions import Regions
 
+EVERYWHERE = (-math.inf, math.inf)
+RANGE_ROOM = 0.1
+"""Share of the transmitter's range by which pv may stand outside of it: ranges are rounded, sensors reach further."""
+
 
 class Ground(StrEnum):
     """Grounds for admitting a response or not; the value is the sentence, with its numbers by name."""
@@ -32,6 +37,9 @@ class Ground(StrEnum):
     ADMITTED = "admitted: {peak_bands:.1f} noise bands high, inside its region"
     TOO_LONG = "the response is longer than the {kept:.0f} samples kept: its beginning is missing"
     MANUAL = "{manual:.0f} samples of the response are in manual: nobody regulated there"
+    OUT_OF_RANGE = (
+        "pv stood at {pv_worst:g}, far outside its range of {pv_low:g} to {pv_high:g}: no transmitter says that"
+    )
     LOST_SAMPLES = "{lost_share:.0%} of the samples were lost (limit {limit:.0%})"
     IRREGULAR = "{uneven_share:.0%} of the samples came at uneven times (limit {limit:.0%})"
     REPEATED = "{repeated_share:.0%} of the samples repeat the one before them exactly (limit {limit:.0%})"
@@ -61,11 +69,21 @@ class AdmissionSettings:
             "Largest share of a response with the output at a limit",
             0,
             1,
-            source="a fit takes co as it was applied; half of it must still move",
+            source="a fit takes co as it was applied, at a limit or not; only what never moves shows nothing",
         ),
-    ] = 0.5
-    lost_share: Annotated[float, Setting("Largest share of lost samples", 0, 0.5, source="one in ten")] = 0.1
-    uneven: Annotated[float, Setting("Share of the median by which an uneven interval is off")] = 0.25
+    ] = 1.0
+    lost_share: Annotated[
+        float, Setting("Largest share of lost samples", 0, 0.5, source="a fit takes each sample at its own time")
+    ] = 0.35
+    uneven: Annotated[
+        float,
+        Setting(
+            "Share of the median by which an interval is off that no late stamp makes: samples came in bursts",
+            0.1,
+            1,
+            source="stamps off by 30 % make intervals off by 60 %",
+        ),
+    ] = 0.65
     uneven_share: Annotated[float, Setting("Largest share of samples at uneven times", 0, 1, source="one in ten")] = 0.1
     repeated_share: Annotated[
         float,
@@ -121,7 +139,8 @@ class AdmissionNumbers(Numbers):
 
     kept : samples that are kept. manual : of them in manual. lost_share, uneven_share, repeated_share, outside_share :
     of the samples. changes : of the gains. moves, moving_share : of the setpoint. limited_share : of the response, with
-    the output at a limit. peak_bands : its height in noise bands. limit, limit_share : of the rule that refused it.
+    the output at a limit. pv_worst : pv farthest outside its range, pv_low to pv_high. peak_bands : height in noise
+    bands. limit, limit_share : of the rule that refused it.
     """
 
     kept: float | None = None
@@ -134,6 +153,9 @@ class AdmissionNumbers(Numbers):
     moves: float | None = None
     moving_share: float | None = None
     limited_share: float | None = None
+    pv_worst: float | None = None
+    pv_low: float | None = None
+    pv_high: float | None = None
     peak_bands: float | None = None
     limit: float | None = None
     limit_share: float | None = None
@@ -200,6 +222,7 @@ class _Seen:
     during: npt.NDArray[np.bool_]
     inside: Callable[[LoopSample], bool] | None
     settings: AdmissionSettings
+    pv_range: tuple[float, float]
 
     @property
     def own(self) -> list[LoopSample]:
@@ -213,6 +236,7 @@ def admit(
     response: Response,
     settings: AdmissionSettings,
     inside: Callable[[LoopSample], bool] | None = None,
+    pv_range: tuple[float, float] = EVERYWHERE,
 ) -> Admission:
     """Judge a response.
 
@@ -222,6 +246,7 @@ def admit(
     samples : what is kept, the newest last; the window was made of the last of them.
     response : what the recogniser found.
     inside : whether a sample lies in the response's region; None: there is only one.
+    pv_range : what the transmitter can say, pv units.
 
     Raises
     ------
@@ -232,7 +257,7 @@ def admit(
     if len(samples) < n:
         raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
     own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
-    seen = _Seen(window, list(samples)[-n:], response, own, inside, settings)
+    seen = _Seen(window, list(samples)[-n:], response, own, inside, settings, pv_range)
     numbers = AdmissionNumbers()
     for rule in _RULES:
         counted = rule(seen)
@@ -260,6 +285,16 @@ def _in_automatic(seen: _Seen) -> _Counted:
     """Regulated all the time."""
     manual = float(sum(sample.mode != LoopMode.AUTO for sample in seen.samples))
     return _Counted(AdmissionNumbers(manual=manual), Ground.MANUAL if manual else None)
+
+
+def _measured(seen: _Seen) -> _Counted:
+    """Never far outside of what the transmitter can say: that was a fault of the signal, or somebody else's frame."""
+    low, high = seen.pv_range
+    room = RANGE_ROOM * (high - low)
+    worst = max((sample.pv for sample in seen.samples), key=lambda pv: max(low - pv, pv - high))
+    if low - room <= worst <= high + room:
+        return _Counted(AdmissionNumbers())
+    return _Counted(AdmissionNumbers(pv_worst=worst, pv_low=low, pv_high=high), Ground.OUT_OF_RANGE)
 
 
 def _telemetry(seen: _Seen) -> _Counted:
@@ -319,7 +354,7 @@ def _own_setpoint(seen: _Seen) -> _Counted:
 
 
 def _free_output(seen: _Seen) -> _Counted:
-    """Not at a limit for most of the time."""
+    """Not at a limit for longer than the user wants to learn from."""
     own, limit = seen.own, seen.settings.limited_share
     share = sum(sample.limited != 0 for sample in own) / len(own)
     if share <= limit:
@@ -332,10 +367,25 @@ def _excited(seen: _Seen) -> _Counted:
     error = np.abs(seen.window.sp - seen.window.pv)[seen.during]
     bands, least = float(np.max(error)) / seen.response.band, seen.settings.excitation_bands
     numbers = AdmissionNumbers(peak_bands=bands)
-    for ground, values in ((Ground.CO_FROZEN, seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
+    for ground, values in ((_frozen_co(seen), seen.window.co), (Ground.PV_FROZEN, seen.window.pv)):
         if values.max() == values.min():
-            return _Counted(numbers, ground)
+            return _Counted(replace(numbers, limit=seen.settings.limited_share), ground)
     return _Counted(numbers) if bands >= least else _Counted(replace(numbers, limit=least), Ground.LOW_EXCITATION)
 
 
-_RULES = (_kept_whole, _in_automatic, _telemetry, _in_region, _same_gains, _own_setpoint, _free_output, _excited)
+def _frozen_co(seen: _Seen) -> Ground:
+    """What an output is called that never moves: at a limit it is held there."""
+    return Ground.SATURATED if all(sample.limited for sample in seen.own) else Ground.CO_FROZEN
+
+
+_RULES = (
+    _kept_whole,
+    _in_automatic,
+    _measured,
+    _telemetry,
+    _in_region,
+    _same_gains,
+    _own_setpoint,
+    _free_output,
+    _excited,
+)

@@ -49,17 +49,30 @@ FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATI
 """Causes that leave nothing in a record from which the process could be learned."""
 
 
-def foreign_swing(record: ResponseRecord, settings: RetunerSettings) -> tuple[Diagnosis | None, Standing | None]:
-    """Why the loop swings on without a setpoint step, where that is none of tuning; what is remembered of it."""
-    again = goes_on(record.response, record.standing, settings.swing) or on_top(
-        record.samples, record.response, record.standing, settings.swing
-    )
-    if again is not None:
-        return again, record.standing
+def foreign_swing(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
+    """Why the loop swings on without a setpoint step, where that is none of tuning; what is remembered of it.
+
+    What was said of an oscillation before does not stand against a swing that grows, or goes from limit to limit.
+    """
+    record, settings = found.record, found.settings
+    if found.growth is not None:
+        return None, None
+    if not _reopened(record, settings):
+        again = goes_on(record.response, record.standing, settings.swing) or on_top(
+            record.samples, record.response, record.standing, settings.swing
+        )
+        if again is not None:
+            return again, record.standing
     if not swings(record.response, settings.swing):
         return None, None
     cause, standing = swing_cause(record.samples, record.response, record.in_force, settings.swing, settings.diagnosis)
     return (None, None) if _held_up(record, cause, settings) else (cause, standing)
+
+
+def _reopened(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether a cause that was found before is asked for again, because the swing goes from limit to limit by now."""
+    standing = record.standing
+    return standing is not None and standing.cause in FOREIGN_SWINGS and swings_between_limits(record, settings)
 
 
 def looked_at_lately(record: ResponseRecord, settings: RetunerSettings) -> Diagnosis | None:
@@ -70,7 +83,7 @@ def looked_at_lately(record: ResponseRecord, settings: RetunerSettings) -> Diagn
 def hidden(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
     """What hides under a response that its own model leaves open; what is remembered of it."""
     record, settings = found.record, found.settings
-    if found.unexplained <= settings.swing.unexplained:
+    if found.growth is not None or found.unexplained <= settings.swing.unexplained:
         return None, None
     cause, standing = hidden_cause(record.samples, record.response, record.in_force, settings.swing, settings.diagnosis)
     return (None, None) if _held_up(record, cause, settings) else (cause, standing)
@@ -103,12 +116,18 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     reason = swings_anyway(record.response, settings.swing) if cause.cause == Cause.SLUGGISH else ""
-    if cause.cause in SWINGING:
+    if cause.cause in SWINGING and not _swings_wider(record, settings):
         model = allowed[0].model.seen_by_controller(settings.sample_time_s)
         reason = not_seen(
             record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing
         )
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
+    """Whether a response of three peaks grows: a model that says unstable is listened to, however fast it says so."""
+    damping = record.response.damping
+    return damping is not None and damping > settings.swing.grows
 
 
 def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionModel) -> bool:
@@ -118,6 +137,8 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     """
     record, settings = found.record, found.settings
     swing, seen = settings.swing, (record.samples, record.response)
+    if found.growth is not None and verdict.ruling in TOWARDS_SAFETY:
+        return True
     if runs_away(*seen, learned.estimate.explained, swing):
         return True
     calm, agrees = calm_before(*seen, swing), learned.agreement == Agreement.AGREES

@@ -18,7 +18,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement
-from retuner.adaptive.trial.phase import UNDOS
+from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
@@ -159,10 +159,13 @@ def promised_wrongly(trial: Trial, decision: Decision) -> bool:
 
 def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
     """The decision that goes with taking a set back. also : other regions that are restored with this one."""
-    cause = trial.cause
+    cause, back = trial.cause, trial.back
     assert cause is not None  # of a trial that is being restored
+    assert back is not None
     judged = decision.judgement.reason if decision.judgement else ""
-    reason = f"the verified gains are restored: {judged or cause}" + (f"; also in {', '.join(also)}" if also else "")
+    done = "no other set that ran is as robust, the tried gains stay" if back.stays else _WORDS[back.gains == trial.old]
+    reason = "; ".join(filter(None, (f"{done}: {judged or cause}", back.reason)))
+    reason += f"; also in {', '.join(also)}" if also else ""
     if promised_wrongly(trial, decision):
         reason += "; what was known of this process had promised otherwise, and is forgotten"
     return replace(
@@ -171,9 +174,46 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
         action=Action.RESTORE,
         code=f"undo_{cause.name.lower()}",
         reason=reason,
+        numbers=back.numbers or decision.numbers,
         undos=trial.undos,
         gains_before=trial.new or decision.gains_before,
-        gains_after=trial.old,
+        gains_after=back.gains,
         promise=trial.promise,
         trial=str(trial.phase),
     )
+
+
+_WORDS = {True: "the verified gains are restored", False: "the most robust gains that ran here are restored"}
+"""What is done, by whether it is the set before the trial."""
+
+
+def staying(decision: Decision, region: str, trial: Trial, also: Sequence[str]) -> Decision:
+    """The decision that the tried set stays. also : other regions where it does as well.
+
+    Where the controller may run something else, it has the action RESTORE: these gains are to run, and to be read back.
+    """
+    cause, back, ensure = trial.cause, trial.back, trial.phase is TrialPhase.ENSURING
+    assert cause is not None  # of a trial that stays for all that
+    assert back is not None
+    reason = f"the gains on trial stay: {cause}, which says nothing of them; {back.reason}"
+    return replace(
+        decision,
+        region=region,
+        action=Action.RESTORE if ensure else Action.NONE,
+        code=f"kept_{cause.name.lower()}",
+        reason=reason + (f"; also in {', '.join(also)}" if also else ""),
+        numbers=back.numbers or decision.numbers,
+        gains_before=back.gains,
+        gains_after=back.gains if ensure else None,
+        promise=trial.promise,
+        trial=str(trial.phase),
+    )
+
+
+def proposing(decision: Decision, trial: Trial, now_s: float) -> Decision:
+    """A change where a person's gains are held: it is proposed, and waits for his word."""
+    if decision.gains_after is None:
+        return decision
+    left_s = max(trial.until_s - now_s, 0.0)
+    reason = f"a person set the gains in force, they are held for another {left_s:,.0f} s; proposed: {decision.reason}"
+    return replace(decision, action=Action.ADVISE, reason=reason)

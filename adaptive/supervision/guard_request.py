@@ -11,6 +11,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.table import GainTable
 
 
@@ -34,7 +35,7 @@ def change_request(
     damping : of the response, None when it did not swing.
     """
     in_force, commissioned = tables
-    known = {index: _allowed(region_model, t_s, settings) for index, region_model in region_models.items()}
+    known = {index: still_allowed(region_model, t_s, settings) for index, region_model in region_models.items()}
     contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
     return ChangeRequest(
         in_force=in_force.gains_of(region),
@@ -79,12 +80,31 @@ def unproved_request(
     )
 
 
+def known_of(
+    region_model: RegionModel | None,
+    table: GainTable,
+    region: int,
+    at: tuple[float, float],
+    t_s: float,
+    settings: RetunerSettings,
+) -> StillAllowed:
+    """What is known of a region's process now, as it is asked which of its sets is to run.
+
+    at : scheduling values, where in an interpolated table a mean of several regions' sets runs.
+    """
+    if region_model is None:
+        return NOTHING_KNOWN
+    models = still_allowed(region_model, t_s, settings)
+    sampled = tuple(found.model.seen_by_controller(settings.sample_time_s).linear() for found in models)
+    return StillAllowed(sampled, lambda own: table.with_gains(region, own).at(region, *at), settings.filter_s)
+
+
 def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
     """Whether a response swings on as if it would not end."""
     return damping is not None and damping >= settings.guard.urgent_damping
 
 
-def _allowed(region_model: RegionModel, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
+def still_allowed(region_model: RegionModel, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:
     """The models of a region that its records still allow now."""
     walk = settings.tracker.walk_per_day**2 * max(t_s - region_model.t_s, 0.0) / SECONDS_PER_DAY
     return allowed(predicted(region_model, t_s, settings.tracker), region_model.plausible, walk, settings.guard)

@@ -18,6 +18,7 @@ from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
+from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
@@ -41,7 +42,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior, promised_cost
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import GainTable, Lookup
@@ -69,7 +70,7 @@ def admission(found: Findings) -> None:
     if record.table.lookup is Lookup.INTERPOLATED:
         rules = replace(rules, changes_most=len(record.samples))
     inside = inside_region(record.table.regions, record.region)
-    admitted = admit(record.window, record.samples, record.response, rules, inside)
+    admitted = admit(record.window, record.samples, record.response, rules, inside, found.settings.pv_range)
     if not admitted.admitted:
         found.diagnosis, found.numbers = admitted.diagnosis(), admitted.numbers
         found.stop(admitted.ground.name.lower(), admitted.sentence)
@@ -77,14 +78,16 @@ def admission(found: Findings) -> None:
 
 def swing(found: Findings) -> None:
     """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
-    foreign, standing = foreign_swing(found.record, found.settings)
+    record, settings = found.record, found.settings
+    found.growth = grows(record.samples, record.response.band, settings.growth)
+    foreign, standing = foreign_swing(found)
     if foreign is not None:
         found.explained_otherwise(foreign, standing)
 
 
 def repetition(found: Findings) -> None:
     """Was the same looked at a short while ago, without the tuning being named?"""
-    waiting = looked_at_lately(found.record, found.settings)
+    waiting = looked_at_lately(found.record, found.settings) if found.growth is None else None
     if waiting is not None:
         found.diagnosis = waiting
         found.excitation = found.record.excitation.with_response(found.record.response)
@@ -166,7 +169,8 @@ def without_a_model(found: Findings) -> None:
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
     locks = found.settings.locks_of(record.region)
-    proposed = without_model(record.response, record.window, record.in_force, None, found.settings.without_model, locks)
+    own = _own_fault(found)
+    proposed = without_model(record.response, record.window, record.in_force, own, found.settings.without_model, locks)
     reason, found.numbers = f"{why}; {proposed.sentence}", proposed.numbers
     silent = learned.agreement == Agreement.SILENT and not record.response.sp_changed  # noise has peaks as well
     if proposed.tuning is None or silent:
@@ -180,10 +184,19 @@ def without_a_model(found: Findings) -> None:
     _small_step(found, proposed, learned, reason)
 
 
+def _own_fault(found: Findings) -> Diagnosis | None:
+    """The diagnosis of a swing that grows; None of any other."""
+    growth = found.growth
+    if growth is None:
+        return None
+    found.diagnosis = Diagnosis(Cause.AGGRESSIVE, 0.9, growth.to_dict(), growth.sentence)
+    return found.diagnosis
+
+
 def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: str) -> None:
     """Whether the step without a model is made."""
     record, excitation = found.record, found.excitation_now
-    if not clear_case(found, learned):
+    if found.growth is None and not clear_case(found, learned):
         doubt, excitation = doubt_of(found)
         if doubt is not None:
             found.excitation, found.numbers = excitation, NO_NUMBERS
@@ -237,6 +250,32 @@ def refutation(found: Findings) -> None:
     found.doubted(doubt)
 
 
+def agreement(found: Findings) -> None:
+    """A loop that behaves is not moved on one record's word, which may be wrong by more than it knows."""
+    verdict, settings, records = found.verdict, found.settings, _in_use(found).records
+    if verdict is None or not verdict.accepted or records >= settings.behaving_records:
+        return
+    record = found.record
+    found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+    reason = behaves(record.response, verdict, found.promise, settings)
+    if reason:
+        found.verdict = found.basis = found.promise = None
+        found.stop("one_record", f"{reason}; {settings.behaving_records} records must agree before it is moved")
+
+
+def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
+    """That a loop does well enough not to be moved at once, in words; empty where it does not.
+
+    Its response did not swing, it is robust on the models, and what the change promises is not much of a gain.
+    """
+    gain = promised_cost(promised) if promised is not None else 0.0
+    seen = decay_seen(response)
+    swings = seen is not None and seen > settings.trial.harmless_decay
+    if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
+        return ""
+    return f"the loop behaves (Ms {verdict.ms_before:.2f}, the change would bring IAE to {gain:.0%})"
+
+
 def confirmation(found: Findings) -> None:
     """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
     learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
@@ -280,7 +319,12 @@ def _was_known(found: Findings) -> bool:
 def expectation(found: Findings) -> None:
     """What the proved gains promise, where they may be written at all."""
     record, verdict, settings = found.record, found.verdict, found.settings
-    if verdict is not None and verdict.accepted and _may_follow(found.question.trial, settings):
+    if (
+        found.promise is None
+        and verdict is not None
+        and verdict.accepted
+        and _may_follow(found.question.trial, settings)
+    ):
         found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
 
 
@@ -389,6 +433,7 @@ STAGES = (
     Stage("cause", cause),
     Stage("proof", proof),
     Stage("refutation", refutation),
+    Stage("agreement", agreement),
     Stage("confirmation", confirmation),
     Stage("expectation", expectation, always=True),
     Stage("check after a trial", check_after_trial, always=True),

@@ -14,12 +14,14 @@ from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS, Numbers
@@ -100,6 +102,21 @@ class Question:
         return self.record.samples[-1].t_s
 
 
+Ended = Mapping[int, TrialEvent]
+"""Regions whose trial a sample ended, or where it was decided that it goes on, with the cause."""
+NOBODY: Ended = {}
+
+
+class OpenQuestion(NamedTuple):
+    """An open question: the table when it was raised, and what the same sample ended and made forgotten."""
+
+    question: Question
+    table: GainTable
+    ended: Ended
+    region_model: RegionModel | None
+    excitation: Excitation | None
+
+
 class Overtaken(StrEnum):
     """Why an answer that comes later than its question is not entered any more."""
 
@@ -107,6 +124,26 @@ class Overtaken(StrEnum):
     REGION_LEFT = "the loop has left the region since"
     BROKEN_OFF = "the record was broken off since: samples are missing, in manual, or without a scheduling variable"
     GAINS_CHANGED = "other gains have come into force since"
+
+
+def overtaken_by(
+    opened: OpenQuestion, now_in: int | None, samples: Sequence[LoopSample], table: GainTable, phase: TrialPhase
+) -> Overtaken | None:
+    """Why an answer is not entered any more, if so. now_in, phase : region of the loop, and phase of the question's.
+
+    samples, table : as they are now.
+    """
+    question, region = opened.question, opened.question.record.region
+    if question.trial.phase in UNDECIDED and phase not in UNDECIDED:
+        return Overtaken.TRIAL_ENDED
+    if now_in != region:
+        return Overtaken.REGION_LEFT
+    if samples[0].t_s > question.t_s:
+        return Overtaken.BROKEN_OFF
+    moved = table.lookup is Lookup.HARD and samples[-1].revision != question.record.samples[-1].revision
+    if table is not opened.table or (moved and not opened.ended):
+        return Overtaken.GAINS_CHANGED
+    return None
 
 
 LEFT = {
@@ -136,7 +173,8 @@ class End(NamedTuple):
 class Findings:
     """One question and what is found about it, stage by stage.
 
-    learned : what the record taught. unexplained : share of the record's pv that its model leaves open.
+    growth : of a swing that only the loop itself can make. learned : what the record taught.
+    unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. The others are those of StageResult, None for as before.
@@ -144,6 +182,7 @@ class Findings:
 
     question: Question
     end: End | None = None
+    growth: Growth | None = None
     learned: Learned | None = None
     unexplained: float = 0.0
     in_use: RegionModel | None = None
@@ -216,3 +255,17 @@ class Findings:
             promise=self.promise,
             posterior=self.posterior,
         )
+
+
+def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
+    """The outcome with the reason why nothing may be changed now, when something was accepted."""
+    if outcome.verdict is None or not outcome.verdict.accepted:
+        return outcome
+    words = str(trial.phase)
+    if trial.phase == TrialPhase.COOLING:
+        words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
+    elif trial.phase == TrialPhase.LOCKED:
+        words += f" after {trial.undos} changes that had to be undone; a person must unlock the region"
+    elif trial.phase == TrialPhase.IDLE:
+        words = "the change of another region is on its way"
+    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")

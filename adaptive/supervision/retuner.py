@@ -23,29 +23,46 @@ from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
+from retuner.adaptive.guard import change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
-from retuner.adaptive.supervision.decision import Action, Decision, Delay, Mode, promised_wrongly, restoring
+from retuner.adaptive.supervision.decision import (
+    Action,
+    Decision,
+    Delay,
+    Mode,
+    promised_wrongly,
+    proposing,
+    restoring,
+    staying,
+)
+from retuner.adaptive.supervision.guard_request import known_of
+from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.pipeline import decide, promise_of, seen_of
 from retuner.adaptive.supervision.pipeline_types import (
     LEFT,
+    NOBODY,
     PASSED_OVER,
-    Overtaken,
+    Ended,
+    OpenQuestion,
     Question,
     ResponseRecord,
     StageResult,
+    held,
+    overtaken_by,
 )
 from retuner.adaptive.supervision.response_finder import Completed, FinderState, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
-from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words
+from retuner.adaptive.trial.phase import TO_BE_SEEN, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
-from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
@@ -66,19 +83,6 @@ class Step(NamedTuple):
 
 
 NOTHING = Step()
-Ended = Mapping[int, TrialEvent]
-"""Regions whose trial a sample ended, with the cause."""
-NOBODY: Ended = {}
-
-
-class _Open(NamedTuple):
-    """An open question: the table when it was raised, and what the same sample ended and made forgotten."""
-
-    question: Question
-    table: GainTable
-    ended: Ended
-    region_model: RegionModel | None
-    excitation: Excitation | None
 
 
 class Retuner:
@@ -102,9 +106,11 @@ class Retuner:
         self.excitation: dict[int, Excitation] = {}
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
-        self.trials = TrialSupervisor(settings.trial, settings.sample_time_s, self._put_back)
+        self.trials = TrialSupervisor(
+            settings.trial, settings.sample_time_s, self._put_back, self._still_allowed, self._person_decides
+        )
         self._decisions = 0
-        self._open: _Open | None = None
+        self._open: OpenQuestion | None = None
         self.sample_number = 0
         """Samples observed so far."""
 
@@ -187,7 +193,8 @@ class Retuner:
         if sample_number != self.sample_number:
             raise ValueError(f"entered at sample {sample_number}, but the newest one is {self.sample_number}")
         opened, self._open = self._open, None
-        overtaken = self._overtaken(opened)
+        phase = self.trials.phase(opened.question.record.region)
+        overtaken = overtaken_by(opened, self.region, self._finder.samples, self.table, phase)
         if overtaken is not None:
             refused = StageResult(f"overtaken_{overtaken.name.lower()}", f"the answer comes too late: {overtaken}")
             return self._decision(opened.question.record.region, refused, opened.question)
@@ -200,9 +207,9 @@ class Retuner:
 
         gains : as read back from the controller (after its rounding).
         """
-        if self.trials.phase(region) != TrialPhase.RESTORING:  # a write that was given up may come through after all
+        given_up = self.trials.phase(region) in TO_BE_SEEN  # such a write may come through after all
+        if self.trials.written(region, gains, self._now_s) or not given_up:
             self._change(region, gains)
-            self.trials.written(region, gains, self._now_s)
         return self.table
 
     def not_written(self, region: int) -> None:
@@ -210,15 +217,37 @@ class Retuner:
         self.trials.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
 
     def abort(self, cause: TrialEvent) -> Decision | None:
-        """Something happened that ends every undecided trial; the decision to restore, None when there was none.
+        """Something happened that may end undecided trials; the decision on what is to run, None when there was none.
 
-        The table has the verified sets when this returns; `restored` says that the controller runs them.
+        The table has those sets when this returns. Action RESTORE: write them, and tell by `restored` that they run.
         """
         ended = self.trials.abort(cause, self._now_s)
         return self._give_up(dict.fromkeys(ended, cause)) if ended else None
 
+    def edited(self, gains: PidGains) -> Decision | None:
+        """Somebody else has set other gains where the loop is, and the controller runs them, as read back.
+
+        They are a person's: the table takes them over, an undecided trial there is over, and for a stated time nothing
+        but proposals follows (TrialSettings.edit_hold_s). None where they are what the table has, or before a sample.
+        """
+        region = self.region
+        if region is None:
+            return None
+        ours, at = self.table.gains_of(region), self._finder.scheduled
+        if change_factor(self.table.at(region, *at), gains) <= SAME_GAINS:
+            return None
+        stored = self.table.stored_for(region, gains, *at)
+        if stored is None:
+            return self._decision(region, StageResult("edit_not_taken", NOT_TAKEN))
+        self._change(region, stored)
+        self.trials.edited(region, stored, ours, self._now_s)
+        trial = self.trials.of(region)
+        words = edit_words(ours, stored, self._still_allowed(region), trial.until_s - self._now_s)
+        made = self._decision(region, StageResult("edited", words))
+        return replace(made, gains_before=ours, gains_after=None)
+
     def restored(self) -> tuple[int, ...]:
-        """Take note that the controller runs the table's gains, as read back; the regions that were to be restored."""
+        """Take note that the controller runs the table's gains, as read back; the regions where that was awaited."""
         return self.trials.restored(self._now_s)
 
     def ordered(
@@ -228,22 +257,25 @@ class Retuner:
 
         promised : what the gains are held to on trial; without a promise they are written and not on trial.
         """
+        unpromised = promised is None
+        free = self.trials.may_change(region, self._now_s, urgent=unpromised, ordered=not unpromised)
         phase = self.trials.phase(region)
-        free = self.trials.may_change(region, self._now_s, urgent=promised is None) or (
-            promised is None and phase == TrialPhase.LOCKED
-        )
+        free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
         if gains is not None and not free:
             gains, outcome = None, StageResult(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
         if gains is None:
             return decision
         if promised is not None:
-            self.trials.begin(region, decision.gains_before, gains, promised, self._now_s)
+            self.trials.begin(region, decision.gains_before, gains, promised, self._now_s, ordered=True)
         phase = self.trials.phase(region)
         return replace(decision, action=Action.COMMIT, gains_after=gains, promise=promised, trial=str(phase))
 
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
+        reason = self.trials.no_way_back(region)
+        if reason:
+            return self.ordered(region, StageResult("revert_refused", f"the way back is not taken: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self._now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 
@@ -252,8 +284,17 @@ class Retuner:
         """Time of the newest sample."""
         return self._finder.samples[-1].t_s if self._finder.samples else 0.0
 
+    def _still_allowed(self, region: int) -> StillAllowed:
+        """What is known of a region's process now."""
+        at, now_s = self._finder.scheduled, self._now_s
+        return known_of(self.region_models.get(region), self.table, region, at, now_s, self.settings)
+
+    def _person_decides(self, region: int) -> bool:
+        """Whether a person has the next word on what is tried in a region."""
+        return self.settings.mode_of(region) == Mode.TRIAL
+
     def _put_back(self, region: int, gains: PidGains) -> None:
-        """A region's verified set comes back into the table."""
+        """What is to run in a region comes into the table."""
         if self.table.gains_of(region) != gains:
             self._change(region, gains)
 
@@ -281,7 +322,7 @@ class Retuner:
         step = self._seen(seen, ended) if seen is not None else NOTHING
         return Step(self._give_up(ended, step.decision), step.question)
 
-    def _learned_from_the_end(self, opened: _Open, result: StageResult) -> Decision:
+    def _learned_from_the_end(self, opened: OpenQuestion, result: StageResult) -> Decision:
         """The answer on a response with which a trial ended: what was forgotten comes back, and is judged with it."""
         ended, same = opened.ended, opened.question.sample_number == self.sample_number
         region = next(iter(ended))
@@ -297,25 +338,15 @@ class Retuner:
             self._forget(region)
         return learned
 
-    def _overtaken(self, opened: _Open) -> Overtaken | None:
-        """Why an answer is not entered any more, if so."""
-        question, region = opened.question, opened.question.record.region
-        if question.trial.phase in UNDECIDED and self.trials.phase(region) not in UNDECIDED:
-            return Overtaken.TRIAL_ENDED
-        if self.region != region:
-            return Overtaken.REGION_LEFT
-        samples = self._finder.samples
-        if samples[0].t_s > question.t_s:
-            return Overtaken.BROKEN_OFF
-        moved = self.table.lookup is Lookup.HARD and samples[-1].revision != question.record.samples[-1].revision
-        if self.table is not opened.table or (moved and not opened.ended):
-            return Overtaken.GAINS_CHANGED
-        return None
-
     def _give_up(self, ended: Mapping[int, TrialEvent], learned: Decision | None = None) -> Decision:
-        """The decision to restore. learned : what the response under way has taught."""
-        region, also = next(iter(ended)), [self.table.regions.names[other] for other in list(ended)[1:]]
-        return self._restoring(region, learned or self._decision(region, StageResult("undo", "")), also)
+        """The decision on what is to run. learned : what the response under way has taught."""
+        back = [region for region in ended if self.trials.phase(region) is TrialPhase.RESTORING]
+        names = [self.table.regions.names[region] for region in back or ended]
+        region = next(iter(back or ended))
+        decision = learned or self._decision(region, StageResult("undo", ""))
+        if back:
+            return self._restoring(region, decision, names[1:])
+        return staying(decision, names[0], self.trials.of(region), names[1:])
 
     def _restoring(self, region: int, decision: Decision, also: Sequence[str] = ()) -> Decision:
         """The decision to restore."""
@@ -336,7 +367,9 @@ class Retuner:
         if self._open is not None:
             return NOTHING if ended else Step(self._decision(seen.region, PASSED_OVER, self._question(seen)))
         question, region = self._question(seen), next(iter(ended), seen.region)
-        self._open = _Open(question, self.table, ended, self.region_models.get(region), self.excitation.get(region))
+        self._open = OpenQuestion(
+            question, self.table, ended, self.region_models.get(region), self.excitation.get(region)
+        )
         return Step(None, question)
 
     def _question(self, seen: Completed) -> Question:
@@ -381,10 +414,10 @@ class Retuner:
         if trial.phase != TrialPhase.TRIAL:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
-            self.trials.event(case.region, TrialEvent.SATURATED, self._now_s)
-            return Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
+            silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
+            return self.trials.silent(case.region, silent, self._now_s)
         looked_at = seen_of(case, outcome)
-        ask = self.settings.mode_of(case.region) == Mode.TRIAL
+        ask = self._person_decides(case.region)
         return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> ResponseRecord:
@@ -407,11 +440,11 @@ class Retuner:
         self, region: int, outcome: StageResult, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
         """Put the record together. question : that this answers, if any."""
-        phase_allows = self.trials.may_change(
-            region, self._now_s, urgent=bool(outcome.verdict and outcome.verdict.urgent)
-        )
+        now_s, urgent = self._now_s, bool(outcome.verdict and outcome.verdict.urgent)
+        proposes = self.trials.held_by_a_person(region, now_s)
+        phase_allows = self.trials.may_change(region, now_s, urgent=urgent) or proposes
         if not phase_allows:
-            outcome = held(outcome, self.trials.of(region), self._now_s)
+            outcome = held(outcome, self.trials.of(region), now_s)
         accepted = outcome.verdict is not None and outcome.verdict.accepted and phase_allows
         response = question.record.response if question else None
         promised = outcome.promise
@@ -419,6 +452,7 @@ class Retuner:
             at = question.record.at if question else self._finder.scheduled
             promised = promise_of(outcome.verdict, self.table, region, at, response, self.settings)
         made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
+        made = proposing(made, self.trials.of(region), now_s) if proposes else made
         if question is None or question.sample_number == self.sample_number:
             return made
         return replace(made, delay=Delay(question.sample_number, self.sample_number))
@@ -464,17 +498,3 @@ class Retuner:
             judgement=judgement,
             trial=str(self.trials.phase(region)),
         )
-
-
-def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
-    """The outcome with the reason why nothing may be changed now, when something was accepted."""
-    if outcome.verdict is None or not outcome.verdict.accepted:
-        return outcome
-    words = str(trial.phase)
-    if trial.phase == TrialPhase.COOLING:
-        words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
-    elif trial.phase == TrialPhase.LOCKED:
-        words += f" after {trial.undos} changes that had to be undone; a person must unlock the region"
-    elif trial.phase == TrialPhase.IDLE:
-        words = "the change of another region is on its way"
-    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")

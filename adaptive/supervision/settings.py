@@ -11,7 +11,8 @@ from retuner.adaptive.identification.identify import FitSettings
 from retuner.adaptive.identification.robust_simc import RobustSettings
 from retuner.adaptive.region_model.from_neighbours import BorrowingSettings
 from retuner.adaptive.region_model.update import TrackerSettings
-from retuner.adaptive.supervision.admission import AdmissionSettings
+from retuner.adaptive.signals.growth import GrowthSettings
+from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.settings import TrialSettings
@@ -22,6 +23,7 @@ class RetunerSettings:
     """Settings of one loop's retuner.
 
     sample_time_s : of the controller. pv_span : range of pv, for the smallest noise band.
+    pv_range : what the transmitter can say, pv units: what lies far outside teaches nothing.
     mode : what it may do; region_modes : in single regions by index, None or missing for `mode`.
     locks : parameters that stay as they are; region_locks : in single regions by index, None or missing for `locks`.
     band : noise band in pv units; None estimates it from the data.
@@ -34,6 +36,7 @@ class RetunerSettings:
         response belongs to its window: this share of its length plus this many samples; defaults 0.25 and 20.
     fit : identification; its gain_std_limit is wider than for advice off line (0.3), because the guard proves every
         change on what is left open, and later records narrow it.
+    growth : when a swing grows as only an unstable loop's does.
     limit_swing : what an unstable loop between the output's limits is told by.
     swing : when something else than the tuning is asked for; diagnosis : how, with the limits of cause that hold on
         line: a change is on trial there.
@@ -41,7 +44,10 @@ class RetunerSettings:
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
-    gap_samples : a pause in the samples longer than this ends a response; default 5.
+    behaving_records : records that must be in the model before a loop that behaves is moved; 1 to 10, default 2.
+    behaving_gain : share of the IAE above which what a change would leave is not much of a gain; 0 to 1, default 0.6.
+    gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
+        lost, so long a pause comes once in 400,000.
     """
 
     sample_time_s: float
@@ -61,7 +67,9 @@ class RetunerSettings:
     history: int = 4000
     lead_share: float = 0.25
     lead_samples: int = 20
-    gap_samples: int = 5
+    behaving_records: int = 2
+    behaving_gain: float = 0.6
+    gap_samples: int = 8
     setpoint_weight: float = 1.0
     filter_s: float = 0.0
     fit: FitSettings = field(default_factory=lambda: FitSettings(gain_std_limit=0.3))
@@ -70,12 +78,14 @@ class RetunerSettings:
     without_model: WithoutModelSettings = field(default_factory=WithoutModelSettings)
     admission: AdmissionSettings = field(default_factory=AdmissionSettings)
     swing: SwingSettings = field(default_factory=SwingSettings)
+    growth: GrowthSettings = field(default_factory=GrowthSettings)
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
     robust: RobustSettings = field(default_factory=lambda: RobustSettings(ms_third=1.85, hidden_share=0.1))
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
+    pv_range: tuple[float, float] = EVERYWHERE
 
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""

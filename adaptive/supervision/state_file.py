@@ -104,7 +104,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     return ProcessModel(ProcessType(body["type"]), k, tau1, tau2, theta, float(body.get("zeta", 1.0)))
 
 
-VERSION = 7
+VERSION = 8
 """Of this layout; newer ones are refused."""
 
 

@@ -1,10 +1,14 @@
 """Where a change of gains stands in its region: one enum of phases, one of events, one table.
 
     IDLE -> WRITING -> TRIAL -> IDLE (or WAITING for a person)      the good way
-    any abort cause in WRITING, TRIAL or AWAY -> RESTORING -> COOLING -> IDLE (or LOCKED)
+    a cause that ends trials, in WRITING, TRIAL, AWAY or PAUSED     way_back.py says which set is to run:
+        another one than the tried set -> RESTORING -> COOLING -> IDLE (or LOCKED)
+        the tried set stays            -> PAUSED (or ENSURING first, where it may not run) -> TRIAL
+    a person's edit, in any phase      -> HELD -> IDLE
 
-The old set is put back by ENTERING RESTORING, whatever led there, and RESTORING is left in one way only: the controller
-has reported that it runs the verified set again. Everything else that can happen there leaves it where it is.
+What is to run is put into the table by ENTERING the phase, whatever led there. RESTORING and ENSURING are left in one
+way only: the controller has reported that it runs that set. Everything else that can happen there leaves them where
+they are, but a person's edit.
 """
 
 from enum import StrEnum
@@ -17,10 +21,13 @@ class TrialPhase(StrEnum):
     WRITING = "writing"
     TRIAL = "on trial"
     AWAY = "on trial, the loop is in another region"
+    PAUSED = "on trial, nobody can see how it does"
+    ENSURING = "on trial, the controller may not run it"
     RESTORING = "restoring the verified set"
     COOLING = "cooling down"
     WAITING = "passed, waiting for a person"
     LOCKED = "locked out"
+    HELD = "held: a person set these gains"
 
 
 class TrialEvent(StrEnum):
@@ -28,6 +35,7 @@ class TrialEvent(StrEnum):
 
     PROPOSED = "a change is to be written"
     URGENT = "an urgent change in the safe direction is to be written"
+    ORDERED = "a person wants a change written"
     WRITTEN = "the controller runs the tried set, as read back"
     NOT_WRITTEN = "nothing was written, the controller runs what it ran"
     GOOD = "a response was better than promised"
@@ -35,14 +43,18 @@ class TrialEvent(StrEnum):
     INCONCLUSIVE = "a response says nothing for or against"
     PASSED = "enough responses kept the promise"
     PASSED_FOR_APPROVAL = "enough responses kept the promise; a person has the next word"
+    UNDECIDED = "enough responses said nothing for or against: the tried set stays"
+    UNDECIDED_FOR_APPROVAL = "nothing was said for or against; a person has the next word"
     LEFT = "the loop left the region"
     ENTERED = "the loop came back to the region"
     WORSE = "a response was worse than promised"
     RUNAWAY = "the loop began to run away"
     SATURATED = "the output stood at a limit"
     MANUAL = "the loop was taken to manual"
-    LOST_TELEMETRY = "samples are missing"
+    GAP = "samples were missing"
+    LOST_TELEMETRY = "no samples come any more"
     LINK_LOST = "the link was lost"
+    LEASE_LOST = "another host holds the lease"
     RESTARTED = "the controller restarted"
     DEVICE_REVERTED = "the controller went back to its confirmed set"
     OPERATOR_EDIT = "somebody else wrote gains"
@@ -51,53 +63,73 @@ class TrialEvent(StrEnum):
     TIMED_OUT = "no response decided the trial in time"
     STOPPED = "the session ends"
     ORDERED_BACK = "a person wants the old set back"
-    RESTORED = "the controller runs the verified set, as read back"
+    STAYS = "the tried set stays"
+    ENSURED = "the tried set stays, and it is made sure that it runs"
+    WATCHED = "the loop can be watched again"
+    RESTORED = "the controller runs what it should, as read back"
     COOLED = "the cool-down is over"
     TOO_MANY_UNDOS = "too many changes had to be undone"
     APPROVED = "a person approved what was tried"
     UNLOCKED = "a person took the lock off"
+    HOLD_OVER = "the time for which a person's gains are held is over"
 
 
 P, E = TrialPhase, TrialEvent
 
 UNDOS = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
-ABORTS = (
-    *UNDOS,
+BLIND = (E.LOST_TELEMETRY, E.DEVICE_REVERTED, E.STOPPED)
+"""Causes that say nothing of the set, after which nobody watches it for a time that nobody knows."""
+WATCHED_ON = (
     E.SATURATED,
     E.MANUAL,
-    E.LOST_TELEMETRY,
+    E.GAP,
     E.LINK_LOST,
+    E.LEASE_LOST,
     E.RESTARTED,
-    E.DEVICE_REVERTED,
-    E.OPERATOR_EDIT,
     E.WRITE_UNKNOWN,
     E.LEFT_INTERPOLATED,
     E.TIMED_OUT,
-    E.STOPPED,
-    E.ORDERED_BACK,
 )
-"""Causes that end an undecided trial on the verified old set."""
-UNDECIDED = (P.WRITING, P.TRIAL, P.AWAY)
+"""Causes that say nothing of the set, after which it is watched on, or again."""
+ABORTS = (*UNDOS, *BLIND, *WATCHED_ON, E.ORDERED_BACK)
+"""Causes that end an undecided trial where the tried set does not stay."""
+UNSURE = (E.LINK_LOST, E.LEASE_LOST, E.LOST_TELEMETRY, E.RESTARTED, E.DEVICE_REVERTED, E.WRITE_UNKNOWN, E.STOPPED)
+"""Of these, those after which the controller may run something else, or may come to."""
+UNDECIDED = (P.WRITING, P.TRIAL, P.AWAY, P.PAUSED, P.ENSURING)
 """Phases in which a set that has not passed may run, or would be written again."""
+TO_BE_SEEN = (P.RESTORING, P.ENSURING)
+"""Phases that wait until the controller has reported what it runs."""
 
 TRANSITIONS: dict[tuple[TrialPhase, TrialEvent], TrialPhase] = {
     (P.IDLE, E.PROPOSED): P.WRITING,
     (P.IDLE, E.URGENT): P.WRITING,
     (P.COOLING, E.URGENT): P.WRITING,
+    (P.IDLE, E.ORDERED): P.WRITING,
+    (P.HELD, E.ORDERED): P.WRITING,
     (P.WRITING, E.WRITTEN): P.TRIAL,
     (P.WRITING, E.NOT_WRITTEN): P.IDLE,
     (P.TRIAL, E.LEFT): P.AWAY,
+    (P.PAUSED, E.LEFT): P.AWAY,
     (P.AWAY, E.ENTERED): P.TRIAL,
     (P.TRIAL, E.PASSED): P.IDLE,
     (P.TRIAL, E.PASSED_FOR_APPROVAL): P.WAITING,
+    (P.TRIAL, E.UNDECIDED): P.IDLE,
+    (P.TRIAL, E.UNDECIDED_FOR_APPROVAL): P.WAITING,
     **{(phase, cause): P.RESTORING for phase in UNDECIDED for cause in ABORTS},
+    (P.TRIAL, E.STAYS): P.PAUSED,
+    **{(phase, E.ENSURED): P.ENSURING for phase in (P.TRIAL, P.PAUSED)},
+    (P.RESTORING, E.ENSURED): P.ENSURING,
+    (P.PAUSED, E.WATCHED): P.TRIAL,
     (P.WAITING, E.APPROVED): P.IDLE,
     (P.WAITING, E.ORDERED_BACK): P.RESTORING,
     (P.RESTORING, E.RESTORED): P.COOLING,
+    (P.ENSURING, E.RESTORED): P.PAUSED,
     (P.COOLING, E.TOO_MANY_UNDOS): P.LOCKED,
     (P.COOLING, E.COOLED): P.IDLE,
     (P.LOCKED, E.UNLOCKED): P.IDLE,
+    **{(phase, E.OPERATOR_EDIT): P.HELD for phase in TrialPhase if phase not in {P.HELD, P.LOCKED}},
+    (P.HELD, E.HOLD_OVER): P.IDLE,
 }
 """Everything that is not here leaves the phase as it is."""
 

@@ -112,7 +112,7 @@ def against(found: PosteriorCheck, promised: Promise, settings: TrialSettings) -
     words = _less_robust(found, robustness.ms_limit)
     if words:
         return Objection(words, PosteriorNumbers(robustness))
-    said = _promised_cost(promised)
+    said = promised_cost(promised)
     limit = settings.iae_slack * max(said, 1.0)
     cost = CostNumbers(found.slower, limit, said or None) if found.slower else None
     return Objection(_slower(found, promised, limit, settings), PosteriorNumbers(robustness, cost))
@@ -153,7 +153,7 @@ def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
     return f"robust: Ms is {found.ms_most:.2f} at most by every model that is still allowed"
 
 
-def _promised_cost(promised: Promise) -> float:
+def promised_cost(promised: Promise) -> float:
     """J of the new set over the old one as promised, on the best model; 0 where it is not known."""
     return _mean_ratio(
         (promised.setpoint.iae.best, promised.load_step.iae.best),

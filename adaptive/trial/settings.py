@@ -21,7 +21,12 @@ class TrialSettings:
     cool_down_s : no change for this long after an abort, s; None takes cool_down_tau_i times tau_I of the restored set.
     cool_down_tau_i : default 20. cool_down_most : most doublings of it by undos; default 6.
     lock_out_after : undos in a row after which a region is locked; 1 to 20, default 3.
-    timeout_s : an undecided trial ends after this long, s; default 86400 (a day, so all shifts).
+    inconclusive : responses that may say nothing for or against before the trial is over; 1 to 100, default 5. What
+        nothing speaks against stays then.
+    settles : where a person has the next word, a trial that no response decides waits for him after so many promised
+        settling times; 1 to 10000, default 50. Without one it goes on: time alone says nothing of a set.
+    edit_hold_s : gains that a person has set are held for this long, s; 0 to 1e8, default 28800 (a shift), twice as
+        long after each further time that he took ours away.
     grows : ratio of successive peaks from which two in a row are a runaway; above 1, default 1.05.
     stays : and from which `stays_for` in a row are one; defaults 0.95 and 5.
     limited_settles : the output may stand at a limit for so many promised settling times; 1 to 20, default 2.
@@ -45,7 +50,9 @@ class TrialSettings:
     cool_down_tau_i: float = 20.0
     cool_down_most: int = 6
     lock_out_after: int = 3
-    timeout_s: float = 86400.0
+    inconclusive: int = 5
+    settles: float = 50.0
+    edit_hold_s: float = 28800.0
     grows: float = 1.05
     stays: float = 0.95
     stays_for: int = 5
@@ -65,7 +72,9 @@ class TrialSettings:
             ("cool_down_tau_i", 1, 1000),
             ("cool_down_most", 0, 20),
             ("lock_out_after", 1, 20),
-            ("timeout_s", 1, 1e8),
+            ("inconclusive", 1, 100),
+            ("settles", 1, 10000),
+            ("edit_hold_s", 0, 1e8),
             ("grows", 1, 2),
             ("stays", 0.8, 1),
             ("stays_for", 3, 20),

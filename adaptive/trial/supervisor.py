@@ -1,12 +1,15 @@
 """The trials of one loop: which region's change is being written, on trial, taken back, cooling down.
 
-A thin shell round phase.py (what follows what), judge.py and watch.py (what a response and a sample say). It keeps one
-Trial a region and has one effect: ENTERING the restoring phase puts the verified set back into the table, at once and
-whatever led there, so that nothing writes the tried set any more. That the controller runs it is told by `restored`.
+A thin shell round phase.py (what follows what), judge.py and runaway.py (what a response and a sample say), way_back.py
+(which set is to run after a cause that is no response). It keeps one Trial a region and has one effect: ENTERING the
+phase puts what is to run into the table, at once and whatever led there, so that nothing writes anything else. That the
+controller runs it is told by `restored`.
 
     cool-down = base x 2^(undos - 1), base from the settings or the restored set's integral time
+    hold of a person's gains = edit_hold_s x 2^(edits - 1)
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -14,10 +17,20 @@ from typing import Any
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, judge
-from retuner.adaptive.trial.phase import UNDECIDED, UNDOS, TrialEvent, TrialPhase, after
+from retuner.adaptive.trial.phase import (
+    ABORTS,
+    TO_BE_SEEN,
+    UNDECIDED,
+    UNDOS,
+    UNSURE,
+    TrialEvent,
+    TrialPhase,
+    after,
+)
 from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed, WayBack, way_back
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
@@ -30,7 +43,23 @@ FINDINGS = {
     TrialFinding.INCONCLUSIVE: E.INCONCLUSIVE,
 }
 KEPT = (E.GOOD, E.AS_PROMISED)
-WITH_GAINS = (E.PROPOSED, E.URGENT, E.WRITTEN)
+WITH_GAINS = (E.PROPOSED, E.URGENT, E.ORDERED, E.WRITTEN, E.OPERATOR_EDIT)
+DECIDED = (E.STAYS, E.ENSURED)
+"""What may be decided instead of ending a trial."""
+MOST_EDITS = 6
+"""Doublings of the time for which a person's gains are held."""
+
+
+def nothing_known(region: int) -> StillAllowed:
+    """No models at all."""
+    del region
+    return NOTHING_KNOWN
+
+
+def nobody(region: int) -> bool:
+    """No person has the next word."""
+    del region
+    return False
 
 
 class TrialSupervisor:
@@ -39,15 +68,22 @@ class TrialSupervisor:
     Parameters
     ----------
     settings : see TrialSettings. sample_time_s : of the controller.
-    put_back : puts a region's verified set into the table; called on entering the restoring phase.
+    put_back : puts the set that is to run into the table; called on entering a phase.
+    known : what is known of a region's process, when it is to be decided which of its sets runs.
+    asks : whether a person has the next word on a region's trial.
     """
 
     def __init__(
-        self, settings: TrialSettings, sample_time_s: float, put_back: Callable[[int, PidGains], None]
+        self,
+        settings: TrialSettings,
+        sample_time_s: float,
+        put_back: Callable[[int, PidGains], None],
+        known: Callable[[int], StillAllowed] = nothing_known,
+        asks: Callable[[int], bool] = nobody,
     ) -> None:
         self.settings = settings
         self._shortest_s = LEAST_SAMPLES * sample_time_s
-        self._put_back = put_back
+        self._put_back, self._known, self._asks = put_back, known, asks
         self._trials: dict[int, Trial] = {}
         self._at: int | None = None
         self.busy = False
@@ -68,46 +104,92 @@ class TrialSupervisor:
 
     @property
     def restoring(self) -> tuple[int, ...]:
-        """Regions whose verified set the controller has not yet reported to run again."""
-        return tuple(region for region, trial in self._trials.items() if trial.phase == P.RESTORING)
+        """Regions of which the controller has not yet reported that it runs what it should."""
+        return tuple(region for region, trial in self._trials.items() if trial.phase in TO_BE_SEEN)
 
-    def may_change(self, region: int, t_s: float, *, urgent: bool = False) -> bool:
+    @property
+    def left_open(self) -> tuple[int, ...]:
+        """Regions of which it is not settled what runs when the session ends: all but those where a set stays."""
+        restoring = self.restoring
+        return restoring + tuple(region for region in self.concerned(E.STOPPED) if region not in restoring)
+
+    def may_change(self, region: int, t_s: float, *, urgent: bool = False, ordered: bool = False) -> bool:
         """Whether a change of the region's gains may be asked for now. urgent : in the safe direction, of a loop that
-        swings: need not wait for the cool-down.
+        swings: need not wait for the cool-down. ordered : by a person, who may change what he has set.
         """
-        trial = self.of(region)
-        if trial.phase == P.COOLING and t_s >= trial.until_s:
-            self._move(region, E.COOLED, t_s)
-        event = E.URGENT if urgent else E.PROPOSED
-        wire_is_free = not any(trial.phase in {P.WRITING, P.RESTORING} for trial in self._trials.values())
-        return wire_is_free and after(self.phase(region), event) == P.WRITING
+        self._time_over(region, t_s)
+        wire_is_free = not any(trial.phase in {P.WRITING, *TO_BE_SEEN} for trial in self._trials.values())
+        return wire_is_free and after(self.phase(region), _asked(urgent, ordered)) == P.WRITING
+
+    def held_by_a_person(self, region: int, t_s: float) -> bool:
+        """Whether the region's gains are a person's, and nothing but a proposal may follow now."""
+        self._time_over(region, t_s)
+        return self.phase(region) == P.HELD
 
     def begin(
-        self, region: int, old: PidGains, new: PidGains, promised: Promise, t_s: float, *, urgent: bool = False
+        self,
+        region: int,
+        old: PidGains,
+        new: PidGains,
+        promised: Promise,
+        t_s: float,
+        *,
+        urgent: bool = False,
+        ordered: bool = False,
     ) -> None:
-        """A change of a region's gains from `old` (verified, as the table has them) to `new` is to be written.
+        """A change of a region's gains from `old` (as the table has them) to `new` is to be written.
 
         Raises
         ------
         ValueError
             The region may not be changed now; see may_change.
         """
-        if not self.may_change(region, t_s, urgent=urgent):
+        if not self.may_change(region, t_s, urgent=urgent, ordered=ordered):
             raise ValueError(f"region {region} may not be changed now: {self.phase(region)}")
         self._trials[region] = replace(
-            self.of(region), old=old, new=new, promise=promised, since_s=t_s, kept=0, cause=None, seen=None
+            self.of(region),
+            old=old,
+            new=new,
+            ran=False,
+            promise=promised,
+            since_s=t_s,
+            kept=0,
+            silent=0,
+            cause=None,
+            back=None,
+            seen=None,
         )
-        self._move(region, E.URGENT if urgent else E.PROPOSED, t_s)
+        self._move(region, _asked(urgent, ordered), t_s)
 
     def written(self, region: int, gains: PidGains, t_s: float) -> bool:
-        """The controller runs the tried set, as read back; whether it is on trial now (not when it was given up)."""
-        if self.phase(region) == P.WRITING:
-            self._trials[region] = replace(self.of(region), new=gains)
+        """The controller runs the tried set, as read back; whether it is to run from now on.
+
+        A write that was given up may come through after all: then that set has run as well, and is decided upon anew.
+        """
+        trial = self.of(region)
+        if trial.phase == P.WRITING:
+            self._trials[region] = replace(trial, new=gains, ran=True)
             self._move(region, E.WRITTEN, t_s)
             if self._at is not None and self._at != region:
                 self._move(region, E.LEFT, t_s)
             return True
-        return False
+        cause = trial.cause
+        if trial.phase != P.RESTORING or trial.ran or cause is None or cause in UNDOS:
+            return False
+        self._trials[region] = replace(trial, new=gains, ran=True)
+        found = self._way_back(region, cause)
+        if found.stays:
+            self._trials[region] = replace(self.of(region), back=found)
+            self._move(region, E.ENSURED, t_s)
+        return found.stays
+
+    def edited(self, region: int, now: PidGains, ours: PidGains, t_s: float) -> None:
+        """A person has set other gains in a region, and they run. ours : those that were in force before."""
+        trial = self.of(region)
+        edits = trial.edits + (trial.ran and ours == trial.new and trial.cause != E.OPERATOR_EDIT)
+        kept = replace(trial.with_earlier(ours), old=ours, new=now, ran=True, promise=None, edits=edits, back=None)
+        self._trials[region] = replace(kept, until_s=t_s + self._hold_s(edits), cause=E.OPERATOR_EDIT)
+        self._move(region, E.OPERATOR_EDIT, t_s)
 
     def event(self, region: int, event: TrialEvent, t_s: float) -> bool:
         """Anything that happened to one region; whether its phase changed.
@@ -118,21 +200,43 @@ class TrialSupervisor:
             The event comes with gains: use `begin` and `written`.
         """
         if event in WITH_GAINS:
-            raise ValueError(f"{event.name} comes with gains; use begin() or written()")
+            raise ValueError(f"{event.name} comes with gains; use begin(), written() or edited()")
+        if event in DECIDED:
+            raise ValueError(f"{event.name} is decided here; tell the cause")
+        if event in ABORTS and self.phase(region) in UNDECIDED:
+            return self._end(region, event, t_s)
         return self._move(region, event, t_s)
 
+    def concerned(self, cause: TrialEvent) -> tuple[int, ...]:
+        """Regions with an undecided change to which a cause that ends trials has not been put yet."""
+        return tuple(region for region in self.undecided if not self._decided(region, cause))
+
     def abort(self, cause: TrialEvent, t_s: float) -> tuple[int, ...]:
-        """A cause that ends every undecided trial; the regions that are being taken back from now on."""
-        return tuple(region for region in self.undecided if self._move(region, cause, t_s))
+        """A cause that ends undecided trials; the regions where it is decided anew what is to run."""
+        return tuple(region for region in self.concerned(cause) if self._end(region, cause, t_s))
 
     def restored(self, t_s: float) -> tuple[int, ...]:
-        """The controller runs the table's set as read back: what was to be taken back is; the regions."""
+        """The controller runs the table's set as read back: what was to run does; the regions."""
         return tuple(region for region in self.restoring if self._move(region, E.RESTORED, t_s))
+
+    def no_way_back(self, region: int) -> str:
+        """Why a person's order does not lead back to the set before the trial; empty when it does.
+
+        It does not where that set is unstable on every model that is still allowed, and the tried one is not.
+        """
+        trial = self.of(region)
+        if trial.old is None or trial.new is None or not trial.ran:
+            return ""
+        known = self._known(region)
+        before, tried = known.ms(trial.old), known.ms(trial.new)
+        if not before or not all(map(math.isinf, before)) or all(map(math.isinf, tried)):
+            return ""
+        return "on every model of the process that is still allowed the gains before would be unstable"
 
     def look(
         self, sample: LoopSample, region: int | None, band: float, elapsed_s: float, gap_s: float, *, blended: bool
     ) -> dict[int, TrialEvent]:
-        """One sample while a trial is undecided: the regions whose trial it ends, with the cause.
+        """One sample while a trial is undecided: the regions where it was decided what is to run, with the cause.
 
         region : where the loop is now. elapsed_s : since the last sample; more than gap_s is a gap. blended : the
         table interpolates, so a region's set takes part beyond its borders.
@@ -142,7 +246,7 @@ class TrialSupervisor:
         ended: dict[int, TrialEvent] = {}
         for at in self.undecided:
             found = cause or self._region_cause(at, sample, region, band, blended=blended)
-            if found is not None and self._move(at, found, sample.t_s):
+            if found is not None and not self._decided(at, found) and self._end(at, found, sample.t_s):
                 ended[at] = found
         return ended
 
@@ -157,13 +261,30 @@ class TrialSupervisor:
             return None
         found = judge(seen, trial.promise, ran, self.settings)
         event = FINDINGS[found.finding]
-        self._move(region, event, t_s)
-        if event in KEPT:
+        if event in UNDOS:
+            self._end(region, event, t_s)
+        elif event in KEPT:
             kept = trial.kept + 1
-            self._trials[region] = replace(self.of(region), kept=kept)
+            self._trials[region] = replace(trial, kept=kept)
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
+        else:
+            return self.silent(region, found, t_s)
         return found
+
+    def silent(self, region: int, found: Judgement, t_s: float) -> Judgement:
+        """A response said nothing for or against: enough of them end the trial. found : why it did not; with that."""
+        trial = self.of(region)
+        if trial.phase != P.TRIAL:
+            return found
+        self._trials[region] = replace(trial, silent=trial.silent + 1)
+        if trial.silent + 1 < self.settings.inconclusive or not self._end(region, E.TIMED_OUT, t_s):
+            return found
+        phase = self.phase(region)
+        what = "is taken back" if phase == P.RESTORING else f"stays ({phase})"
+        return replace(
+            found, reason=f"{found.reason}; {trial.silent + 1} responses decided nothing, and the set on trial {what}"
+        )
 
     def to_dict(self) -> dict[str, object]:
         """All that later decisions depend on, in plain JSON values."""
@@ -181,31 +302,69 @@ class TrialSupervisor:
         self._trials = {int(region): Trial.from_dict(trial) for region, trial in body["trials"].items()}
         self._notice()
 
+    def _time_over(self, region: int, t_s: float) -> None:
+        """A cool-down or hold ends by itself."""
+        trial = self.of(region)
+        if trial.phase in {P.COOLING, P.HELD} and t_s >= trial.until_s:
+            self._move(region, E.COOLED if trial.phase == P.COOLING else E.HOLD_OVER, t_s)
+
+    def _decided(self, region: int, cause: TrialEvent) -> bool:
+        """Whether a cause goes on that has been put to the region already."""
+        trial = self.of(region)
+        stays = trial.back is not None and trial.back.stays
+        return stays and trial.cause == cause and trial.phase in {P.PAUSED, P.AWAY, P.ENSURING}
+
+    def _way_back(self, region: int, cause: TrialEvent) -> WayBack:
+        """What is to run after a cause."""
+        return way_back(cause, self.of(region).sets, self._known(region), self.settings)
+
+    def _end(self, region: int, cause: TrialEvent, t_s: float) -> bool:
+        """A cause that may end an undecided trial; whether anything was decided by it."""
+        found = self._way_back(region, cause)
+        if not found.stays or cause in UNDOS:
+            return self._move(region, cause, t_s, found)
+        self._trials[region] = replace(self.of(region), cause=cause, back=found)
+        if cause == E.TIMED_OUT:
+            return self._move(region, E.UNDECIDED_FOR_APPROVAL if self._asks(region) else E.UNDECIDED, t_s)
+        event = E.ENSURED if cause in UNSURE else E.STAYS
+        self._move(region, event, t_s)
+        return True
+
     def _loop_cause(self, sample: LoopSample, elapsed_s: float, gap_s: float) -> TrialEvent | None:
-        """What ends every trial of the loop, if anything."""
+        """What concerns every trial of the loop, if anything."""
         if sample.mode != LoopMode.AUTO:
             return E.MANUAL
-        return E.LOST_TELEMETRY if elapsed_s > gap_s else None
+        return E.GAP if elapsed_s > gap_s else None
 
     def _region_cause(
         self, at: int, sample: LoopSample, region: int | None, band: float, *, blended: bool
     ) -> TrialEvent | None:
-        """What ends one region's trial, if anything; comings and goings are taken note of."""
-        trial = self.of(at)
-        if sample.t_s - trial.since_s > self.settings.timeout_s:
-            return E.TIMED_OUT
+        """What concerns one region's trial, if anything; comings and goings are taken note of."""
         if region != at:
-            if blended:
+            left = blended and self.phase(at) in {P.TRIAL, P.PAUSED}
+            if left and not self._way_back(at, E.LEFT_INTERPOLATED).stays:
                 return E.LEFT_INTERPOLATED
             self._move(at, E.LEFT, sample.t_s)
-            return None
+            return self._watch(at, sample, band) if blended and self.phase(at) == P.AWAY else None
         self._move(at, E.ENTERED, sample.t_s)
-        return self._watch(at, sample, band)
+        trial = self.of(at)
+        if trial.phase == P.PAUSED and not (trial.cause == E.SATURATED and sample.limited):
+            self._move(at, E.WATCHED, sample.t_s)
+        return self._watch(at, sample, band) or self._waits(at, sample.t_s)
+
+    def _waits(self, at: int, t_s: float) -> TrialEvent | None:
+        """A trial that no response decides is a person's, where he has the next word."""
+        trial = self.of(at)
+        if trial.phase != P.TRIAL or not self._asks(at) or trial.promise is None:
+            return None
+        patience = trial.promise.patience_s
+        own_s = max(patience if math.isfinite(patience) else 0.0, self._tau_i_s(trial.new), self._shortest_s)
+        return E.TIMED_OUT if t_s - trial.since_s > self.settings.settles * own_s else None
 
     def _watch(self, at: int, sample: LoopSample, band: float) -> TrialEvent | None:
         """The sample under the tried set."""
         trial = self.of(at)
-        if trial.phase != P.TRIAL or trial.promise is None:
+        if trial.phase not in {P.TRIAL, P.AWAY} or trial.promise is None:
             return None
         law = law_of(trial.promise, self.settings, self._shortest_s)
         seen, found = runaway_step(law, trial.seen or runaway_begin(sample.sp), sample, band)
@@ -213,35 +372,54 @@ class TrialSupervisor:
             self._trials[at] = replace(trial, seen=seen)
         return found
 
-    def _move(self, region: int, event: TrialEvent, t_s: float) -> bool:
-        """The one way from phase to phase, with what belongs to entering each."""
+    def _move(self, region: int, event: TrialEvent, t_s: float, back: WayBack | None = None) -> bool:
+        """The one way from phase to phase, with what belongs to entering each. back : what is to run, and why."""
         trial = self.of(region)
         now = after(trial.phase, event)
         if now == trial.phase:
             return False
         trial = replace(trial, phase=now, seen=None)
         if now == P.RESTORING:
-            trial = replace(trial, cause=event, undos=trial.undos + (event in UNDOS))
+            found = back or WayBack(trial.sets.before, stays=False)
+            trial = replace(trial, cause=event, back=found, undos=trial.undos + (event in UNDOS))
         elif now == P.COOLING:
             trial = replace(trial, until_s=t_s + self._cool_down_s(trial))
-        elif event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNLOCKED}:
-            trial = replace(trial, undos=0)
+        elif event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNLOCKED, E.APPROVED}:
+            trial = replace(trial, undos=0, edits=0 if event in {E.UNLOCKED, E.APPROVED} else trial.edits)
+        elif now in {P.AWAY, P.TRIAL}:
+            trial = replace(trial, cause=None, back=None)
+        if event in {E.PASSED, E.PASSED_FOR_APPROVAL, E.UNDECIDED, E.UNDECIDED_FOR_APPROVAL}:
+            trial = trial.with_earlier(trial.old)
         self._trials[region] = trial
         self._notice()
-        if now == P.RESTORING and trial.old is not None:
-            self._put_back(region, trial.old)
+        if now == P.RESTORING and trial.back is not None:
+            self._put_back(region, trial.back.gains)
         if now == P.COOLING and trial.undos >= self.settings.lock_out_after:
             self._move(region, E.TOO_MANY_UNDOS, t_s)
         return True
 
     def _cool_down_s(self, trial: Trial) -> float:
         """Length of the cool-down that begins."""
-        base, old = self.settings.cool_down_s, trial.old
+        base = self.settings.cool_down_s
         if base is None:
-            tau_i = old.kp / old.ki if old is not None and old.ki else 0.0
-            base = max(self.settings.cool_down_tau_i * tau_i, self._shortest_s)
+            tau_i_s = self._tau_i_s(trial.back.gains if trial.back else trial.old)
+            base = max(self.settings.cool_down_tau_i * tau_i_s, self._shortest_s)
         return base * 2.0 ** min(max(trial.undos - 1, 0), self.settings.cool_down_most)
+
+    def _hold_s(self, edits: int) -> float:
+        """For how long a person's gains are held."""
+        return self.settings.edit_hold_s * 2.0 ** min(max(edits - 1, 0), MOST_EDITS)
+
+    @staticmethod
+    def _tau_i_s(gains: PidGains | None) -> float:
+        """Integral time, 0 without one."""
+        return gains.kp / gains.ki if gains is not None and gains.ki else 0.0
 
     def _notice(self) -> None:
         """Whether there is anything to watch."""
         self.busy = bool(self.undecided or self.restoring)
+
+
+def _asked(urgent: bool, ordered: bool) -> TrialEvent:
+    """The event with which a change is asked for."""
+    return E.ORDERED if ordered else E.URGENT if urgent else E.PROPOSED

@@ -1,35 +1,68 @@
-"""One region's trial as a value: its phase, the verified set and the tried one, what was promised, what was seen."""
+"""One region's trial as a value: its phase, the set before and the tried one, what was promised, what was seen."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.adaptive.trial.runaway import RunawayState
+from retuner.adaptive.trial.way_back import SetsThatRan, WayBack, WayBackNumbers
 from retuner.schedule.gains import PidGains
+
+MOST_EARLIER = 4
+"""Sets that are remembered of those that ran in a region."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
     """See the head of this file.
 
-    old : the verified set, as the table had it; new : the tried one. since_s : when the change was asked for, s.
-    kept : responses that kept the promise. undos : changes undone in a row in this region, since one has passed.
-    until_s : end of the cool-down, s. cause : why the set was or is taken back. seen : where the watch stands.
+    old : the set before, as the table had it; new : the tried one. ran : whether it is known to have run.
+    since_s : when the change was asked for, s.
+    kept : responses that kept the promise; silent : that said nothing for or against it.
+    undos : changes undone in a row in this region, since one has passed. edits : how often a person took ours away.
+    until_s : end of the cool-down, or of the time for which a person's gains are held, s.
+    cause : the last one that could have ended the trial. back : what it led to (see way_back.py).
+    earlier : sets that ran here before the old one, the newest first. seen : where the watch stands.
     """
 
     phase: TrialPhase = TrialPhase.IDLE
     old: PidGains | None = None
     new: PidGains | None = None
     promise: Promise | None = None
+    ran: bool = False
     since_s: float = 0.0
     kept: int = 0
+    silent: int = 0
     undos: int = 0
+    edits: int = 0
     until_s: float = 0.0
     cause: TrialEvent | None = None
+    back: WayBack | None = None
+    earlier: tuple[PidGains, ...] = ()
     seen: RunawayState | None = None
+
+    @property
+    def sets(self) -> SetsThatRan:
+        """Those among which it is decided what is to run.
+
+        Raises
+        ------
+        ValueError
+            Nothing was ever changed here.
+        """
+        if self.old is None:
+            raise ValueError("nothing was ever changed here")
+        swung = self.promise.decay_seen if self.promise else None
+        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung)
+
+    def with_earlier(self, gains: PidGains | None) -> "Trial":
+        """The same with one more set that ran here."""
+        if gains is None:
+            return self
+        return replace(self, earlier=(gains, *(one for one in self.earlier if one != gains))[:MOST_EARLIER])
 
     def to_dict(self) -> dict[str, object]:
         """Plain JSON values."""
@@ -38,11 +71,16 @@ class Trial:
             "old": _gains_out(self.old),
             "new": _gains_out(self.new),
             "promise": self.promise.to_dict() if self.promise else None,
+            "ran": self.ran,
             "since_s": self.since_s,
             "kept": self.kept,
+            "silent": self.silent,
             "undos": self.undos,
+            "edits": self.edits,
             "until_s": self.until_s,
             "cause": self.cause.name.lower() if self.cause else None,
+            "back": _back_out(self.back),
+            "earlier": [_gains_out(gains) for gains in self.earlier],
             "seen": _seen_out(self.seen),
         }
 
@@ -60,11 +98,16 @@ class Trial:
             old=_gains_in(body["old"]),
             new=_gains_in(body["new"]),
             promise=Promise.from_dict(body["promise"]) if body["promise"] else None,
+            ran=bool(body["ran"]),
             since_s=float(body["since_s"]),
             kept=int(body["kept"]),
+            silent=int(body["silent"]),
             undos=int(body["undos"]),
+            edits=int(body["edits"]),
             until_s=float(body["until_s"]),
             cause=TrialEvent[str(body["cause"]).upper()] if body["cause"] else None,
+            back=_back_in(body["back"]),
+            earlier=tuple(PidGains(*gains) for gains in body["earlier"]),
             seen=_seen_in(body["seen"]),
         )
 
@@ -77,6 +120,22 @@ def _gains_out(gains: PidGains | None) -> list[float] | None:
 def _gains_in(values: list[float] | None) -> PidGains | None:
     """And back."""
     return PidGains(*values) if values else None
+
+
+def _back_out(back: WayBack | None) -> dict[str, object] | None:
+    """By name."""
+    if back is None:
+        return None
+    numbers = back.numbers.to_dict() if back.numbers else None
+    return {"gains": _gains_out(back.gains), "stays": back.stays, "reason": back.reason, "numbers": numbers}
+
+
+def _back_in(body: Mapping[str, Any] | None) -> WayBack | None:
+    """And back."""
+    if body is None:
+        return None
+    numbers = WayBackNumbers(**body["numbers"]) if body["numbers"] else None
+    return WayBack(PidGains(*body["gains"]), bool(body["stays"]), str(body["reason"]), numbers)
 
 
 def _seen_out(seen: RunawayState | None) -> dict[str, float | None] | None:

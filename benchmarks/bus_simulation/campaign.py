@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from bus_simulation.firmware import FIRMWARE, FirmwareDevice
 from bus_simulation.truth import ViolationError
 from bus_simulation.world import World
 from retuner import drivers
@@ -25,10 +26,10 @@ class Outcome(NamedTuple):
     broken: str
 
 
-def run_seed(job: tuple[int, int]) -> Outcome:
-    """One run of (seed, steps)."""
-    seed, steps = job
-    world = World(seed)
+def run_seed(job: tuple[int, int, bool]) -> Outcome:
+    """One run of (seed, steps, whether the firmware in C is the device)."""
+    seed, steps, firmware = job
+    world = World(seed, FirmwareDevice) if firmware else World(seed)
     try:
         return Outcome(seed, dict(world.run(steps)), "")
     except ViolationError as error:
@@ -49,6 +50,8 @@ def fingerprint() -> str:
     for path in sorted((*here.glob("*.py"), *there.rglob("*.py"), *there.glob("*.dbc"))):
         if path.stem in loaded or path.suffix == ".dbc":
             digest.update(path.name.encode() + path.read_bytes())
+    for path in sorted(FIRMWARE.glob("*.[ch]")):
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -58,23 +61,27 @@ class Campaign:
     Parameters
     ----------
     first, seeds, steps : seeds first .. first + seeds - 1, each so many steps.
-    state : file that keeps what is done; None for none.
+    state : file that keeps what is done; None for none. firmware : whether the firmware in C is the device.
     """
 
-    def __init__(self, first: int, seeds: int, steps: int, state: Path | None) -> None:
-        self.first, self.seeds, self.steps = first, seeds, steps
+    def __init__(self, first: int, seeds: int, steps: int, state: Path | None, *, firmware: bool = False) -> None:
+        self.first, self.seeds, self.steps, self._firmware = first, seeds, steps, firmware
         self._state = state
         self.done: set[int] = set()
         self.counts: Counter[str] = Counter()
         self.broken: dict[int, str] = {}
         self.busy_s = 0.0
-        self._key = f"{fingerprint()} {steps}"
+        self._key = f"{fingerprint()} {steps}{' firmware' if firmware else ''}"
         if state is not None and state.exists():
             self._load(json.loads(state.read_text(encoding="utf-8")))
 
     def run(self, processes: int) -> Iterator[Outcome]:
         """Run what is not done yet; outcomes as they come."""
-        todo = [(seed, self.steps) for seed in range(self.first, self.first + self.seeds) if seed not in self.done]
+        todo = [
+            (seed, self.steps, self._firmware)
+            for seed in range(self.first, self.first + self.seeds)
+            if seed not in self.done
+        ]
         began = last_saved = time.monotonic()
         before_s = self.busy_s
         with multiprocessing.Pool(processes) as pool:

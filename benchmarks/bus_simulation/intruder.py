@@ -12,7 +12,7 @@ from bus_simulation.bus import STRANGER as NAME
 from bus_simulation.bus import Bus
 from bus_simulation.truth import Order, Truth
 from retuner.drivers.controller.virtual_device import VirtualDevice
-from retuner.drivers.protocol.checksum import commit_crc, frame_crc, page_crc, set_crc, to_wire
+from retuner.drivers.protocol.checksum import commit_crc, frame_crc, lease_stamp, page_crc, set_crc, to_wire
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import (
     EPOCH_TAG,
@@ -93,6 +93,10 @@ class Intruder:
         holder = self.device.lease.owner
         return holder if holder and self._rng.random() < 0.6 else self._rng.randrange(1, 65536)
 
+    def _stamp(self) -> int:
+        """Of the device's present time, for the lease."""
+        return lease_stamp(self.device.epoch, self.device.sample)
+
     def _noise(self) -> None:
         """Random bytes under our identifiers, half of them with a right checksum."""
         rng = self._rng
@@ -108,7 +112,7 @@ class Intruder:
         seq = (self.device.pages.latest + rng.choice((-1, 0, 0, 1, 1, 2, 40000))) % 65536
         counter, running = rng.randrange(256), self.device.running.seq
         frames: tuple[Frame, ...] = (
-            Lease(owner, rng.choice((self.device.epoch, 7)), rng.choice((0, 5, 300, 65535)), counter),
+            Lease(owner, rng.choice((self._stamp(), 7)), rng.choice((0, 5, 300, 65535)), counter),
             Read(rng.randrange(5), rng.randrange(65536)),
             Stage(rng.randrange(3), owner % OWNER_TAG, rng.uniform(-2, 20), seq),
             Commit(seq, running, rng.randrange(1 << 32)),
@@ -141,7 +145,7 @@ class Intruder:
         gains = to_wire(PidGains(old.kp * rng.uniform(0.5, 2.0), old.ki * rng.uniform(0.5, 2.0), old.kd or 0.1))
         owner = device.lease.owner or rng.randrange(1, 65536)
         if not device.lease.owner:
-            self._say(Lease(owner, device.epoch, 50, rng.randrange(256)))
+            self._say(Lease(owner, self._stamp(), 50, rng.randrange(256)))
         self._send_set(gains, owner)
 
     def _send_set(self, gains: PidGains, owner: int) -> None:

@@ -17,7 +17,7 @@ from cases.plant import HeldPlant
 from online.astrom_hagglund import Member, batch
 from online.counting import counted
 from online.judge import Judge, Judgement
-from online.loop import LostLoop, WatchedLoop
+from online.loop import LostLoop, Supervisor, WatchedLoop
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
 from online.supervisors import Watching, guard_settings, one_region, settings
 from retuner.adaptive.supervision.decision import Decision
@@ -72,7 +72,11 @@ def tasks(
     return [task for task in found if task.member.name.startswith(only)][offset::every]
 
 
-def run(task: Task) -> Row:
+Line = Callable[[Watching, "Task", float], Supervisor]
+"""Through what a watcher hears of its loop, sampled every so many seconds."""
+
+
+def run(task: Task, line: Line | None = None) -> Row:
     """One run; keys spec, ms, j (a value a disturbance), changes, and where verbose the story."""
     dt_s = Judge.theta(task.member.process) / SAMPLES_PER_THETA
     judge = Judge(task.member.process, dt_s)
@@ -80,7 +84,8 @@ def run(task: Task) -> Row:
     gains = PidGains(judge.best.kp * kc, judge.best.ki * kc / tau_i)
     story: list[str] = []
     watching = Watching(one_region(gains), settings(dt_s, PV_SPAN, opened=task.opened), _teller(judge, story))
-    loop = WatchedLoop(HeldPlant(task.member.process, dt_s), watching.retuner.table, dt_s, watching)
+    hears = line(watching, task, dt_s) if line else watching
+    loop = WatchedLoop(HeldPlant(task.member.process, dt_s), watching.retuner.table, dt_s, hears)
     judged = disturbed(loop, judge, task, story)
     first = judge.of(gains)
     return {

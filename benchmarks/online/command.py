@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from online import batch, changes, harm, injected, walks
+from online import batch, changes, harm, injected, loads, own_fault, telemetry, walks
 from online.runner import collect, rows_of
 
 
@@ -84,6 +84,42 @@ def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
     return rows, whole
 
 
+def _loads(options: argparse.Namespace) -> tuple[list[loads.Row], bool]:
+    kinds = loads.KINDS if options.kind == "all" else (options.kind,)
+    wanted = {"opened": options.opened, "verbose": options.verbose}
+    tasks = [task for kind in kinds for task in loads.tasks(options.seed, kind, options.loops, **wanted)][
+        options.offset :: options.every
+    ]
+    rows, whole = collect(loads.run, tasks, options.jobs, options.out, loads.line)
+    _say([f"loads only, seed {options.seed}", *loads.table(rows)])
+    return rows, whole
+
+
+def _own(options: argparse.Namespace) -> tuple[list[own_fault.Row], bool]:
+    kinds = own_fault.KINDS if options.kind == "all" else (options.kind,)
+    tasks = [
+        task for kind in kinds for task in own_fault.tasks(options.seed, kind, options.loops, verbose=options.verbose)
+    ]
+    rows, whole = collect(
+        own_fault.run, tasks[options.offset :: options.every], options.jobs, options.out, own_fault.line
+    )
+    _say([f"loops that swing by their own fault, seed {options.seed}", *own_fault.table(rows)])
+    return rows, whole
+
+
+def _telemetry(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
+    kinds = telemetry.KINDS if options.kind == "all" else (options.kind,)
+    tasks = batch.tasks(options.seed, opened=True, every=options.every, offset=options.offset, verbose=options.verbose)
+    rows, whole = [], True
+    for kind in kinds:
+        out = options.out.with_stem(f"{options.out.stem}-{kind}") if options.out else None
+        shown = batch.line if options.verbose else None
+        some, done = collect(telemetry.work(kind), tasks, 1, out, shown)
+        rows, whole = rows + some, whole and done
+    _say([f"irregular and lost samples, seed {options.seed}", *telemetry.table(rows)])
+    return rows, whole
+
+
 def _tables(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     rows = [row for file in options.files for row in rows_of(file)]
     for title, of, table in (
@@ -92,6 +128,9 @@ def _tables(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
         ("walks", [r for r in rows if r["part"] == "walks"], walks.table),
         ("processes that change", [r for r in rows if r["part"] == "changes"], changes.table),
         ("do no harm", [r for r in rows if r["part"] == "harm"], harm.table),
+        ("loads only", [r for r in rows if r["part"] == "loads"], loads.table),
+        ("loops that swing by their own fault", [r for r in rows if r["part"] == "own"], own_fault.table),
+        ("irregular and lost samples", [r for r in rows if r["part"] == "telemetry"], telemetry.table),
         ("bad changes injected", [r for r in rows if r["part"] == "injected"], injected.table),
     ):
         if of:
@@ -116,6 +155,9 @@ PARTS = {
     "changes": _changes,
     "harm": _harm,
     "injected": _injected,
+    "loads": _loads,
+    "own": _own,
+    "telemetry": _telemetry,
     "tables": _tables,
     "pictures": _pictures,
 }
@@ -152,6 +194,15 @@ def _parser() -> argparse.ArgumentParser:
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
     five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
     five.add_argument("--loops", type=int, default=40, help="changes of each kind")
+    eight = parts.add_parser("loads", parents=[common], help="loads of every kind and no setpoint step, gains off")
+    eight.add_argument("--kind", choices=("all", *loads.KINDS), default="all")
+    eight.add_argument("--loops", type=int, default=20, help="loops of each kind")
+    eight.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+    nine = parts.add_parser("own", parents=[common], help="loops that swing by their own fault, Ms over 3")
+    nine.add_argument("--kind", choices=("all", *own_fault.KINDS), default="all")
+    nine.add_argument("--loops", type=int, default=20, help="loops of each kind")
+    ten = parts.add_parser("telemetry", parents=[common], help="the batch with irregular times and lost samples")
+    ten.add_argument("--kind", choices=("all", *telemetry.KINDS), default="all")
     seven = parts.add_parser("tables", help="the tables again, of rows from files")
     seven.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
     six = parts.add_parser("pictures", help="the pictures of docs/online.md")

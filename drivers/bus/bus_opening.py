@@ -25,15 +25,21 @@ def open_bus(interface: str, channel: str, hop_limit: int, options: Mapping[str,
     BusError
         It cannot be opened; the line says why and what to do.
     """
-    arguments = dict(options)
-    if interface == UDP_MULTICAST:
-        arguments["hop_limit"] = hop_limit
     try:
-        return can.Bus(interface=interface, channel=channel, **arguments)
+        if interface == UDP_MULTICAST:
+            return open_group(channel, hop_limit=hop_limit, **options)
+        return can.Bus(interface=interface, channel=channel, **options)
     except BUS_ERRORS as error:
         raise BusError(
             f"bus {interface} {channel}: cannot open it: {error}; {_advice(interface, channel, error)}"
         ) from error
+
+
+def open_group(channel: str, **options: Any) -> can.BusABC:
+    """A multicast group as a bus of this machine."""
+    from retuner.drivers.bus.multicast import GroupBus  # noqa: PLC0415  only who uses it needs its package
+
+    return GroupBus(channel, **options)
 
 
 def known_interfaces() -> list[str]:

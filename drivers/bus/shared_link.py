@@ -77,6 +77,14 @@ class LinkPort:
         """Send a frame; False when the bus did not take it."""
         return self._share.link.send(message)
 
+    def expect_silence(self) -> None:
+        """See CanLink; it holds for the whole shared link."""
+        self._share.link.expect_silence()
+
+    def wait_until(self, t_s: float) -> None:
+        """Return when a frame may be there, for whichever port, or the clock has reached t_s."""
+        self._share.link.wait_until(t_s)
+
     def give(self, message: can.Message) -> None:
         """A frame for this node."""
         if len(self._waiting) >= WAITING_MAX:

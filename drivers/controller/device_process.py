@@ -1,10 +1,11 @@
 """Lets a virtual device run on a bus: in lock-step with simulated time, or against the machine's clock."""
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from retuner.drivers.bus.bus import CanLink
+from retuner.drivers.bus.shared_link import LinkPort
 from retuner.drivers.clock import Clock
 from retuner.drivers.controller.virtual_device import VirtualDevice
 
@@ -22,10 +23,10 @@ class DeviceOnBus:
     Parameters
     ----------
     device : firmware and plant.
-    link : open bus, used by this device alone.
+    link : open bus, used by this device alone; or a port of its own on a shared one.
     """
 
-    def __init__(self, device: VirtualDevice, link: CanLink) -> None:
+    def __init__(self, device: VirtualDevice, link: CanLink | LinkPort) -> None:
         self.device, self.link = device, link
         link.expect_silence()
 
@@ -52,25 +53,37 @@ class RunReport(NamedTuple):
 def run_device(
     on_bus: DeviceOnBus, clock: Clock, *, until_s: float = float("inf"), stop: Callable[[], bool] = lambda: False
 ) -> RunReport:
-    """Run a device until the clock reads until_s or stop() says so: a sample every sample time, answers in between.
+    """Run one device: see run_devices."""
+    return run_devices([on_bus], clock, until_s=until_s, stop=stop)
+
+
+def run_devices(
+    devices: Sequence[DeviceOnBus],
+    clock: Clock,
+    *,
+    until_s: float = float("inf"),
+    stop: Callable[[], bool] = lambda: False,
+) -> RunReport:
+    """Run devices until the clock reads until_s or stop() says so: samples at their times, answers in between.
 
     The sampling is kept from the first instant on, so small delays do not add up. When the machine falls behind by more
     than LATE_SAMPLES, the missed instants are skipped and counted: a real controller cannot make up for them either.
     """
-    period_s = on_bus.device.settings.sample_time_s
-    next_s = clock.now_s() + period_s
+    periods_s = [one.device.settings.sample_time_s for one in devices]
+    next_s = [clock.now_s() + period_s for period_s in periods_s]
     samples = overruns = 0
-    while next_s <= until_s and not stop():
-        clock_s = clock.now_s()
-        if clock_s < next_s:
-            on_bus.link.wait_until(next_s)
-            on_bus.answer()
+    while min(next_s) <= until_s and not stop():
+        i = next_s.index(min(next_s))
+        if clock.now_s() < next_s[i]:
+            devices[0].link.wait_until(next_s[i])
+            for one in devices:
+                one.answer()
             continue
-        on_bus.sample()
+        devices[i].sample()
         samples += 1
-        next_s += period_s
-        late = (clock.now_s() - next_s) / period_s
+        next_s[i] += periods_s[i]
+        late = (clock.now_s() - next_s[i]) / periods_s[i]
         if late > LATE_SAMPLES:
             overruns += int(late)
-            next_s += int(late) * period_s
+            next_s[i] += int(late) * periods_s[i]
     return RunReport(samples, overruns)

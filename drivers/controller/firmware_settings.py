@@ -28,7 +28,6 @@ class VirtualDeviceSettings:
     lease_longest_samples : longest lease that it grants.
     trial_samples : samples within which a host must confirm a new set, or the confirmed one runs again; 0 for ever.
     key : secret that commits must be authenticated with; None for none.
-    lock_samples : samples of the first lock-out after wrong codes.
 
     Raises
     ------
@@ -51,7 +50,6 @@ class VirtualDeviceSettings:
     lease_longest_samples: int = 6000
     trial_samples: int = 0
     key: bytes | None = field(default=None, repr=False)
-    lock_samples: int = 100
 
     def __post_init__(self) -> None:
         if not 1e-4 <= self.sample_time_s <= 3600:
@@ -62,7 +60,7 @@ class VirtualDeviceSettings:
             raise ValueError(f"device: sp_min = {self.sp_min} must be below sp_max = {self.sp_max}")
         if not 1 <= self.heartbeat_samples <= 100:
             raise ValueError(f"device: heartbeat_samples = {self.heartbeat_samples}; give 1 to 100")
-        for name, low in (("lease_longest_samples", 1), ("trial_samples", 0), ("lock_samples", 1)):
+        for name, low in (("lease_longest_samples", 1), ("trial_samples", 0)):
             if not low <= getattr(self, name) <= SAMPLES_MAX:
                 raise ValueError(f"device: {name} = {getattr(self, name)}; give {low} to {SAMPLES_MAX}")
         self.law_of(self.gains)

@@ -1,10 +1,12 @@
 """The device's side of the lease: which one host may command, and until when, counted in controller samples.
 
-A lease is asked for, prolonged and given back with LEASE frames. Their counter must be newer each time, so a repeater
-on the bus does not keep a dead host's lease alive (AUTOSAR E2E: a repeated frame is never a good one), and their boot
-epoch must be this one, so no frame of before a restart takes the lease.
+A lease is asked for, prolonged and given back with LEASE frames. Their counter must be newer each time (AUTOSAR E2E: a
+repeated frame is never a good one), and their stamp must be of the device's present time: this boot epoch, and the
+present or the last STAMP_SAMPLES samples. So no frame of before a restart takes the lease, and nobody keeps the lease
+of a dead host alive by sending frames again, in whatever order.
 """
 
+from retuner.drivers.protocol.checksum import STAMP_SAMPLES, lease_stamp
 from retuner.drivers.protocol.frames import Ack, Kind, Lease, Reason, newer
 
 COUNTER_BITS = 8
@@ -29,18 +31,18 @@ class LeaseDesk:
         """Nobody holds it after a restart."""
         self.owner, self._left, self._last = NOBODY, 0, None
 
-    def request(self, frame: Lease, epoch: int) -> Ack:
-        """Take, prolong or give back; latest of the answer is the owner in force."""
-        reason = self._judge(frame, epoch)
+    def request(self, frame: Lease, epoch: int, sample: int) -> Ack:
+        """Take, prolong or give back, in this epoch and sample; latest of the answer is the owner in force."""
+        reason = self._judge(frame, epoch, sample)
         if reason is Reason.OK and frame != self._last:
             self._last = frame
             self._left = min(frame.samples, self._longest)
             self.owner = frame.owner if self._left else NOBODY
         return Ack(Kind.LEASE, frame.owner, reason, self.owner)
 
-    def _judge(self, frame: Lease, epoch: int) -> Reason:
+    def _judge(self, frame: Lease, epoch: int, sample: int) -> Reason:
         """Whether the request counts."""
-        if frame.epoch != epoch:
+        if frame.stamp not in {lease_stamp(epoch, sample), lease_stamp(epoch, max(sample - STAMP_SAMPLES, 0))}:
             return Reason.STALE
         if self.owner not in {NOBODY, frame.owner}:
             return Reason.NOT_OWNER

@@ -24,6 +24,7 @@ from retuner.drivers.protocol.frames import (
     EPOCH_TAG,
     OWNER_TAG,
     PROTOCOL_VERSION,
+    REFUSED_WRAP,
     RUNNING_TAG,
     STORE_TAG,
     Abort,
@@ -62,7 +63,7 @@ Command = TypeVar("Command", Setpoint, Mode, Load)
 
 PV_WIRE = (-1e9, 1e9)  # range of pv in retuner.dbc
 SAMPLE_WRAP = 1 << 32
-STATUS_WRAP = 1 << 16
+EPOCHS = 1 << 16
 COUNTER_BITS = 8
 
 
@@ -84,7 +85,7 @@ class VirtualDevice:
         self._codec = Codec(settings.node)
         self.pages = GainPages(settings.node, settings.box, settings.gains, settings.trial_samples)
         self.lease = LeaseDesk(settings.lease_longest_samples)
-        self.code = CodeDesk(settings.key, settings.lock_samples, nonce)
+        self.code = CodeDesk(settings.key, nonce)
         self.epoch = epoch
         self.load = 0.0
         self._boot()
@@ -115,7 +116,7 @@ class VirtualDevice:
 
     def restart(self) -> None:
         """Power off and on: the plant goes on, the firmware begins anew from its store."""
-        self.epoch = (self.epoch + 1) % STATUS_WRAP
+        self.epoch = (self.epoch + 1) % EPOCHS
         self._boot()
 
     def step(self, dt_s: float | None = None) -> list[can.Message]:
@@ -134,7 +135,6 @@ class VirtualDevice:
         else:
             self._state, self.co = track(self._law, self._state, self.sp, self.pv, self._manual_co, dt)
         self.sample = (self.sample + 1) % SAMPLE_WRAP
-        self.code.tick()
         if self.lease.tick():
             self.pages.drop_staged()
         frames += self._telemetry()
@@ -192,7 +192,7 @@ class VirtualDevice:
     def _take_lease(self, frame: Lease) -> Ack:
         """Give, prolong or take back the lease; a page staged under one that ends is dropped."""
         before = self.lease.owner
-        answer = self.lease.request(frame, self.epoch)
+        answer = self.lease.request(frame, self.epoch, self.sample)
         if self.lease.owner != before:
             self.pages.drop_staged()
         return answer
@@ -279,11 +279,11 @@ class VirtualDevice:
             + Flags.STORED * pages.is_stored
             + Flags.TRIAL * pages.on_trial
             + Flags.OWNED * (self.lease.owner != NOBODY)
-            + Flags.LOCKED * self.code.locked
+            + Flags.WRONG_CODE * (self.code.wrong > 0)
         )
         return [
             Heartbeat(self.sample, self.epoch, flags),
-            Status(self.running.seq, self.pages.latest, self.refused % STATUS_WRAP, self.lease.owner % STORE_TAG),
+            Status(self.running.seq, self.pages.latest, self.refused % REFUSED_WRAP, self.lease.owner),
         ]
 
 

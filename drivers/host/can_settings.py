@@ -4,6 +4,7 @@ import math
 import secrets
 from dataclasses import dataclass, field
 
+from retuner.drivers.protocol.frames import OWNER_TAG
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 
 TIMES = (
@@ -95,5 +96,8 @@ class CanDeviceSettings:
 
 
 def fresh_owner() -> int:
-    """A number for a host process that was given none: random, so that two hosts tell each other apart."""
-    return 1 + secrets.randbelow(OWNERS)
+    """A number for a host process that was given none: random, so that two hosts tell each other apart.
+
+    Its low bits are not 0, so that nobody who sees only those (STAGE, STORE) takes it for no owner at all.
+    """
+    return OWNER_TAG * secrets.randbelow((OWNERS + 1) // OWNER_TAG) + 1 + secrets.randbelow(OWNER_TAG - 1)

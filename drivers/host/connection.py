@@ -30,6 +30,7 @@ from retuner.drivers.host.requests import HostRequests
 from retuner.drivers.host.running_set import Belief, RunningBelief
 from retuner.drivers.host.write_protocol import WritePhase
 from retuner.drivers.protocol import frames
+from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
 from retuner.drivers.protocol.frames import PROTOCOL_VERSION, Identity
 from retuner.drivers.state_machine import StateMachine
@@ -138,6 +139,7 @@ class CanDevice:
         self._joiner.go_on_after(after_s)
         self._contact = Contact(settings.silent_s, settings.connect_s)
         self._sample_s = self._ask_s = float("-inf")
+        self._told_wrong = ""  # what was told of a device that is not the right one
         self._events: list[Event] = []
 
     @property
@@ -183,6 +185,8 @@ class CanDevice:
             else:
                 self._on_foreign()
         self._notice_silence(now_s)
+        if self._belief.conflict_news():
+            self._events.append(DeviceConflict(self.settings.node))
         self._ask(now_s)
         self._send_due(now_s)
         events, self._events = self._events, []
@@ -219,34 +223,48 @@ class CanDevice:
             return
         self._requests.sequence.note(sign.latest)
         running = self._belief.running
-        if running is not None and sign.running != running.seq and not self._requests.write.busy:
+        if running is not None and sign.running != running.seq and not self._reads:
             self._belief.doubt()
+
+    @property
+    def _reads(self) -> bool:
+        """Whether a write is asking what runs already."""
+        return self._requests.write.phase is WritePhase.READING
 
     def _on_telemetry(self, half: frames.TelemetryPv | frames.TelemetrySp, now_s: float) -> None:
         """Half a sample; a sequence number that is not the known one means that somebody else has written."""
         if self.phase is not ConnectPhase.CONNECTED:
             return
+        before = self._joiner.contradictions
         joined = self._joiner.take(half)
+        if self._joiner.contradictions > before:
+            self._belief.contradicted()
         if joined is None:
             return
         self._sample_s = now_s
         self._events += [SamplesLost(joined.lost, joined.sample.t_s)] if joined.lost else []
         self._events += [*self._joiner.tap.news(), joined.sample]
         running = self._belief.running
-        if running is not None and joined.sample.revision != running.seq and not self._requests.write.busy:
+        if running is not None and joined.sample.revision != running.seq and not self._reads:
             self._belief.doubt()
         self._requests.on_sample(joined.sample.revision)
 
     def _on_identity(self, identity: frames.Identity, now_s: float) -> None:
-        """Who is there: go on only with the right one."""
-        if self.phase is not ConnectPhase.SEARCHING:
+        """Who is there: go on only with the right one, at the first connection and after every restart."""
+        if self.phase is not ConnectPhase.SEARCHING and not self._belief.unidentified:
             return
         wrong = mismatch(identity, self.settings.sample_time_s)
-        if not wrong:
-            self.machine.take(ConnectInput.IDENTIFIED)
-            self._ask_s = now_s
-        elif not self._contact.made:
+        if wrong and not self._contact.made:
             raise DeviceMismatchError(f"{self._where}: {wrong}")
+        if wrong and wrong != self._told_wrong:
+            self._events.append(LinkChanged(LinkState.SILENT, f"the device that answers is another: {wrong}"))
+        self._told_wrong = wrong
+        if wrong:
+            self._lose()
+            return
+        self._belief.identify()
+        if self.machine.take(ConnectInput.IDENTIFIED):
+            self._ask_s = now_s
 
     def _on_page(self, page: ReadBack | None, now_s: float) -> None:
         """A whole read-back, or none yet."""
@@ -258,8 +276,6 @@ class CanDevice:
     def _on_running(self, page: ReadBack, now_s: float) -> None:
         """What runs."""
         verdict, running = self._belief.on_page(page), self._belief.running
-        if verdict is Belief.CONFLICT:
-            self._events.append(DeviceConflict(self.settings.node))
         if verdict is Belief.NOTHING or running is None:
             return
         if verdict is Belief.FIRST:
@@ -293,6 +309,10 @@ class CanDevice:
         if self.phase is ConnectPhase.CONNECTED:
             state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
             self._events.append(LinkChanged(state, reason))
+        self._lose()
+
+    def _lose(self) -> None:
+        """Begin anew with the question who is there."""
         self.machine.take(ConnectInput.LOST)
         self._belief.doubt()
         self._joiner.forget()
@@ -305,22 +325,29 @@ class CanDevice:
 
     def _ask(self, now_s: float) -> None:
         """Ask who is there, or what runs, as long as it is not known."""
+        reads = self._reads
         unread = self.phase is ConnectPhase.READING or self._belief.doubtful
         if self.phase is ConnectPhase.SEARCHING:
             page = frames.Page.IDENTITY
-        elif unread and self._requests.write.phase is not WritePhase.READING:
+        elif self._belief.unidentified or (unread and not reads):
             page = frames.Page.RUNNING
         else:
             self._ask_s = now_s
             return
         if now_s >= self._ask_s:
             self._ask_s = now_s + self.settings.reply_s
-            self._send(self._reader.ask(page))
+            if page is frames.Page.RUNNING and self._belief.unidentified:
+                self._send(self._reader.ask(frames.Page.IDENTITY))
+            if not reads or page is frames.Page.IDENTITY:
+                self._send(self._reader.ask(page))
 
     def _send_due(self, now_s: float) -> None:
         """What the lease, the write and the commands want to send now."""
-        epoch = self._belief.epoch if self.phase is ConnectPhase.CONNECTED else None
-        due, events = self._requests.due(now_s, epoch)
+        epoch, sample = self._belief.epoch, self._joiner.device_sample
+        stamp = None
+        if self.phase is ConnectPhase.CONNECTED and epoch is not None and sample is not None:
+            stamp = lease_stamp(epoch, sample)
+        due, events = self._requests.due(now_s, stamp)
         self._events += events
         if self.write_seq is not None:
             self._joiner.ordered = self.write_seq

@@ -42,16 +42,16 @@ class LeaseKeeper:
         self._asked_s = None
         self._next_s = float("-inf")
 
-    def due(self, now_s: float, epoch: int | None) -> list[Lease]:
-        """The request to send now, if any; epoch is the device's, None while unknown."""
+    def due(self, now_s: float, stamp: int | None) -> list[Lease]:
+        """The request to send now, if any; stamp is that of the device's time, None while unknown."""
         if self.held and now_s - self._since_s >= self._length_s:
             self.held = False
-        if epoch is None or now_s < self._next_s:
+        if stamp is None or now_s < self._next_s:
             return []
         self._counter = (self._counter + 1) % COUNTER_WRAP
         self._asked_s = now_s if self._asked_s is None else self._asked_s
         self._next_s = float("inf") if self._ending else now_s + self._timeout_s
-        return [Lease(self.owner, epoch, 0 if self._ending else self._samples, self._counter)]
+        return [Lease(self.owner, stamp, 0 if self._ending else self._samples, self._counter)]
 
     def release(self) -> None:
         """Give the lease back with the next request, and ask no more."""

@@ -272,7 +272,7 @@ class HostRequests:
         if epoch is None or ack.epoch != epoch % EPOCH_TAG:
             return None
         if ack.kind in GAIN_KINDS:
-            self.sequence.note(ack.latest)
+            self.sequence.correct(ack)
             self.write.on_ack(ack)
             self._notice_owner(ack)
             return None
@@ -296,11 +296,11 @@ class HostRequests:
         if ack.reason == Reason.NOT_OWNER and self.lease.held:
             self.lease.forget()
 
-    def due(self, now_s: float, lease_epoch: int | None) -> tuple[list[Frame], list[Event]]:
-        """Frames to send now, the lease's first, and what came to nothing; without lease_epoch none is asked for."""
-        frames: list[Frame] = [*self.lease.due(now_s, lease_epoch)]
-        if self.write.used_up and self.write.seq is not None and self.lease.held:
-            number = self.sequence.after(self.write.seq)
+    def due(self, now_s: float, stamp: int | None) -> tuple[list[Frame], list[Event]]:
+        """Frames to send now, the lease's first, and what came to nothing; without a stamp no lease is asked for."""
+        frames: list[Frame] = [*self.lease.due(now_s, stamp)]
+        if self.write.used_up and self.write.base is not None and self.lease.held:
+            number = self.sequence.after(self.write.base)
             self.sequence.note(number)
             self.write.renumber(number)
         frames += self.write.due(now_s, owned=self.lease.held, asked=self.lease.asked)

@@ -2,9 +2,12 @@
 
 Only a read-back whose CRC-32 fits a boot epoch that a heartbeat has told. A heartbeat with another epoch alone proves
 nothing (it may be an old one come late): it raises a doubt, and the next read-back, asked for after it, settles it.
-A device never goes back to an epoch that it has left, and never says two at a time. A read-back that goes back, or
-several heartbeats in a short time that a read-back has disproved, come from a second device under the same node number:
-then nothing is believed until ALONE heartbeats in a row have been of one epoch.
+And a device that has booted may be another one: its first read-back counts only once it has said again who it is.
+
+A device never goes back to an epoch that it has left, and never says two things at a time. A read-back that goes back,
+heartbeats in a short time that a read-back has disproved or whose counter goes back, or samples that say something else
+under a number that was there already, come from a second device under the same node number: then nothing is believed
+until ALONE heartbeats in a row have been of one epoch and of one mind.
 """
 
 from enum import Enum
@@ -27,7 +30,8 @@ class Belief(Enum):
 
 
 ALONE = 5  # heartbeats in a row of one epoch after which a conflict is over
-DISPROVED_MAX = 4  # heartbeats of another epoch that a read-back has disproved, before that, that make a conflict
+DISPROVED_MAX = 4  # contradictions before that which make a conflict
+BACK = 128  # samples by which a heartbeat that is late on a bus may be behind
 
 
 class RunningBelief:
@@ -43,8 +47,8 @@ class RunningBelief:
         self._before: RunningSet | None = None
         self._candidate: Heartbeat | None = None
         self._left: set[int] = set()  # epochs that the device has left
-        self._last_epoch = self._in_a_row = self._disproved = 0
-        self._conflict = False
+        self._last_epoch = self._in_a_row = self._disproved = self._last_beat = 0
+        self._conflict = self._identified = self._untold = False
         self.running: RunningSet | None = None
         self.epoch: int | None = None
         self.boot_sample = 0
@@ -53,6 +57,27 @@ class RunningBelief:
     def doubtful(self) -> bool:
         """Whether what runs has to be read (again)."""
         return self.running is None or self._candidate is not None
+
+    @property
+    def unidentified(self) -> bool:
+        """Whether a device has booted, or another one answers, that has not said who it is."""
+        return self._candidate is not None and self.epoch is not None and not self._identified
+
+    def identify(self) -> None:
+        """The device has said who it is, and is the right one."""
+        self._identified = True
+
+    def conflict_news(self) -> bool:
+        """Whether a conflict has begun that this has not told yet."""
+        untold, self._untold = self._untold, False
+        return untold
+
+    def contradicted(self) -> None:
+        """Something was said that one device alone does not say."""
+        self._in_a_row = 0
+        self._disproved += 1
+        if self._disproved >= DISPROVED_MAX and not self._conflict:
+            self._suspect()
 
     def doubt(self) -> None:
         """What runs is not known any more."""
@@ -68,7 +93,12 @@ class RunningBelief:
                 self._conflict = False
                 self._left.clear()
         if heartbeat.epoch == self.epoch:
+            back, self._last_beat = heartbeat.sample < self._last_beat - BACK, heartbeat.sample
+            if back:
+                self.contradicted()
             return True
+        if self._candidate is None or self._candidate.epoch != heartbeat.epoch:
+            self._identified = False
         self._candidate = heartbeat
         return False
 
@@ -84,6 +114,9 @@ class RunningBelief:
                 return self._suspect()
             return self._believe(page, Belief.SAME)
         if candidate is not None and self._fits(page, candidate.epoch):
+            if self.unidentified:
+                self.running = None
+                return Belief.NOTHING
             if candidate.epoch in self._left:
                 return self._suspect()
             verdict = Belief.FIRST
@@ -91,12 +124,14 @@ class RunningBelief:
                 verdict = Belief.RESTARTED
                 self._left.add(self.epoch)
             self.epoch, self.boot_sample, self._candidate = candidate.epoch, candidate.sample, None
+            self._last_beat = candidate.sample
             return self._believe(page, verdict)
         return Belief.NOTHING
 
     def _suspect(self) -> Belief:
         """Two devices answer: believe nothing for a while."""
         self._conflict, self._in_a_row, self._disproved, self.running = True, 0, 0, None
+        self._untold = True
         return Belief.CONFLICT
 
     def _fits(self, page: ReadBack, epoch: int) -> bool:

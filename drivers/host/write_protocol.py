@@ -146,6 +146,16 @@ class Sequence:
         if self._newest is None or newer(number, self._newest):
             self._newest = number
 
+    def correct(self, ack: Ack) -> None:
+        """The device's answer to a set: what it says about a stale number goes before all that was seen.
+
+        For what was seen may have been forged: a STATUS half the circle ahead would make every write stale.
+        """
+        if ack.reason == Reason.STALE:
+            self._newest = ack.latest
+        else:
+            self.note(ack.latest)
+
     def after(self, running: int) -> int:
         """The number for the next write: newer than the running set's and than any other seen."""
         self.note(running)
@@ -203,6 +213,11 @@ class WriteProtocol:
     def seq(self) -> int | None:
         """Number of the set that is being written."""
         return self._order.seq if self._order is not None and self.busy else None
+
+    @property
+    def base(self) -> int | None:
+        """Number of the set that it is built on; None when nothing is being written."""
+        return self._order.base if self._order is not None and self.busy else None
 
     def due(self, now_s: float, *, owned: bool, asked: bool = False) -> list[Frame]:
         """Frames to send now: those of a phase just entered, or again after its time-out.

@@ -1,14 +1,16 @@
 """The code that authenticates a commit: HMAC-SHA-256 (RFC 2104, FIPS 180-4), its first 96 bits in two AUTH frames.
 
 It covers the node, the boot epoch, the device's challenge, the owner of the lease, the sequence numbers and the gains
-as they stand on the wire. The challenge (48 random bits, new after every commit and fence) makes it fresh, so
-nothing needs to be remembered over a restart against replay. 96 bits: a guess is right once in 8e28, and DESK_TRIES
-wrong ones lock commits out, longer every time, also over a restart.
+as they stand on the wire. The challenge (48 random bits, new at boot, after every accepted commit and every fence)
+makes it fresh, so nothing needs to be remembered over a restart against replay. 96 bits: of all the tries that a full
+bus has room for in a hundred years (5e12) one is right with a chance of 1e-15. So wrong codes lock nobody out: a lock
+would be a way for strangers to keep the owner of the key from putting a verified set back.
 """
 
 import hmac
 import secrets
 import struct
+from collections import deque
 from collections.abc import Callable
 
 from retuner.drivers.protocol.frames import Auth, Reason
@@ -19,8 +21,7 @@ NONCE_BITS = 48
 HALF = (1 << HALF_BITS) - 1
 SEQ_TAG = 16  # AUTH carries the sequence modulo this
 KEY_BYTES_MIN = 16
-DESK_TRIES = 3  # wrong codes after which commits are locked out
-LOCK_DOUBLINGS_MAX = 8
+HALVES_KEPT = 4  # of each part: a forged half does not displace the right one
 
 
 def commit_code(key: bytes, node: int, epoch: int, nonce: int, owner: int, seq: int, base: int, gains: PidGains) -> int:
@@ -40,20 +41,16 @@ def fresh_nonce() -> int:
 
 
 class CodeDesk:
-    """The device's side: challenge, the code that has come, the count of wrong ones and the lock-out.
+    """The device's side: the challenge, the halves of codes that have come, and the count of wrong codes.
 
     Parameters
     ----------
     key : shared secret; None when commits need no code.
-    lock_samples : controller samples of the first lock-out; doubled with every further one.
     nonce : makes challenges.
     """
 
-    def __init__(self, key: bytes | None, lock_samples: int, nonce: Callable[[], int] = fresh_nonce) -> None:
-        self._key, self._lock_samples, self._make = key, lock_samples, nonce
-        self.wrong = 0  # kept over a restart, as in non-volatile memory
-        self._left = 0
-        self._parts: dict[int, Auth] = {}
+    def __init__(self, key: bytes | None, nonce: Callable[[], int] = fresh_nonce) -> None:
+        self._key, self._make = key, nonce
         self.boot()
 
     @property
@@ -61,50 +58,38 @@ class CodeDesk:
         """Whether commits need a code."""
         return self._key is not None
 
-    @property
-    def locked(self) -> bool:
-        """Whether commits are locked out."""
-        return self._left > 0
-
     def boot(self) -> None:
-        """Restart: a new challenge, and the lock-out begins anew, so that restarting does not shorten it."""
+        """Restart: a new challenge."""
+        self.wrong = 0
         self.renew()
-        if self.wrong >= DESK_TRIES:
-            self._lock()
 
     def renew(self) -> None:
         """A number was fenced off: a code made for it must be worth nothing, even if the number comes round again."""
         self.nonce = self._make()
-        self._parts = {}
-
-    def tick(self) -> None:
-        """One controller sample has passed."""
-        self._left = max(self._left - 1, 0)
+        self._halves: tuple[deque[Auth], deque[Auth]] = (deque(maxlen=HALVES_KEPT), deque(maxlen=HALVES_KEPT))
 
     def take(self, frame: Auth) -> None:
-        """Note half a code."""
-        self._parts[frame.part] = frame
+        """Note half a code; the newest HALVES_KEPT of each part stay."""
+        self._halves[frame.part].append(frame)
 
     def judge(self, node: int, epoch: int, owner: int, seq: int, base: int, gains: PidGains) -> Reason:
-        """Whether the code that has come is that of this commit; used up either way."""
+        """Whether the code of this commit has come, both halves of it, whatever other halves came beside them."""
         if self._key is None:
             return Reason.OK
-        if self.locked:
-            return Reason.LOCKED
-        parts, self._parts = self._parts, {}
-        if set(parts) != {0, 1} or any(part.seq != seq % SEQ_TAG for part in parts.values()):
+        low, high = ([half.mac for half in part if half.seq == seq % SEQ_TAG] for part in self._halves)
+        if not (low and high):
             return Reason.NO_CODE
         right = commit_code(self._key, node, epoch, self.nonce, owner, seq, base, gains)
-        self.nonce = self._make()
-        got = parts[0].mac | parts[1].mac << HALF_BITS
-        if hmac.compare_digest(got.to_bytes(12, "little"), right.to_bytes(12, "little")):
-            self.wrong = 0
+        if _among(right & HALF, low) and _among(right >> HALF_BITS, high):
+            self.renew()
             return Reason.OK
         self.wrong += 1
-        if self.wrong >= DESK_TRIES:
-            self._lock()
         return Reason.WRONG_CODE
 
-    def _lock(self) -> None:
-        """Lock commits out, twice as long for every wrong code beyond the tries."""
-        self._left = self._lock_samples << min(self.wrong - DESK_TRIES, LOCK_DOUBLINGS_MAX)
+
+def _among(right: int, halves: list[int]) -> bool:
+    """Whether this half is there, in a time that does not tell how nearly."""
+    wanted, found = right.to_bytes(HALF_BITS // 8, "little"), False
+    for half in halves:
+        found |= hmac.compare_digest(half.to_bytes(HALF_BITS // 8, "little"), wanted)
+    return found

@@ -5,7 +5,7 @@ the frame's id and the bytes before it, so that a frame under a wrong id fails a
 everything that makes a set the right one: node, epoch, sequence and the gains as they stand on the wire. A commit
 continues it over the sequence that it was built on and over the owner of the lease. Samples: CRC-16-CCITT (0x1021,
 start 0xFFFF), the CRC of AUTOSAR E2E profile 5, over node and the fields of both halves, so that halves of two
-samples or two nodes never make one.
+samples or two nodes never make one. The same CRC-16 stamps a request for the lease with the device's own time.
 """
 
 import binascii
@@ -19,6 +19,8 @@ POLYNOMIAL = 0x1D
 FLOAT32_MAX = 3.4028234663852886e38
 CO_STEP = 0.0001  # percent, resolution of co on the wire
 _SAMPLE = struct.Struct("<BBfiBfBbB")
+_STAMP = struct.Struct("<HI")
+STAMP_SAMPLES = 64  # controller samples that share a stamp
 
 
 def _table() -> bytes:
@@ -89,3 +91,8 @@ def sample_crc(node: int, pv: TelemetryPv, sp: TelemetrySp) -> int:
         _SAMPLE.pack(node, pv.counter, pv.pv, co_steps(pv.co), sp.counter, sp.sp, sp.mode, sp.limited, sp.running),
         0xFFFF,
     )
+
+
+def lease_stamp(epoch: int, sample: int) -> int:
+    """CRC-16 of the time of a request for the lease: boot epoch and the device's sample counter in STAMP_SAMPLES."""
+    return binascii.crc_hqx(_STAMP.pack(epoch, sample // STAMP_SAMPLES), 0xFFFF)

@@ -6,10 +6,11 @@ codec.py turns them into bytes and back and holds every value to the DBC's range
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 STORE_KEY = 0x65766173  # "save" in ASCII, low byte first: the signature of CANopen 1010h
 HIGHEST_NODE = 63  # 11-bit ids: 6 bits of node, 5 bits of command
-OWNER_TAG, STORE_TAG = 64, 256  # STAGE carries the owner modulo the former, STORE and STATUS modulo the latter
+OWNER_TAG, STORE_TAG = 64, 256  # STAGE carries the owner modulo the former, STORE modulo the latter
+REFUSED_WRAP = 256  # STATUS counts refused frames modulo this
 RUNNING_TAG, EPOCH_TAG = 32, 8192  # telemetry carries the running sequence, ACK the boot epoch modulo these
 TOKENS, PAGE_TAG, CHALLENGE_TAG = 65536, 16, 128  # of questions; ITEM and PAGE, CHALLENGE repeat them modulo these
 
@@ -67,7 +68,6 @@ class Reason(IntEnum):
     REVERTED = 15
     NO_CODE = 16
     WRONG_CODE = 17
-    LOCKED = 18
 
 
 class Flags(IntFlag):
@@ -78,15 +78,15 @@ class Flags(IntFlag):
     STORED = 4
     TRIAL = 8
     OWNED = 16
-    LOCKED = 32
+    WRONG_CODE = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """Host asks to be the one that commands for so many samples (0: no longer), in this boot epoch."""
+    """Host asks to be the one that commands for so many samples (0: no longer); stamp as checksum.lease_stamp."""
 
     owner: int
-    epoch: int
+    stamp: int
     samples: int
     counter: int
 
@@ -190,7 +190,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Sequence numbers (running set, newest seen), the count of refused frames, low 8 bits of the lease's owner."""
+    """Sequence numbers (running set, newest seen), the count of refused frames, the lease's owner (0: nobody)."""
 
     running: int
     latest: int

@@ -82,7 +82,7 @@ class Overhearing:
             case frames.Heartbeat():
                 self._heartbeat(frame)
             case frames.Identity():
-                self._identified = self._identified or not mismatch(frame, self._sample_time_s)
+                self._identity(frame)
             case frames.PageItem() | frames.PageEnd():
                 self._page(self._reader.take(frame), message.timestamp)
             case frames.Read() | frames.Stage() if not (self._as_host and message.is_rx):
@@ -90,6 +90,12 @@ class Overhearing:
             case _:
                 pass
         return None
+
+    def _identity(self, identity: frames.Identity) -> None:
+        """Who is there: the right device, or another one."""
+        if not mismatch(identity, self._sample_time_s):
+            self._identified = True
+            self._belief.identify()
 
     def _question(self, frame: frames.Read | frames.Stage) -> None:
         """The host asks for a page, or begins to write."""
@@ -109,7 +115,10 @@ class Overhearing:
 
     def _heartbeat(self, heartbeat: frames.Heartbeat) -> None:
         """The full counter, in the epoch that is known; to a bystander who knows of none, in any."""
-        if self._belief.on_heartbeat(heartbeat) or (not self._as_host and self._belief.epoch is None):
+        known = self._belief.on_heartbeat(heartbeat)
+        if not self._as_host:  # it cannot ask
+            self._belief.identify()
+        if known or (not self._as_host and self._belief.epoch is None):
             self._joiner.set_reference(heartbeat.sample)
 
     def _page(self, page: ReadBack | None, now_s: float) -> None:

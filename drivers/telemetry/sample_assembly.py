@@ -23,6 +23,7 @@ HALF = WRAP // 2
 PATIENCE = 16  # halves after which one that has met no partner is forgotten
 SEQUENCES = 1 << 16
 LONGEST_GAP = 1 << 16  # samples of outage over which time goes on after a restart
+KEPT = 128  # samples whose content is remembered, to notice a second device that speaks under the same numbers
 BEHIND = 16  # samples by which a late heartbeat may lag behind the telemetry
 
 
@@ -58,6 +59,10 @@ class SampleJoiner:
         self._after: int | None = None  # number of a sample of an earlier session that all of this one come behind
         self._last: int | None = None
         self._behind: int | None = None
+        self._said: dict[int, int] = {}
+        self._again: dict[int, TelemetryPv | TelemetrySp] = {}
+        self._contradicted: int | None = None
+        self.contradictions = 0  # see _compare
         self._halves: dict[int, tuple[int, TelemetryPv | TelemetrySp]] = {}
         self._taken = 0
         self.arrivals = ArrivalCheck()
@@ -98,6 +103,13 @@ class SampleJoiner:
             self._last = sample - 1
         self._reference = sample
         self._halves.clear()
+        self._said.clear()
+        self._again.clear()
+
+    @property
+    def device_sample(self) -> int | None:
+        """Where the device's own sample counter stands; None while unknown."""
+        return self._reference
 
     def restart_after(self, sample: int, silence_s: float) -> int:
         """The device counts anew from sample, silence_s after the last one; the number of samples between."""
@@ -115,6 +127,7 @@ class SampleJoiner:
         if self._last is not None and number <= self._last:
             if isinstance(half, TelemetrySp):
                 self.arrivals.ahead(number - self._last)
+            self._compare(number, half)
             return None
         self._taken += 1
         since, other = self._halves.get(number, (self._taken, None))
@@ -126,6 +139,24 @@ class SampleJoiner:
         self._halves[number] = self._taken, half
         return None
 
+    def _compare(self, number: int, half: TelemetryPv | TelemetrySp) -> None:
+        """Half a sample under a number that has been: the same again, late, or what a second device says.
+
+        Whole ones that say something else are counted, once between two new samples: a device that has booted says
+        something else as well, but then nobody goes on with the old numbers.
+        """
+        other = self._again.pop(number, None)
+        pv, sp = (half, other) if isinstance(half, TelemetryPv) else (other, half)
+        if isinstance(pv, TelemetryPv) and isinstance(sp, TelemetrySp):
+            differs = sp.crc == sample_crc(self._node, pv, sp) and self._said.get(number, sp.crc) != sp.crc
+            if differs and self._last != self._contradicted:
+                self._contradicted = self._last
+                self.contradictions += 1
+        else:
+            self._again[number] = half
+            if len(self._again) > PATIENCE:
+                del self._again[next(iter(self._again))]
+
     def _join(self, number: int, pv: TelemetryPv, sp: TelemetrySp) -> AssembledSample | None:
         """The sample; what is older is given up. None when the halves do not belong together."""
         if sp.crc != sample_crc(self._node, pv, sp):
@@ -135,6 +166,9 @@ class SampleJoiner:
         lost = 0 if self._last is None else number - self._last - 1
         self.arrivals.ahead(lost + 1)
         self._last = self._reference = number
+        self._said[number] = sp.crc
+        if len(self._said) > KEPT:
+            del self._said[next(iter(self._said))]
         if len(self._halves) > 1:
             self._halves = {n: kept for n, kept in self._halves.items() if n > number}
         else:

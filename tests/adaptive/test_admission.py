@@ -16,6 +16,7 @@ from retuner.schedule.axis import Axis
 from retuner.schedule.regions import Regions
 
 N, AT, BAND = 120, 30, 0.02
+RANGE = (-10.0, 10.0)
 Samples = list[LoopSample]
 
 
@@ -55,13 +56,14 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.ADMITTED: lambda s: s,
     Ground.TOO_LONG: lambda s: s[AT + 10 :],
     Ground.MANUAL: lambda s: changed(s, range(60, 61), mode=LoopMode.MANUAL),
-    Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6],
-    Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.4 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
+    Ground.OUT_OF_RANGE: lambda s: changed(s, range(60, 62), pv=1e6),
+    Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6 < 3],
+    Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.8 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
     Ground.REPEATED: stuck,
     Ground.LEFT_REGION: lambda s: changed(s, range(70, 90), x=9.0),
     Ground.GAINS_CHANGED: lambda s: changed(s, range(70, N), revision=1),
     Ground.SETPOINT_LED: lambda s: led(s, 3),
-    Ground.SATURATED: lambda s: changed(s, range(AT, AT + 60), limited=1),
+    Ground.SATURATED: lambda s: changed(s, range(N), co=100.0, limited=1),
     Ground.CO_FROZEN: lambda s: changed(s, range(N), co=40.0),
     Ground.PV_FROZEN: lambda s: changed(s, range(N), pv=0.5),
     Ground.LOW_EXCITATION: lambda s: [x._replace(sp=0.042 * x.sp, pv=0.042 * x.pv) for x in s],
@@ -72,7 +74,7 @@ FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
 def test_every_ground_is_reached_by_its_fault(ground: Ground) -> None:
     samples = FAULTS[ground](swing())
     response = found(samples)
-    admission = admit(Window.of(samples), samples, response, AdmissionSettings(), lambda sample: sample.x < 5)
+    admission = admit(Window.of(samples), samples, response, AdmissionSettings(), lambda s: s.x < 5, RANGE)
     assert admission.ground is ground
     assert admission.admitted == (ground is Ground.ADMITTED)
     assert "{" not in admission.sentence
@@ -87,11 +89,20 @@ def test_refusals_name_a_cause_that_changes_nothing() -> None:
         if ground is not Ground.ADMITTED:
             samples = fault(swing())
             diagnosis = admit(
-                Window.of(samples), samples, found(samples), AdmissionSettings(), lambda s: s.x < 5
+                Window.of(samples), samples, found(samples), AdmissionSettings(), lambda s: s.x < 5, RANGE
             ).diagnosis()
             assert not diagnosis.retune
     limited = judged(FAULTS[Ground.SATURATED](swing()))
     assert limited.diagnosis().cause is Cause.SATURATION
+
+
+def test_an_output_at_its_limit_is_a_known_input() -> None:
+    assert judged(changed(swing(), range(AT, N), limited=1)).admitted
+
+
+def test_late_stamps_and_every_fifth_sample_lost_are_taken() -> None:
+    late = [s._replace(t_s=s.t_s + 0.3 * math.sin(1.7 * i)) for i, s in enumerate(swing()) if i % 5]
+    assert judged(late).admitted
 
 
 def test_what_happened_before_the_response_is_no_fault_of_it() -> None:
@@ -171,3 +182,12 @@ def test_height_counts_in_noise_bands_whatever_the_unit(size: float, shift: floa
 @given(at=st.integers(0, N - 1))
 def test_one_sample_in_manual_is_enough(at: int) -> None:
     assert judged(changed(swing(), range(at, at + 1), mode=LoopMode.MANUAL)).ground is Ground.MANUAL
+
+
+def test_pv_may_stand_a_little_outside_its_range() -> None:
+    samples = swing()  # up to 1.307
+    narrow = (-1.0, 1.2)
+    assert admit(Window.of(samples), samples, found(samples), AdmissionSettings(), pv_range=narrow).admitted
+    samples = changed(samples, range(61, 62), pv=-1.4)
+    admission = admit(Window.of(samples), samples, found(samples), AdmissionSettings(), pv_range=narrow)
+    assert admission.sentence == "pv stood at -1.4, far outside its range of -1 to 1.2: no transmitter says that"

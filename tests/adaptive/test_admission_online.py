@@ -37,7 +37,7 @@ def heard(fault: Fault, sp: Callable[[int], float] = lambda i: float(i >= STEP_A
 
 
 def limited(s: LoopSample) -> LoopSample:
-    return s._replace(limited=1) if s.t_s > STEP_AT else s
+    return s._replace(co=100.0, limited=1)
 
 
 def rewritten(s: LoopSample) -> LoopSample:
@@ -45,7 +45,7 @@ def rewritten(s: LoopSample) -> LoopSample:
 
 
 def uneven(s: LoopSample) -> LoopSample:
-    return s._replace(t_s=s.t_s + (0.4 if s.t_s % 4 == 0 else 0.0))
+    return s._replace(t_s=s.t_s + (0.8 if s.t_s % 4 == 0 else 0.0))
 
 
 def stuck() -> Fault:

@@ -162,13 +162,13 @@ def test_time_that_does_not_increase_is_refused() -> None:
         bench.retuner.observe(LoopSample(bench.t - 5, 0.0, 0.0, 0.0))
 
 
-def test_a_saturated_loop_is_not_retuned() -> None:
+def test_a_loop_whose_output_never_leaves_its_limit_is_not_retuned() -> None:
     retuner = Retuner(table(scaled(0.25, 0.25)), RetunerSettings(1.0, 10.0, Mode.AUTO))
     bench = Bench(retuner)
     found = []
     for phase, sp in ((400, 0.0), (600, 1.0)):
         for sample in bench.samples(phase, sp, 0.0, 10.0):
-            decision = retuner.observe(sample._replace(limited=1))
+            decision = retuner.observe(sample._replace(co=10.0, limited=1))
             found += [decision] if decision else []
     assert found
     assert {d.diagnosis.cause for d in found if d.diagnosis} == {Cause.SATURATION}

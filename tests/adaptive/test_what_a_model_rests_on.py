@@ -19,7 +19,7 @@ from retuner.schedule.table import Lookup
 
 SETTINGS = RetunerSettings(1.0, 100.0)
 BEFORE = Excitation(setpoints=0, loads=3, asked=0, clear=0, alternative=1)
-NEW: Any = SimpleNamespace(log=None, reason="")
+NEW: Any = SimpleNamespace(log=None, reason="", records=2)
 """A region model that the record has led to."""
 
 

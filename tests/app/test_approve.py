@@ -14,10 +14,10 @@ from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.cli import main
 from retuner.commands import run as run_command
-from retuner.commands.approve import SessionFolder
+from retuner.commands.approve import only_place
 from retuner.config import load_config
+from retuner.session.loop_session import LoopSession
 from retuner.session.running import Run
-from retuner.session.session import Session
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -33,7 +33,7 @@ class Person:
         self.folder, self.orders = folder, orders
         self.statuses: list[int] = []
 
-    def watch(self, session: Session, sample: LoopSample) -> None:
+    def watch(self, session: LoopSession, sample: LoopSample) -> None:
         """Called at every sample."""
         if not self.orders:
             return
@@ -46,7 +46,7 @@ class Person:
         elif what == "auto":
             session.device.send_mode(auto=True, co=0.0, now_s=sample.t_s)
         elif what == "accept":
-            (waiting,) = SessionFolder(self.folder).shown.waiting.values()
+            (waiting,) = only_place(self.folder, None).shown.waiting.values()
             self.statuses.append(main(["approve", str(self.folder), waiting[:8], *BY]))
         elif what == "approve":
             asked = session.decisions[-1].digest()[:8]
@@ -55,12 +55,12 @@ class Person:
             self.statuses.append(main(["ledger", "revert", str(self.folder), "--decision", "1", *BY]))
 
 
-def advised(session: Session, sample: LoopSample) -> bool:
+def advised(session: LoopSession, sample: LoopSample) -> bool:
     del sample
     return any(d.action == "advise" for d in session.decisions)
 
 
-def written(session: Session, sample: LoopSample) -> bool:
+def written(session: LoopSession, sample: LoopSample) -> bool:
     return bool(session.commits) and sample.t_s > session.commits[-1][0] + 2.0
 
 
@@ -72,10 +72,9 @@ def with_person(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         person = Person(tmp_path / "run", orders)
 
         class Watched(Run):
-            def _sampled(self, sample: LoopSample) -> None:
-                super()._sampled(sample)
-                assert self.session is not None
-                person.watch(self.session, sample)
+            def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
+                super().sampled(loop, sample)
+                person.watch(loop, sample)
 
         monkeypatch.setattr(run_command, "Run", Watched)
         run_short(tmp_path, *arguments)
@@ -118,27 +117,27 @@ def test_the_way_back_is_taken_and_replayed(with_person: Any, capsys: pytest.Cap
     assert "identical" in capsys.readouterr().out
 
 
-def on_trial(session: Session, sample: LoopSample) -> bool:
+def on_trial(session: LoopSession, sample: LoopSample) -> bool:
     return written(session, sample) and session.retuner.trials.phase(0) == TrialPhase.TRIAL
 
 
-def in_manual(session: Session, sample: LoopSample) -> bool:
+def in_manual(session: LoopSession, sample: LoopSample) -> bool:
     del sample
     return session.retuner.trials.phase(0) != TrialPhase.TRIAL and not session.writer.restoring
 
 
-def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(
+def test_an_approval_and_its_trial_that_manual_mode_interrupts_are_replayed(
     with_person: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, _ = with_person([("approve", advised), ("manual", on_trial), ("auto", in_manual)])
     decisions = bodies(folder, "decision")
     codes = [d["code"] for d in decisions]
-    assert codes.index("approved") < codes.index("undo_manual")
-    undone = decisions[codes.index("undo_manual")]
-    assert undone["action"] == "restore"
-    assert undone["gains_after"]["kp"] == pytest.approx(5.0)
-    restored = bodies(folder, "restored")
-    assert restored[0]["gains"]["kp"] == pytest.approx(5.0)
+    assert codes.index("approved") < codes.index("kept_manual")
+    kept = decisions[codes.index("kept_manual")]
+    assert kept["action"] == "none"
+    assert kept["gains_before"]["kp"] == pytest.approx(10.0)
+    assert kept["numbers"]["ms_tried"] < 1.2
+    assert any(row["trial"] == "idle" for row in bodies(folder, "judged"))
     capsys.readouterr()
     first = main(["replay", str(folder), "--json"]), capsys.readouterr().out
     assert first[0] == 0
@@ -146,7 +145,7 @@ def test_an_approval_its_trial_and_the_restoring_of_the_old_gains_are_replayed(
     assert (main(["replay", str(folder), "--json"]), capsys.readouterr().out) == first
 
 
-def waits(session: Session, sample: LoopSample) -> bool:
+def waits(session: LoopSession, sample: LoopSample) -> bool:
     del sample
     return bool(session.decisions) and session.decisions[-1].trial == TrialPhase.WAITING
 
@@ -253,7 +252,7 @@ def test_a_revert_names_a_decision_that_is_there(copy: Path, capsys: pytest.Capt
 def test_what_is_no_order_is_refused_with_a_row_and_nothing_else_happens(
     with_person: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def litter(session: Session, sample: LoopSample) -> bool:
+    def litter(session: LoopSession, sample: LoopSample) -> bool:
         del session
         if sample.t_s > 20.0 and not (tmp_path / "run" / "orders").exists():
             orders = tmp_path / "run" / "orders"

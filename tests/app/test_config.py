@@ -1,5 +1,6 @@
 """A configuration is accepted whole or refused with file, line, key, limit and what to do."""
 
+import re
 import runpy
 import tomllib
 from collections.abc import Iterator
@@ -308,8 +309,18 @@ def test_the_reference_page_is_in_step_with_the_models() -> None:
 def test_the_trial_time_leaves_room_for_the_probation(tmp_path: Path) -> None:
     oven = (Path(__file__).resolve().parents[2] / "examples" / "oven.toml").read_text()
     path = tmp_path / "oven.toml"
+    path.write_text(oven)
+    assert load_config(path).confirm_within_s == 120.0  # on by default: 60 samples
     path.write_text(oven.replace('kind = "virtual"', 'kind = "virtual"\nconfirm_within_s = 30.0'))
     assert load_config(path).device.confirm_within_s == 30.0
     path.write_text(oven.replace('kind = "virtual"', 'kind = "virtual"\nconfirm_within_s = 20.0'))
     with pytest.raises(ConfigError, match=r"confirm_within_s = 20 s must be 0, or 30 to 131070 s: the 5 samples"):
+        load_config(path)
+
+
+@pytest.mark.parametrize("text", ["\\u001b[2Joven", "oven\\u0007", "a\\u202eb", "two\\nlines"])
+def test_names_that_a_terminal_would_act_on_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "oven.toml"
+    path.write_text(re.sub(r'name = "[^"]*"', f'name = "{text}"'.replace("\\", "\\\\"), GOOD, count=1))
+    with pytest.raises(ConfigError, match="cannot be printed"):
         load_config(path)

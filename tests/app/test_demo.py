@@ -24,8 +24,8 @@ def test_every_region_ends_robust_and_better_than_fixed_gains(seed: int) -> None
     config = load_config(OVEN)
     assert config.device is not None
     config = config.model_copy(update={"device": config.device.model_copy(update={"seed": seed})})
-    retuned = Run(config, nothing).simulated()
-    fixed = Run(config, nothing, mode=Mode.OFF).simulated()
+    retuned = Run(config, nothing).simulated().loops[0]
+    fixed = Run(config, nothing, mode=Mode.OFF).simulated().loops[0]
     run, still = retuned.trend.columns(), fixed.trend.columns()
     table = config.gain_table()
     scores = region_scores(table, retuned.table, retuned.commits, run, still, make_plant(config).linearise, 2.0)

@@ -425,3 +425,31 @@ def test_a_run_tells_that_its_ledger_has_grown(tmp_path: Path, monkeypatch: pyte
         file.write("[output]\nledger_mb_warn = 1.5\n")
     assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0
     assert len([line for line in told if "has grown past 1.5 MB" in line]) == 1
+
+
+def test_a_file_that_somebody_else_has_locked_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("retuner.ledger.schema.BUSY_TIMEOUT_S", 0.001)
+    with Ledger(tmp_path / "l.sqlite") as ledger:
+        other = sqlite3.connect(tmp_path / "l.sqlite", isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        waited, real = [], ledger._connection
+
+        class Impatient:
+            """The connection; the other process lets go after three refusals."""
+
+            def execute(self, *arguments: object) -> object:
+                waited.append(arguments)
+                if len(waited) > 3 and other.in_transaction:
+                    other.execute("ROLLBACK")
+                return real.execute(*arguments)
+
+        ledger._connection = Impatient()
+        ledger.append("decision", {"a": 1}, 1.0)
+        ledger._connection = real
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(LedgerError, match="locked"):
+            ledger.append("decision", {"a": 2}, 2.0)
+        other.close()
+    assert len(waited) == 4
+    with LedgerReader(tmp_path / "l.sqlite") as reader:
+        assert reader.verify().rows == 1

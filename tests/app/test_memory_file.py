@@ -12,17 +12,17 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.state_file import region_model_out
-from retuner.config.loading import load_with_text
+from retuner.config.loading import load_config
 from retuner.config.model import Config
 from retuner.ledger import Ledger
 from retuner.session import memory_file
 from retuner.session.assembly import make_retuner, retuner_settings
 from retuner.session.ledger_rows import gains_of
+from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, recall, started_with
 from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE
 from retuner.session.recorded_session import believed_rows
 from retuner.session.running import Run
-from retuner.session.session import Session
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -40,13 +40,12 @@ class Life:
         folder.mkdir(parents=True)
         self.folder, self.config, self.fuse = folder, config, fuse
         self.known: list[dict[str, Any]] = []  # models after each decision that the ledger has
-        self.session: Session | None = None
+        self.session: LoopSession | None = None
         self.ledger = Ledger(folder / LEDGER)
 
     def record(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
         self.burn()
-        samples = self.session.samples if self.session else 0
-        self.ledger.append(kind, {**body, "samples": samples}, t_s)
+        self.ledger.append(kind, {"samples": 0, **body}, t_s)
         if kind == "decision" and self.session is not None:
             self.known.append(models(self.session.retuner))
 
@@ -58,8 +57,8 @@ class Life:
     def live(self) -> "Life":
         run = Run(self.config, self.record, mode=Mode.AUTO, folder=None)
         memory = MemoryFile(self.folder, self.config, self.record)
-        with run._bench() as (session, clock, turn):
-            self.session = session
+        with run.bench() as (whole, bench):
+            self.session = session = whole.loops[0]
 
             def save(t_s: float) -> None:
                 self.burn()
@@ -68,9 +67,8 @@ class Life:
             session.remember = save
             try:
                 while not session.finished:
-                    clock.advance(self.config.loop.sample_time_s)
-                    turn()
-                    session.poll(clock.now_s())
+                    bench.turn()
+                    session.poll(bench.clock.now_s())
             except KilledError:
                 pass
             finally:
@@ -87,7 +85,7 @@ def models(retuner: Retuner) -> dict[str, Any]:
 def config(tmp_path_factory: pytest.TempPathFactory) -> Config:
     path = tmp_path_factory.mktemp("config") / "short.toml"
     path.write_text(SHORT)
-    return load_with_text(path)[0]
+    return load_config(path)
 
 
 @pytest.fixture(scope="module")

@@ -32,8 +32,8 @@ from retuner.session.assembly import (
     virtual_device_settings,
 )
 from retuner.session.ledger_rows import abort_cause
+from retuner.session.loop_session import LoopSession
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import Session
 
 EXAMPLE = (Path(__file__).resolve().parents[2] / "examples" / "boiler_2d.toml").read_text()
 SCENARIO = """[scenario]
@@ -65,7 +65,7 @@ class Bench:
 
     config: Config
     device: VirtualDevice
-    session: Session
+    session: LoopSession
     clock: SimulatedClock
     on_bus: DeviceOnBus
     rows: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
@@ -88,7 +88,7 @@ def bench(config: Config, channel: str, mode: Mode = Mode.OFF, log: Path | None 
     rows: list[tuple[str, Mapping[str, object]]] = []
     with CanLink(settings, clock) as far, CanLink(settings, clock, log) as near:
         host = CanDevice(near, device_settings(config))
-        session = Session(
+        session = LoopSession(
             host,
             make_retuner(config, mode),
             ScenarioPlayer(config.scenario),

@@ -23,7 +23,7 @@ from retuner.drivers.recorded.frame_log import read_frames
 from retuner.ledger.chain import Row
 from retuner.replay.recorded_trend import recorded_columns
 from retuner.replay.replaying import first_difference
-from retuner.session import running, session_identity
+from retuner.session import bench, session_identity
 from retuner.session.recorded_session import read_session
 
 sys.path.append(str(Path(__file__).parent))
@@ -144,9 +144,9 @@ def test_a_changed_bus_log_is_found(session: Path, tmp_path: Path, capsys: pytes
 def in_parts(folder: Path, frames_a_look: int) -> Path:
     """A session whose bus log is put aside at each look at its size."""
     folder.mkdir()
-    small = running.link_settings
+    small = bench.link_settings
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "link_settings", lambda *given: replace(small(*given), log_bytes_max=2.0))
+        patch.setattr(bench, "link_settings", lambda *given: replace(small(*given), log_bytes_max=2.0))
         patch.setattr(bus_log, "LOOK_EVERY", frames_a_look)
         return run_short(folder, "--mode", "auto")
 

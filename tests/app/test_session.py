@@ -31,8 +31,8 @@ from retuner.drivers.device import (
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
+from retuner.session.loop_session import HOLD_SAMPLES, RETRY_SAMPLES, LoopSession
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import HOLD_SAMPLES, RETRY_SAMPLES, Session
 
 LOW, HIGH, BETTER = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.15)
 TABLE = GainTable("loop", Regions("sp", "-", ("low", "high"), 0.0, (50.0,), 100.0, 1.0, 0.0), (LOW, HIGH))
@@ -139,7 +139,7 @@ class Stage:
         self.log = Log()
         self.device = ScriptedDevice(self.log)
         self.retuner = DecidingRetuner(TABLE, RetunerSettings(1.0, 100.0))
-        self.session = Session(self.device, self.retuner, ScenarioPlayer(scenario), self.log.record)
+        self.session = LoopSession(self.device, self.retuner, ScenarioPlayer(scenario), self.log.record)
         self.t = 0.0
 
     def tick(self, sp: float = 20.0, n: int = 1) -> None:

@@ -10,7 +10,7 @@ import pytest
 from retuner.drivers.host.connection import CONNECTION, ConnectInput, ConnectPhase
 from retuner.drivers.state_machine import StateMachine
 from retuner.session.gain_writer import WRITING, WriterInput, WriterPhase
-from retuner.session.session import COURSE, SessionInput, SessionPhase
+from retuner.session.loop_session import COURSE, SessionInput, SessionPhase
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = [

@@ -11,7 +11,8 @@ import pytest
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.cli import main
 from retuner.commands import run as run_command
-from retuner.commands.approve import SessionFolder
+from retuner.commands.approve import only_place
+from retuner.session.loop_session import LoopSession
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.running import Run
 
@@ -71,7 +72,7 @@ def test_a_superseded_proposal_is_refused_with_its_successor(copy: Path, capsys:
 
 
 def test_the_next_session_refuses_it_as_well(copy: Path, tmp_path: Path) -> None:
-    shown = SessionFolder(copy).shown
+    shown = only_place(copy, None).shown
     older, newest = shown.proposals
     put_order(copy, order_of(older))
     run_short(tmp_path)
@@ -86,16 +87,15 @@ def test_the_running_session_refuses_it_as_well(
     class Late(Run):
         """Somebody had looked before the second proposal, and orders after it."""
 
-        def _sampled(self, sample: LoopSample) -> None:
-            super()._sampled(sample)
-            assert self.session is not None
-            if len(self.session.decisions) == 2 and not (tmp_path / "run" / "orders").exists():
-                put_order(tmp_path / "run", order_of(self.session.decisions[0].digest()))
+        def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
+            super().sampled(loop, sample)
+            if len(loop.decisions) == 2 and not (tmp_path / "run" / "orders").exists():
+                put_order(tmp_path / "run", order_of(loop.decisions[0].digest()))
 
     monkeypatch.setattr(run_command, "Run", Late)
     folder = run_short(tmp_path)
     (order,) = bodies(folder, "order")
     assert order["accepted"] is False
-    assert order["reason"] == REFUSED + list(SessionFolder(folder).shown.proposals)[1][:8]
+    assert order["reason"] == REFUSED + list(only_place(folder, None).shown.proposals)[1][:8]
     assert main(["replay", str(folder)]) == 0
     assert "identical" in capsys.readouterr().out

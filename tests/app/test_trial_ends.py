@@ -182,7 +182,7 @@ def test_the_way_back_is_open_while_the_telemetry_is_garbage(make_wire: Callable
 
     wire.device.step = garbled
     wire.run(60)
-    assert dict(wire.rows)["restore"]["cause"] == "lost_telemetry"
+    assert dict(wire.rows)["restore"]["cause"] == "gap"
     assert wire.kinds[-1] == "restored"
     assert wire.runs == to_wire(GOOD)
 

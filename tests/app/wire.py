@@ -5,9 +5,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import can
+import numpy as np
 
+from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import StageResult
@@ -30,8 +34,8 @@ from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
+from retuner.session.loop_session import LoopSession
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import Session
 
 CHANNELS = itertools.count()
 PLANT = LinearProcess(1.0, (50.0,), (), 5.0)
@@ -50,13 +54,14 @@ class Wire:
         self,
         *,
         mode: Mode = Mode.AUTO,
+        low: PidGains = GOOD,
         lookup: Lookup = Lookup.HARD,
         probation: int = 5,
         trial_samples: int = 0,
         **trial: Any,
     ) -> None:
         regions = Regions("sp", "-", ("low", "high"), 0.0, (60.0,), 100.0, 0.5, 0.0)
-        table = GainTable("loop", regions, (GOOD, OTHER), lookup)
+        table = GainTable("loop", regions, (low, OTHER), lookup)
         first = table.at(0, 50.0)
         plant = LinearPlant(PLANT, start_pv=50.0, start_co=50.0)
         firmware = VirtualDeviceSettings(
@@ -70,7 +75,7 @@ class Wire:
         host = CanDevice(self.near, CanDeviceSettings(sample_time_s=1.0, probation_samples=probation))
         settings = RetunerSettings(1.0, 100.0, mode, band=0.05, trial=TrialSettings(**trial))
         self.rows: list[tuple[str, Mapping[str, object]]] = []
-        self.session = Session(host, Retuner(table, settings), ScenarioPlayer(None), self._record)
+        self.session = LoopSession(host, Retuner(table, settings), ScenarioPlayer(None), self._record)
         self.session.orders = self._ordered
         self.heard: Callable[[can.Message], bool] = lambda message: True  # noqa: ARG005  what of the device arrives
         self.asked: list[Decision] = []
@@ -110,6 +115,13 @@ class Wire:
                 return
             self.run(1)
         raise AssertionError(f"{self.trials.phase(region)} after {most} samples, {phase} was to come")
+
+    def know(self) -> None:
+        """From now on the process of both regions is known."""
+        x = parameters_of(MODEL)
+        log = LogModel(x, 1e-4 * np.eye(len(x)), 1, MODEL.type)
+        model = RegionModel((StructureModel(log, 0.0),), 1, 0.0, plausible=(Plausible(MODEL, 0.0),))
+        self.session.retuner.region_models = {0: model, 1: model}
 
     def ask(self, gains: PidGains, region: int = 0) -> None:
         """A change with a promise that it may not keep."""

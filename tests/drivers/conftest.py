@@ -21,7 +21,7 @@ from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.schedule.gains import PidGains
 
-sys.path.append(str(Path(__file__).parent))  # speaking.py
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[2] / "benchmarks")]  # speaking.py, bus_simulation
 
 CHANNELS = itertools.count()
 
@@ -38,11 +38,12 @@ class Bench:
         log: Path | None = None,
         host: CanDeviceSettings | None = None,
         link: LinkSettings | None = None,
+        make: Callable[..., VirtualDevice] = VirtualDevice,
         **firmware: Any,
     ) -> None:
         plant = LinearPlant(LinearProcess(1.2, (30.0,), (), 4.0), start_pv=50.0, start_co=40.0)
         settings = {"gains": self.FIRST, "box": GainBox(ratio_max=10.0), **firmware}
-        self.device = VirtualDevice(VirtualDeviceSettings(**settings), plant)
+        self.device = make(VirtualDeviceSettings(**settings), plant)
         self.clock = SimulatedClock()
         link = link or LinkSettings(channel=f"bench-{next(CHANNELS)}")
         self.far, self.near = CanLink(link, self.clock), CanLink(link, self.clock, log)

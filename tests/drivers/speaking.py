@@ -3,7 +3,7 @@
 from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.plants.linear_plant import LinearPlant
-from retuner.drivers.protocol.checksum import commit_crc, set_crc
+from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import Ack, Commit, Frame, Item, Lease, Reason, Stage
 from retuner.drivers.protocol.gain_limits import GainBox
@@ -25,7 +25,7 @@ def device(**firmware: object) -> VirtualDevice:
 
 
 def take_lease(dev: VirtualDevice, owner: int = OWNER, samples: int = 6000, counter: int = 1) -> Ack:
-    (answer,) = say(dev, Lease(owner, dev.epoch, samples, counter))
+    (answer,) = say(dev, Lease(owner, lease_stamp(dev.epoch, dev.sample), samples, counter))
     assert isinstance(answer, Ack)
     return answer
 

@@ -2,6 +2,7 @@
 
 from retuner.drivers.device import CommandDone, CommandFailed, WriteDone, WriteFailed
 from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import Lease
 
 LEASE_SAMPLES = 30
@@ -39,7 +40,8 @@ def test_a_lease_that_runs_out_while_the_gains_are_staged_is_taken_again(bench) 
 def test_a_lease_that_another_host_took_meanwhile_ends_the_write_and_says_whose_it_is(bench) -> None:
     bench.run(10)
     busy(bench)
-    bench.device.lease.request(Lease(77, bench.device.epoch, 6000, 1), bench.device.epoch)
+    dev = bench.device
+    dev.lease.request(Lease(77, lease_stamp(dev.epoch, dev.sample), 6000, 1), dev.epoch, dev.sample)
     bench.host.begin_write(bench.SECOND, bench.now_s)
     events = bench.run(20)
     failed = [e for e in events if isinstance(e, WriteFailed)]

@@ -344,7 +344,7 @@ def test_a_device_that_is_not_the_expected_one_is_refused(make_bench, settings, 
 
 def test_another_protocol_or_layout_is_refused(make_bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("retuner.drivers.controller.virtual_device.PROTOCOL_VERSION", 9)
-    with pytest.raises(DeviceMismatchError, match="protocol 9, this host 2"):
+    with pytest.raises(DeviceMismatchError, match="protocol 9, this host 3"):
         make_bench().run(5)
     monkeypatch.undo()
     monkeypatch.setattr("retuner.drivers.controller.virtual_device.schema", lambda: 0xABCD)

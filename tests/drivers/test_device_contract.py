@@ -9,9 +9,11 @@ import time
 
 import can
 import pytest
+from bus_simulation.firmware import FirmwareDevice
 
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.clock import MonotonicClock, SimulatedClock
+from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.device import BusError, CommandDone, Device, WriteDone, WriteFailed
 from retuner.drivers.host.can_settings import CanDeviceSettings
 from retuner.drivers.host.connection import CanDevice
@@ -47,10 +49,10 @@ def await_all(link: CanLink, other: CanLink, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(link, "receive_all", receive_all)
 
 
-@pytest.fixture(params=["virtual", "udp_multicast"])
+@pytest.fixture(params=["virtual", "udp_multicast", "firmware in C"])
 def pair(request: pytest.FixtureRequest, make_bench, monkeypatch: pytest.MonkeyPatch):
     link = udp_settings() if request.param == "udp_multicast" else None
-    made = make_bench(link=link)
+    made = make_bench(link=link, make=FirmwareDevice if request.param == "firmware in C" else VirtualDevice)
     await_all(made.near, made.far, monkeypatch)
     await_all(made.far, made.near, monkeypatch)
     made.run(8)

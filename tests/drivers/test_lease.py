@@ -16,6 +16,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import (
     Confirm,
     Flags,
@@ -60,14 +61,14 @@ def test_nothing_is_changed_for_anybody_but_the_owner() -> None:
 
 def test_without_any_lease_nobody_commands() -> None:
     dev = device()
-    say(dev, Lease(OWNER, dev.epoch, 0, 2))
+    say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 0, 2))
     assert acks(say(dev, *stage(1, SECOND), Setpoint(1, 60.0, OWNER))) == [Reason.NOT_OWNER] * 4
     assert acks(say(dev, commit(1, SECOND))) == [Reason.NOT_STAGED]
 
 
 def test_a_lease_runs_out_and_drops_what_was_staged() -> None:
     dev = device()
-    say(dev, Lease(OWNER, dev.epoch, 3, 2), *stage(1, SECOND))
+    say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 3, 2), *stage(1, SECOND))
     for _ in range(2):
         step(dev)
     assert dev.pages.has_staged
@@ -79,18 +80,18 @@ def test_a_lease_runs_out_and_drops_what_was_staged() -> None:
 
 def test_a_repeated_request_does_not_prolong_the_lease() -> None:
     dev = device()
-    request = Lease(OWNER, dev.epoch, 4, 2)
+    request = Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 4, 2)
     for _ in range(4):
         assert acks(say(dev, request)) == [Reason.OK]
         step(dev)
     assert dev.lease.owner == 0
-    assert acks(say(dev, Lease(OWNER, dev.epoch, 4, 1))) == [Reason.STALE]
-    assert acks(say(dev, Lease(OWNER, dev.epoch, 4, 3))) == [Reason.OK]
+    assert acks(say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 4, 1))) == [Reason.STALE]
+    assert acks(say(dev, Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 4, 3))) == [Reason.OK]
 
 
 def test_a_request_of_another_epoch_is_stale_and_a_restart_frees_the_lease() -> None:
     dev = device()
-    old = Lease(OWNER, dev.epoch, 100, 9)
+    old = Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 100, 9)
     dev.restart()
     assert dev.lease.owner == 0
     assert acks(say(dev, old)) == [Reason.STALE]
@@ -106,7 +107,7 @@ def test_no_lease_is_longer_than_the_firmware_grants() -> None:
 
 def test_an_accepted_commit_stays_accepted_when_the_lease_ends() -> None:
     dev = device()
-    say(dev, *stage(1, SECOND), commit(1, SECOND), Lease(OWNER, dev.epoch, 0, 2))
+    say(dev, *stage(1, SECOND), commit(1, SECOND), Lease(OWNER, lease_stamp(dev.epoch, dev.sample), 0, 2))
     assert acks(step(dev)) == [Reason.OK]
     assert dev.running.gains == SECOND
 

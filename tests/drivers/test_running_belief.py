@@ -23,6 +23,8 @@ def believing(epoch: int) -> RunningBelief:
 
 def restart(belief: RunningBelief, epoch: int) -> Belief:
     belief.on_heartbeat(Heartbeat(1, epoch, 0))
+    assert belief.on_page(page(epoch)) is not Belief.RESTARTED
+    belief.identify()
     return belief.on_page(page(epoch))
 
 

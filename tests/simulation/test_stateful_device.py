@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
-from retuner.drivers.protocol.checksum import commit_crc, set_crc, to_wire
+from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc, to_wire
 from retuner.drivers.protocol.codec import Codec
 from retuner.drivers.protocol.frames import (
     Abort,
@@ -97,7 +97,8 @@ class DeviceMachine(RuleBasedStateMachine):
     )
     def lease(self, owner: int, samples: int, age: int, epoch: int) -> None:
         self.counter += max(age, 0)
-        frame = Lease(owner, self.model.epoch + epoch, samples, (self.counter + min(age, 0)) % 256)
+        stamp = lease_stamp(self.model.epoch + epoch, self.device.sample)
+        frame = Lease(owner, stamp, samples, (self.counter + min(age, 0)) % 256)
         m, last = self.model, self.model.last_lease
         if epoch:
             expected = Reason.STALE

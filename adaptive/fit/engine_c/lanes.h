@@ -330,8 +330,10 @@ static void put_columns(Work *w) {
         put_form(w, k, &w->basis[j], ramp);
         add_form(w, late, scaled_form(ramp, -1), w->column + k * p->n), make_unit(w, k++);
     }
-    for (Py_ssize_t i = 0; p->ramp && i < p->n; i++)
-        w->column[k * p->n + i] = p->t[i] / p->span;
+    for (Py_ssize_t i = 0; p->ramp && i < p->n; i++) {
+        double share = p->t[i] / p->span;
+        w->column[k * p->n + i] = LAG[p->type] >= 0 ? share : share * share;
+    }
     k += p->ramp;
     for (int j = 0; j < p->loads; j++)
         put_form(w, k, &w->basis[2 * p->starts + j], load), make_unit(w, k++);

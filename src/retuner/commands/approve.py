@@ -14,16 +14,16 @@ import typer
 
 from retuner.adaptive.supervision.decision import gains_dict
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
-from retuner.commands.options import By, Json, Note, Session
-from retuner.config.loading import load_config
+from retuner.commands.options import By, Json, Loop, Note, Session
+from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
 from retuner.errors import LedgerError, UserError, user_input
 from retuner.ledger.lock import WriterLock
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
-from retuner.session.outputs import CONFIG
-from retuner.session.recorded_session import believed_rows, ledger_path
+from retuner.session.outputs import CONFIG, loop_folder
+from retuner.session.recorded_session import believed_rows, ledger_path, rows_by_loop
 
 app = typer.Typer(add_completion=False)
 
@@ -54,21 +54,43 @@ class Person:
             raise UserError("--by: the system knows no user name here; say who orders it") from None
 
 
-class SessionFolder:
-    """A session's folder as a person sees it who wants to order something.
+def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
+    """The loops of a session to which something may be ordered. loop : the name of one; None for all.
 
     Raises
     ------
     UserError
-        There is no session, or its ledger cannot be believed: orders refer to what it says.
+        There is no session or no such loop, or its ledger cannot be believed: orders refer to what it says.
+    """
+    ledger = ledger_path(session)
+    rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG)[0]
+    about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}
+    wanted = config.loops if loop is None else (config.loops[config.place(loop)],)
+    return [LoopPlace(ledger, one, config.several, shown(about[one.loop.name])) for one in wanted]
+
+
+def only_place(session: Path, loop: str | None) -> "LoopPlace":
+    """The one loop that is meant; errors as `places`, and UserError when there are several and none is named."""
+    found = places(session, loop)
+    if len(found) > 1:
+        names = ", ".join(place.name for place in found)
+        raise UserError(f"--loop: there are {len(found)} loops, name one of {names}")
+    return found[0]
+
+
+class LoopPlace:
+    """A loop of a session as a person sees it who wants to order something: its folder, and what it has shown.
+
+    Parameters
+    ----------
+    ledger : of the session. config : of the loop. several : it is one of several. shown : what the ledger tells of it.
     """
 
-    def __init__(self, session: Path) -> None:
-        path = ledger_path(session)
-        self.folder = path.parent
-        self.shown: Shown = shown(believed_rows(path))
-        self.config: Config = load_config(self.folder / CONFIG)
-        self._ledger = path
+    def __init__(self, ledger: Path, config: Config, several: bool, shown: Shown) -> None:
+        self.session, self.config, self.shown = ledger.parent, config, shown
+        self.name = config.loop.name if several else ""
+        self.folder = loop_folder(self.session, self.name)
+        self._ledger = ledger
 
     @property
     def expires_after_s(self) -> float:
@@ -77,8 +99,8 @@ class SessionFolder:
 
     def running(self) -> bool:
         """Whether a session fills the folder right now."""
-        if not os.access(self.folder, os.W_OK):
-            raise UserError(f"{self.folder}: cannot be written to; orders are files in it")
+        if not os.access(self.session, os.W_OK):
+            raise UserError(f"{self.session}: cannot be written to; orders are files in it")
         try:
             WriterLock(self._ledger).close()
         except LedgerError:
@@ -96,7 +118,7 @@ class SessionFolder:
         """What happens to an order."""
         if self.running():
             return "the running session takes it at its next sample"
-        return f"no session is running here; the next run with --out {self.folder} takes it at its start"
+        return f"no session is running here; the next run with --out {self.session} takes it at its start"
 
 
 @app.command(epilog="Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'")
@@ -109,21 +131,21 @@ def approve(
     note: Note = "",
     unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Let a locked-out region change again.")] = None,
     every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False,
+    loop: Loop = None,
     as_json: Json = False,
 ) -> int:
     """Order that a proposal be written, named by its hash, or list the open ones: the newest of each region."""
-    place = SessionFolder(session)
-    person = Person(by, note)
+    found, person = places(session, loop), Person(by, note)
     if every and (unlock or digest) is not None:
         raise UserError("--all: lists proposals; leave it out to approve or unlock one")
     if unlock is not None:
-        return _unlock(place, unlock, digest, person, as_json=as_json)
+        return _unlock(only_place(session, loop), unlock, digest, person, as_json=as_json)
     if digest is None:
-        return _list(place, every=every, as_json=as_json)
-    full = _full_hash(place, digest)
+        return _list(found, every=every, as_json=as_json)
+    place, full = _full_hash(found, digest)
     reason = _closed(place, full)
     document: dict[str, object] = {
-        "session": str(place.folder),
+        "session": str(place.session),
         "approved": None if reason else full,
         "reason": reason or None,
         "file": None,
@@ -135,7 +157,7 @@ def approve(
     return 1 if reason else 0
 
 
-def _closed(place: SessionFolder, full: str) -> str:
+def _closed(place: LoopPlace, full: str) -> str:
     """Why what a hash names is not approved; empty when it is."""
     if full in place.shown.approved:
         return "it was approved before"
@@ -146,22 +168,22 @@ def _closed(place: SessionFolder, full: str) -> str:
     return str(standing) if standing is not ProposalStanding.OPEN else superseded(place.shown.successor(proposal))
 
 
-def order_back(session: Path, decision: int, person: Person, *, as_json: bool) -> int:
-    """Order the way back to the gains before a decision, in its region; the exit status, 0.
+def order_back(session: Path, decision: int, person: Person, loop: str | None = None, *, as_json: bool) -> int:
+    """Order the way back to the gains before a decision, in its region; the exit status, 0. loop : whose decision.
 
     Raises
     ------
     UserError
         No such session or decision.
     """
-    place = SessionFolder(session)
+    place = only_place(session, loop)
     change = place.shown.changes.get(decision)
     if change is None:
         most = max(place.shown.changes, default=0)
         raise UserError(f"--decision {decision}: the ledger has no such decision; there are {most or 'none'}")
     file = place.put(OrderKind.REVERT, person, decision=decision)
     document = {
-        "session": str(place.folder),
+        "session": str(place.session),
         "decision": decision,
         "region": change.region,
         "gains": gains_dict(change.before),
@@ -175,7 +197,7 @@ def order_back(session: Path, decision: int, person: Person, *, as_json: bool) -
     return 0
 
 
-def _unlock(place: SessionFolder, region: str, digest: str | None, person: Person, *, as_json: bool) -> int:
+def _unlock(place: LoopPlace, region: str, digest: str | None, person: Person, *, as_json: bool) -> int:
     """Order that a locked-out region may change again."""
     names = [one.name for one in place.config.schedule.regions]
     if digest is not None:
@@ -183,34 +205,50 @@ def _unlock(place: SessionFolder, region: str, digest: str | None, person: Perso
     if region not in names:
         raise UserError(f"--unlock {region}: there is no such region; there are {', '.join(names)}")
     file = place.put(OrderKind.UNLOCK, person, region=region)
-    document = {"session": str(place.folder), "unlocked": region, "file": str(file)}
+    document = {"session": str(place.session), "unlocked": region, "file": str(file)}
     _tell(document, f"{region}: {place.who_acts()}", as_json=as_json)
     return 0
 
 
-def _full_hash(place: SessionFolder, digest: str) -> str:
-    """The hash that a person means by its beginning."""
-    known = [*place.shown.proposals, *place.shown.tried]
+def _full_hash(found: Sequence[LoopPlace], digest: str) -> tuple[LoopPlace, str]:
+    """The hash that a person means by its beginning, and the loop that it is of."""
+    session = found[0].session
+    known = [(place, one) for place in found for one in (*place.shown.proposals, *place.shown.tried)]
     if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
         raise UserError(
             f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
-            f"`retuner approve {place.folder}` lists them"
+            f"`retuner approve {session}` lists them"
         )
-    meant = [one for one in known if one.startswith(digest)]
+    meant = [(place, one) for place, one in known if one.startswith(digest)]
     if len(meant) != 1:
         what = "no proposal begins like this" if not meant else f"{len(meant)} proposals begin like this, give more"
-        raise UserError(f"HASH {digest}: {what}; `retuner approve {place.folder}` lists them")
+        raise UserError(f"HASH {digest}: {what}; `retuner approve {session}` lists them")
     return meant[0]
 
 
-def _list(place: SessionFolder, *, every: bool, as_json: bool) -> int:
-    """The open proposals, the newest of each region; every : and those that it supersedes."""
+def _list(found: Sequence[LoopPlace], *, every: bool, as_json: bool) -> int:
+    """The open proposals of some loops, the newest of each region; every : and those that it supersedes."""
+    documents, lines = [], []
+    for place in found:
+        document, text = _of_loop(place, every=every)
+        documents.append(document)
+        lines += text
+    if not found[0].name:
+        _tell(documents[0], "\n".join(lines), as_json=as_json)
+        return 0
+    _tell({"session": str(found[0].session), "loops": documents}, "\n".join(lines), as_json=as_json)
+    return 0
+
+
+def _of_loop(place: LoopPlace, *, every: bool) -> tuple[dict[str, object], list[str]]:
+    """The open proposals of a loop as a document, and in lines."""
     able = place.shown.open(place.expires_after_s)
     proposals = [one for one in able if not place.shown.successor(one)]
     older = len(able) - len(proposals)
     waiting = [{"hash": digest, "region": region} for region, digest in place.shown.waiting.items()]
-    document = {
-        "session": str(place.folder),
+    document: dict[str, object] = {
+        "session": str(place.session),
+        **({"loop": place.name} if place.name else {}),
         "time_s": place.shown.last_s,
         "waiting": waiting,
         "superseded": older,
@@ -223,14 +261,13 @@ def _list(place: SessionFolder, *, every: bool, as_json: bool) -> int:
     ]
     hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
     lines.append(
-        f"{place.folder}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
+        f"{place.name or place.session}: {len(proposals)} open proposal{'s' * (len(proposals) != 1)} at "
         f"{place.shown.last_s:,.0f} s{hidden}"
     )
-    _tell(document, "\n".join(lines), as_json=as_json)
-    return 0
+    return document, lines
 
 
-def _line(place: SessionFolder, proposal: Proposal, able: Sequence[Proposal]) -> str:
+def _line(place: LoopPlace, proposal: Proposal, able: Sequence[Proposal]) -> str:
     """A proposal in one line; able : all of which some may be older ones of its region."""
     successor = place.shown.successor(proposal)
     older = sum(one.region == proposal.region for one in able) - 1
@@ -242,7 +279,7 @@ def _line(place: SessionFolder, proposal: Proposal, able: Sequence[Proposal]) ->
     )
 
 
-def _listed(place: SessionFolder, proposal: Proposal) -> dict[str, object]:
+def _listed(place: LoopPlace, proposal: Proposal) -> dict[str, object]:
     """A proposal as plain values."""
     return {
         "hash": proposal.digest,

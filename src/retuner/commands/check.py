@@ -24,28 +24,35 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
     """Say what is wrong with a configuration: file, line, key, limit; or show it when all is well."""
     from retuner.config.loading import (  # noqa: PLC0415  see above
         UnusableError,
-        parse_config,
+        parse_session,
         read_text,
         usable_here,
     )
 
     try:
         text = read_text(path)
-        config = usable_here(parse_config(text), text)
+        session = usable_here(parse_session(text), text)
     except UnusableError as unusable:
         if not as_json:
             raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
         _print_json({"ok": False, "file": str(path), "problems": [_problem(f) for f in unusable.findings]})
         return UNUSABLE
     if as_json:
-        _print_json({"ok": True, "file": str(path), "problems": [], **config.summary()})
+        _print_json({"ok": True, "file": str(path), "problems": [], **session.summary()})
     else:
-        sys.stdout.write(f"{path}: ok\n" + "".join(f"  {line}\n" for line in described(config)))
+        lines = [line for config in session.loops for line in described(config, several=session.several)]
+        lines += [output_line(session.loops[0])]
+        sys.stdout.write(f"{path}: ok\n" + "".join(f"  {line}\n" for line in lines))
     return 0
 
 
-def described(config: "Config") -> list[str]:
-    """What a configuration says, in lines for a person."""
+def output_line(config: "Config") -> str:
+    """What a run leaves behind."""
+    return f"output      {config.output.directory}, trend as {config.output.trend}"
+
+
+def described(config: "Config", *, several: bool) -> list[str]:
+    """What the configuration of a loop says, in lines for a person; several : it is one of several."""
     loop, bus = config.loop, config.bus
     lines = [
         f"loop        {loop.name}: pv {loop.pv_min:g} to {loop.pv_max:g} {loop.pv_unit}, "
@@ -60,8 +67,7 @@ def described(config: "Config") -> list[str]:
         lines.append(f"device      {config.device.kind}, plant {config.device.plant.kind}, seed {config.device.seed}")
     if config.scenario is not None:
         lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
-    lines.append(f"output      {config.output.directory}, trend as {config.output.trend}")
-    return lines
+    return [*lines, ""] if several else lines
 
 
 def _axis_text(axis: "Axis") -> str:

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from retuner.commands.options import Channel, ConfigFile, Interface, on_bus
+from retuner.commands.options import Channel, ConfigFile, Interface, Loop, all_on_bus
 from retuner.errors import UserError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
-    from retuner.config.model import Config
+    from retuner.config.session_config import SessionConfig
 
 app = typer.Typer(add_completion=False)
 
@@ -21,45 +21,47 @@ def device(
     channel: Channel = None,
     speed: Annotated[float, typer.Option(help="How much faster than real time the simulated plant runs.")] = 1.0,
     duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
+    loop: Loop = None,
 ) -> int:
-    """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped."""
-    from retuner.config.loading import load_config  # noqa: PLC0415  see above
+    """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped; of several loops, all."""
+    from retuner.config.loading import load_session  # noqa: PLC0415  see above
+    from retuner.config.session_config import SessionConfig  # noqa: PLC0415
 
-    config = on_bus(load_config(path), interface, channel)
+    session = all_on_bus(load_session(path)[0], interface, channel)
+    configs = session.loops if loop is None else (session.loops[session.place(loop)],)
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {speed}: give a positive number, 1 for real time")
     if duration is not None and not 0 < duration < float("inf"):
         raise UserError(f"--duration {duration}: give a positive number of seconds, or leave it out")
-    if config.bus.interface == "virtual":
+    if configs[0].bus.interface == "virtual":
         raise UserError(
             "bus.interface = virtual reaches no other process: give --interface udp_multicast --channel 239.74.163.2, "
             "or socketcan and its interface; `retuner run` needs no device for virtual"
         )
-    _be(config, speed, duration or float("inf"))
+    _be(SessionConfig(configs, session.several), speed, duration or float("inf"))
     return 0
 
 
-def _be(config: "Config", speed: float, until_s: float) -> None:
-    """The controller on its bus, until its time is over or somebody stops it."""
-    from retuner.drivers.bus.bus import CanLink  # noqa: PLC0415  see above
-    from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415
-    from retuner.drivers.controller.device_process import DeviceOnBus, fresh_epoch, run_device  # noqa: PLC0415
-    from retuner.drivers.controller.virtual_device import VirtualDevice  # noqa: PLC0415
-    from retuner.session.assembly import link_settings, make_plant, virtual_device_settings  # noqa: PLC0415
+def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
+    """The controllers on their buses, until their time is over or somebody stops them."""
+    from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415  see above
+    from retuner.drivers.controller.device_process import fresh_epoch, run_devices  # noqa: PLC0415
+    from retuner.session.bench import far_ends  # noqa: PLC0415
     from retuner.stopping import stoppable  # noqa: PLC0415
 
-    machine = VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=fresh_epoch())
     clock = MonotonicClock(speed)
-    with CanLink(link_settings(config, speed), clock) as link:
-        sys.stderr.write(
-            f"{config.loop.name}: node {config.bus.node} on {config.bus.interface} {config.bus.channel}, "
-            f"{speed:g} times real time; Ctrl-C ends it\n"
-        )
+    with far_ends(session, speed, clock, fresh_epoch) as devices:
+        for config in session.loops:
+            bus = config.bus
+            sys.stderr.write(
+                f"{config.loop.name}: node {bus.node} on {bus.interface} {bus.channel}, "
+                f"{speed:g} times real time; Ctrl-C ends it\n"
+            )
         sys.stderr.flush()
         try:
             with stoppable():
-                report = run_device(DeviceOnBus(machine, link), clock, until_s=until_s)
+                report = run_devices(devices, clock, until_s=until_s)
         except KeyboardInterrupt:
-            sys.stderr.write(f"{machine.sample} samples\n")
+            sys.stderr.write(f"{sum(one.device.sample for one in devices)} samples\n")
             raise
     sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")

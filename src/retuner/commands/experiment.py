@@ -14,7 +14,7 @@ from rich.console import Console
 
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.rules.registry import rule_named
-from retuner.commands.options import Channel, Interface, Json, on_bus, signed_by
+from retuner.commands.options import Channel, Interface, Json, Loop, on_bus, signed_by
 from retuner.commands.recorded.record_form import renamed
 from retuner.config import Config, load_config
 from retuner.drivers.device import DeviceError
@@ -79,6 +79,7 @@ class OnDemandOptions(RecordedOptions):
     time: Annotated[float | None, typer.Option("--time", help="Longest excitation, s; default 2000 samples.")] = None
     rest: Annotated[float | None, typer.Option("--rest", help="Longest wait for rest, s; default 300 samples.")] = None
     out: Annotated[Path | None, typer.Option(help="Folder for record, picture, ledger and bus log.")] = None
+    loop: Loop = None
     yes: Annotated[bool, typer.Option("--yes", help="The settings are confirmed: write them.")] = False
 
 
@@ -237,7 +238,7 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     ConfigError, UserError, DeviceError
         The configuration, an option, the folder or the bus cannot be used; nothing was touched.
     """
-    config = on_bus(load_config(path), options.interface, options.channel)
+    config = on_bus(load_config(path, options.loop), options.interface, options.channel)
     in_process = config.bus.interface == "virtual"
     if in_process:
         make_plant(config)

@@ -19,8 +19,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from retuner.commands.approve import Person, order_back
-from retuner.commands.options import By, Json, Note, Session
-from retuner.errors import UserError
+from retuner.commands.options import By, Json, Loop, Note, Session
+from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
 from retuner.report.ledger_words import Told, told
@@ -39,6 +39,7 @@ COLUMNS = {
     "time [s]": "when_s",
     "what": "kind",
     "who": "who",
+    "loop": "loop",
     "region": "region",
     "why": "why",
     "old": "old",
@@ -83,11 +84,12 @@ def verify(
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which rows: of one decision (its own, and those of its write), from a time on, of a kind."""
+    """Which rows: of one decision (its own, and those of its write), from a time on, of a kind, of a loop."""
 
     decision: int | None = None
     since_s: float | None = None
     kind: str | None = None
+    loop: str | None = None
 
     def rows(self, rows: list[Row]) -> list[Row]:
         """The selected ones.
@@ -97,6 +99,7 @@ class Selection:
         UserError
             There is no such decision or kind.
         """
+        rows = self._of_loop(rows)
         if self.kind is not None:
             kinds = sorted({row.kind for row in rows})
             if self.kind not in kinds:
@@ -107,6 +110,17 @@ class Selection:
                 raise UserError("--since nan: give seconds of the run")
             rows = [row for row in rows if row.clock_s >= self.since_s]
         return rows if self.decision is None else list(self._about(rows, self.decision))
+
+    def _of_loop(self, rows: list[Row]) -> list[Row]:
+        """Those about the loop, and about all of them; of a decision one has to say of which loop it is."""
+        names = sorted({loop for row in rows if row.kind != "session" and (loop := row.body.get("loop"))})
+        if self.loop is None:
+            if self.decision is not None and len(names) > 1:
+                raise UserError(f"--loop: there are {len(names)} loops, name one of {', '.join(names)}")
+            return rows
+        if self.loop not in names:
+            raise UserError(f"--loop {self.loop}: no row is of this loop; there are {', '.join(names) or 'none'}")
+        return [row for row in rows if row.body.get("loop", self.loop) == self.loop]
 
     def _about(self, rows: list[Row], number: int) -> Iterator[Row]:
         """A decision with the rows of its write: from it to the next decision, where they tell of its region."""
@@ -134,12 +148,13 @@ def show(
     decision: Annotated[int | None, typer.Option(help="Only this decision and what came of it.")] = None,
     since: Annotated[float | None, typer.Option(help="Only from this time of the run on, s.")] = None,
     kind: Annotated[str | None, typer.Option(help="Only rows of this kind: decision, order, committed, ...")] = None,
+    loop: Loop = None,
     as_json: Json = False,
 ) -> int:
     """Who, when, why, from what to what, on what evidence, with what verdict: row by row."""
     path = ledger_path(session)
     rows, broken = believed(path)
-    chosen = Selection(decision, since, kind).rows(rows)
+    chosen = Selection(decision, since, kind, loop).rows(rows)
     if as_json:
         document = {
             "ledger": str(path),
@@ -168,21 +183,30 @@ WIDE = 160
 def _table(lines: list[Told]) -> Table:
     """A table with a column for each question."""
     table = Table(box=None, pad_edge=False)
-    for head in COLUMNS:
+    shown = {head: name for head, name in COLUMNS.items() if head != "loop" or _several(lines)}
+    for head in shown:
         table.add_column(escape(head), justify="right" if head in {"row", "time [s]"} else "left", overflow="fold")
     for line in lines:
         values = line.to_dict() | {"when_s": f"{line.when_s:,.1f}"}
-        table.add_row(*(escape(str(values[name])) for name in COLUMNS.values()))
+        table.add_row(*(escape(one_line(values[name])) for name in shown.values()))
     return table
+
+
+def _several(lines: list[Told]) -> bool:
+    """Whether rows are of several loops, so that each must say of which."""
+    return len({line.loop for line in lines if line.loop}) > 1
 
 
 def _list(rows: list[Row]) -> str:
     """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
-    out = []
-    for line in map(told, rows):
-        out.append(escape(f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {line.region}".rstrip()))
+    out, lines = [], list(map(told, rows))
+    several = _several(lines)
+    for line in lines:
+        where = f"{line.loop} {line.region}" if several else line.region
+        head = f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {where}"
+        out.append(escape(one_line(head.rstrip())))
         change = f"{line.old} -> {line.new}" if line.old and line.new else line.new
-        out += [f"       {escape(text)}" for text in (line.why, change, line.evidence, line.verdict) if text]
+        out += [f"       {escape(one_line(text))}" for text in (line.why, change, line.evidence, line.verdict) if text]
     return "\n".join(out)
 
 
@@ -247,7 +271,8 @@ def revert(
     decision: Annotated[int, typer.Option("--decision", "--to", help="Back to the gains before this decision.")],
     by: By = None,
     note: Note = "",
+    loop: Loop = None,
     as_json: Json = False,
 ) -> int:
     """Order the way back: the gains before a decision, in its region; by the running session, or by the next one."""
-    return order_back(session, decision, Person(by, note), as_json=as_json)
+    return order_back(session, decision, Person(by, note), loop, as_json=as_json)

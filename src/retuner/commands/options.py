@@ -1,14 +1,18 @@
 """Options that several commands share, and how a dataclass of options becomes a command's signature."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from retuner.errors import UserError
+
 if TYPE_CHECKING:  # slow to load, and most commands have no configuration
     from retuner.config.model import Config
+    from retuner.config.session_config import SessionConfig
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")]
 Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder that a run leaves, or fills right now.")]
@@ -17,6 +21,7 @@ Interface = Annotated[
     str | None, typer.Option("--interface", "-i", help="python-can interface, as python-can spells it.")
 ]
 Channel = Annotated[str | None, typer.Option("--channel", "-c", help="Channel of the interface.")]
+Loop = Annotated[str | None, typer.Option("--loop", metavar="NAME", help="Which loop, where there are several.")]
 By = Annotated[str | None, typer.Option(help="Who orders it; default: the user of this process.")]
 Note = Annotated[str, typer.Option(help="Why, for the ledger.")]
 
@@ -41,3 +46,18 @@ def on_bus(config: "Config", interface: str | None, channel: str | None) -> "Con
     named = {"interface": interface, "channel": channel}
     changes = {name: value for name, value in named.items() if value is not None}
     return config.model_copy(update={"bus": config.bus.model_copy(update=changes)}) if changes else config
+
+
+def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | None) -> "SessionConfig":
+    """The same for all loops of a session.
+
+    Raises
+    ------
+    UserError
+        They hang on several buses: which one is meant?
+    """
+    if (interface or channel) is not None and len(session.buses) > 1:
+        raise UserError(
+            f"--interface, --channel: name one bus, and the loops hang on {len(session.buses)}; name them in the file"
+        )
+    return replace(session, loops=tuple(on_bus(config, interface, channel) for config in session.loops))

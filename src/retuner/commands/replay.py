@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ from retuner.adaptive.guard import change_factor
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.commands.options import Json
+from retuner.commands.options import Json, Loop
 from retuner.commands.recorded.record_form import renamed
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
@@ -23,7 +23,7 @@ from retuner.errors import UserError
 from retuner.replay.replaying import Replay, Replayed
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner, schedule_inputs
-from retuner.session.recorded_session import RecordedSession, read_session
+from retuner.session.recorded_session import RecordedSession, read_loops
 from retuner.session.session_identity import differences
 
 app = typer.Typer(add_completion=False)
@@ -39,28 +39,40 @@ def replay(
         typer.Option(help="Say what would have been done on a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
     ] = None,
     columns: Annotated[str, typer.Option(help="Other names in a table: t=time,pv=temp,co=out,sp=target.")] = "",
+    loop: Loop = None,
     as_json: Json = False,
 ) -> int:
     """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
     if config is not None:
-        return what_if(target, config, columns, as_json=as_json)
+        return what_if(target, config, columns, loop, as_json=as_json)
     if target.is_file() and target.suffix != ".sqlite":
         raise UserError(f"{target}: is not the folder of a session; to replay a log of another origin give --config")
     if columns:
         raise UserError("--columns: names the columns of a log; a session has its own")
-    session = read_session(target)
-    result = Replay(session).run()
+    recorded, meant = read_loops(target)
+    if loop is not None:
+        recorded = (recorded[meant.place(loop)],)
+    return _again(recorded, as_json=as_json)
+
+
+def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:
+    """Decide again in each loop; the exit status."""
+    results = [(one, Replay(one).run()) for one in recorded]
+    identical = all(result.identical for _, result in results)
     if as_json:
-        sys.stdout.write(json.dumps(document(session, result), indent=2, allow_nan=False) + "\n")
+        documents = [document(one, result) for one, result in results]
+        whole = documents[0] if len(documents) == 1 else {"identical": identical, "loops": documents}
+        sys.stdout.write(json.dumps(whole, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.writelines(f"{line}\n" for line in told(session, result))
-    return 0 if result.identical else 1
+        sys.stdout.writelines(f"{line}\n" for one, result in results for line in told(one, result))
+    return 0 if identical else 1
 
 
 def document(session: RecordedSession, result: Replayed) -> dict[str, object]:
     """The result as one JSON document."""
     return {
         "session": str(session.folder),
+        "loop": session.config.loop.name,
         "identical": result.identical,
         "samples": result.samples,
         "compared": result.compared,
@@ -147,8 +159,8 @@ def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
     return found
 
 
-def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int:
-    """Say what would have been done on a log; the exit status, 0.
+def what_if(log: Path, config_file: Path, columns: str, loop: str | None = None, *, as_json: bool) -> int:
+    """Say what would have been done on a log; the exit status, 0. loop : of the configuration, where it has several.
 
     Raises
     ------
@@ -157,7 +169,7 @@ def what_if(log: Path, config_file: Path, columns: str, *, as_json: bool) -> int
     """
     if log.is_dir():
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
-    config = load_config(config_file)
+    config = load_config(config_file, loop)
     retuner = make_retuner(config, Mode.ADVISE)
     found = answer(retuner, recorded_loop(log, columns, config))
     if as_json:

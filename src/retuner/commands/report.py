@@ -2,13 +2,14 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from retuner.commands.options import Json, Session
+from retuner.commands.options import Json, Loop, Session
 from retuner.config.model import Config
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.page import page
@@ -17,13 +18,14 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.ledger import Row
 from retuner.replay.recorded_trend import recorded_columns
+from retuner.report.loops_index import loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import Columns, RegionScore, region_scores
 from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 from retuner.session.assembly import make_plant
 from retuner.session.outputs import GAINS, REPORT, SUMMARY
-from retuner.session.recorded_session import RecordedSession, read_session, without_place
+from retuner.session.recorded_session import RecordedSession, read_loops, without_place
 from retuner.session.scenario import loads_at
 
 app = typer.Typer(add_completion=False)
@@ -34,12 +36,20 @@ def report(
     session: Session,
     decision: Annotated[int | None, typer.Option(help="Only the page of this decision, by its number.")] = None,
     out: Annotated[Path | None, typer.Option(help="Where to write it; default in the session's folder.")] = None,
+    loop: Loop = None,
     as_json: Json = False,
 ) -> int:
     """Make the report of a recorded session again, or the page of one decision: the whole reasoning with pictures."""
-    recorded = read_session(session)
-    columns = recorded_columns(recorded)
-    rows = [row for row in recorded.rows if row.kind == "decision"]
+    recorded, config = read_loops(session)
+    every = config.several and loop is None and decision is None and out is None
+    told = _all_loops(recorded) if every else _one_loop(recorded[config.place(loop)], decision, out)
+    sys.stdout.write((json.dumps(told, indent=2) if as_json else str(told["file"])) + "\n")
+    return 0
+
+
+def _one_loop(recorded: RecordedSession, decision: int | None, out: Path | None) -> dict[str, object]:
+    """Write the report of a loop, or the page of one of its decisions; what was written."""
+    columns, rows = recorded_columns(recorded), _decided(recorded)
     if decision is None:
         path = out or recorded.folder / REPORT
         text = render(_data(recorded, rows, columns))
@@ -50,10 +60,31 @@ def report(
         later = what_came_of(document, [without_place(one.body) for one in rows])
         text = page(view_of(document, columns, recorded.config.loop.pv_unit, (row.seq, row.hash), later))
     write_whole(path, text)
-    told = {"session": str(recorded.folder), "file": str(path), "decisions": len(rows), "decision": decision}
-    line = json.dumps(told, indent=2) if as_json else f"{path}"
-    sys.stdout.write(line + "\n")
-    return 0
+    return {"session": str(recorded.folder), "file": str(path), "decisions": len(rows), "decision": decision}
+
+
+def _all_loops(recorded: Sequence[RecordedSession]) -> dict[str, object]:
+    """Write the report of every loop that has samples, and the page that leads to them; what was written."""
+    session, lines, files = recorded[0].bus_log.parent, [], []
+    for one in recorded:
+        absent = next((str(row.body["reason"]) for row in one.rows if row.kind == "absent"), "")
+        documents = [without_place(row.body) for row in _decided(one)]
+        if absent:
+            lines.append(loop_line(one.name, None, documents, [], absent))
+            continue
+        data, path = _data(one, _decided(one), recorded_columns(one)), one.folder / REPORT
+        write_whole(path, render(data))
+        files.append(str(path))
+        lines.append(loop_line(one.name, str(path.relative_to(session)), documents, data.scores, ""))
+    last = recorded[0].rows[-1]
+    facts = {"session": str(session), "ledger": f"{last.seq} rows, head {last.hash}"}
+    write_whole(session / REPORT, render_index(lines, facts))
+    return {"session": str(session), "file": str(session / REPORT), "loops": files}
+
+
+def _decided(recorded: RecordedSession) -> list[Row]:
+    """The rows of decisions."""
+    return [row for row in recorded.rows if row.kind == "decision"]
 
 
 def _named(recorded: RecordedSession, rows: list[Row], decision: int) -> Row:

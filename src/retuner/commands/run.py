@@ -3,46 +3,52 @@
 import json
 import platform
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
-from retuner.commands.options import Channel, ConfigFile, Interface, Json, on_bus, signed_by
+from retuner.commands.options import Channel, ConfigFile, Interface, Json, all_on_bus, signed_by
 from retuner.commands.report import scores_of
-from retuner.config.loading import load_with_text
+from retuner.config.loading import load_session
 from retuner.config.model import Config
+from retuner.config.session_config import SessionConfig
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_json, write_whole
 from retuner.ledger import Ledger, Recorder
 from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
 from retuner.schedule.document import to_toml
 from retuner.session.assembly import make_plant
+from retuner.session.loop_session import LoopSession
 from retuner.session.outputs import (
     BUS_LOG,
     CONFIG,
     GAINS,
     LEDGER,
+    LOOPS,
     REPORT,
     SUMMARY,
     TREND,
     FreshFolder,
     fresh_folder,
     give_back,
+    log_of_bus,
+    loop_folder,
 )
 from retuner.session.running import Run, nothing, real_time_speed
-from retuner.session.session import Session
+from retuner.session.session import NobodyLooks, Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 
@@ -76,34 +82,46 @@ def run(options: RunOptions) -> int:
     ConfigError, UserError, DeviceError
         The configuration, the options, the folder or the bus cannot be used, one line each.
     """
-    read, text = load_with_text(options.config)
-    config = on_bus(read, options.interface, options.channel)
+    read, text = load_session(options.config)
+    config = all_on_bus(read, options.interface, options.channel)
     if options.pretune:
-        config = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
+        config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
     if options.mode is not None and options.mode not in set(Mode):
         raise UserError(f"--mode {options.mode}: give one of {', '.join(Mode)}")
     mode = Mode(options.mode) if options.mode else None
-    simulated = config.bus.interface == "virtual"
-    if simulated and config.scenario is None:
-        raise UserError(f"{options.config}: a simulated run needs a [scenario] with its length and steps; add one")
-    if simulated:
-        make_plant(config)
-    speed = real_time_speed(options.speed, simulated=simulated)
+    if config.simulated:
+        _look_at_benches(options.config, config)
+    speed = real_time_speed(options.speed, simulated=config.simulated)
     folder = options.out or Path(config.output.directory)
-    screen = RunScreen(screen_console(stderr=options.as_json), config.loop.pv_unit, quiet=options.as_json)
+    unit = "" if config.several else config.loops[0].loop.pv_unit
+    screen = RunScreen(screen_console(stderr=options.as_json), unit, quiet=options.as_json)
     require_writer(config.output.trend)
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
             if fresh.moved:
                 screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
-            return _run(_Job(config, text, mode, speed, fresh, options, simulated), ledger, screen)
+            return _run(_Job(config, text, mode, speed, fresh, options), ledger, screen)
     except NothingHappenedError as nothing_happened:
         give_back(fresh)
         raise nothing_happened.cause from None
     except LedgerError:  # it could not be opened
         give_back(fresh)
         raise
+
+
+def _pretuned(config: Config) -> Config:
+    """A loop's configuration with a step of co at the beginning."""
+    return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"pretune": True})})
+
+
+def _look_at_benches(path: Path, session: SessionConfig) -> None:
+    """Refuse a simulated run that has nothing to run on, or no end."""
+    for config in session.loops:
+        whose = f"loop {config.loop.name}: " * session.several
+        if config.scenario is None:
+            raise UserError(f"{path}: {whose}a simulated run needs a [scenario] with its length and steps; add one")
+        make_plant(config)
 
 
 class NothingHappenedError(Exception):
@@ -118,59 +136,72 @@ class NothingHappenedError(Exception):
 class _Job:
     """Everything that is settled before a run begins. text : the configuration as its author wrote it."""
 
-    config: Config
+    config: SessionConfig
     text: str
     mode: Mode | None
     speed: float
     fresh: FreshFolder
     options: RunOptions
-    simulated: bool
 
     @property
     def folder(self) -> Path:
         """Where the run leaves everything."""
         return self.fresh.path
 
+    @property
+    def title(self) -> str:
+        """What is run, in a few words."""
+        first = self.config.loops[0]
+        mode = self.mode or first.adaptation.mode
+        return f"{counted(len(self.config.loops), 'loop')}" if self.config.several else f"{first.loop.name}: {mode}"
+
 
 def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
     """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
-    config = job.config
     _open_session(job, ledger)
-
-    def on_sample(session: Session, sample: LoopSample) -> None:
-        region = session.retuner.region or 0
-        screen.sample(sample, session.scenario.progress, session.table.regions.names[region])
-
-    record = _recorder(ledger, screen, lambda: job_run.session, config.output.ledger_mb_warn)
-    job_run: Run = Run(
-        config,
-        record,
+    several = job.config.several
+    job_run = Run(
+        job.config,
+        _keeper(ledger, screen, job.config.output.ledger_mb_warn),
         mode=job.mode,
         log=job.folder / BUS_LOG,
-        on_sample=on_sample,
+        observer=_Shown(screen, several=several),
         folder=job.folder,
         before=job.fresh.moved,
-        tell=screen.say,
     )
-    screen.begin(f"{config.loop.name}: {job.mode or config.adaptation.mode}")
+    screen.begin(job.title)
     session, interrupted = _play(job, job_run)
-    end = {"interrupted": interrupted, **_traffic(job.folder)}
-    fixed = None
-    if job.simulated and job.options.compare and not interrupted:
-        fixed = _unless_stopped(Run(config, nothing, mode=Mode.OFF, on_sample=on_sample), screen)
-        interrupted = fixed is None
+    compare = job.config.simulated and job.options.compare and not interrupted
+    again = Run(job.config, nothing, mode=Mode.OFF, observer=_Progress(screen, several=several))
+    fixed = _unless_stopped(again, screen) if compare else None
     with unstoppable():
-        record("end", session.writer.t_s, end)
+        _close(job, ledger, session, interrupted=interrupted)
+        interrupted |= compare and fixed is None
         _leave(job, ledger, session, fixed, screen, interrupted=interrupted)
-    if session.frozen or session.left_open:
-        wrong = session.frozen or session.left_open
+    wrong = session.frozen or session.left_open
+    if wrong:
         raise UserError(f"{wrong}; the run was ended, and {job.folder / REPORT} says what the controller runs")
     return 130 if interrupted else 0
 
 
-def _traffic(folder: Path) -> dict[str, object]:
-    """The bus log by its name and by the hash of its parts one after the other."""
-    return {"bus_log": BUS_LOG, "bus_log_sha256": file_sha256(*log_parts(folder / BUS_LOG).paths)}
+def _close(job: _Job, ledger: Ledger, session: Session, *, interrupted: bool) -> None:
+    """The rows that end the session, and before them those that end its loops where there are several."""
+    if job.config.several:
+        for loop in session.loops:
+            loop.tell_over()
+    samples = sum(loop.samples for loop in session.loops)
+    try:
+        ledger.append("end", {"interrupted": interrupted, **_traffic(job), "samples": samples}, session.t_s)
+    except LedgerError as error:
+        session.freeze(str(error))
+
+
+def _traffic(job: _Job) -> dict[str, object]:
+    """The bus logs by name and by the hash of their parts one after the other."""
+    logs = [log_of_bus(job.folder / BUS_LOG, number) for number in range(len(job.config.buses))]
+    hashes = {log.name: file_sha256(*log_parts(log).paths) for log in logs}
+    first: dict[str, object] = {"bus_log": BUS_LOG, "bus_log_sha256": hashes[BUS_LOG]}
+    return first if len(logs) == 1 else {**first, "bus_logs": hashes}
 
 
 def _open_session(job: _Job, ledger: Ledger) -> None:
@@ -220,39 +251,53 @@ class LedgerSize:
             )
 
 
-def _recorder(ledger: Ledger, screen: RunScreen, current: Callable[[], Session | None], most_mb: float) -> Recorder:
-    """What keeps a run's rows and shows some of them; a ledger that fails freezes the session.
-
-    most_mb : size of the ledger past which that is told.
-    """
+def _keeper(ledger: Ledger, screen: RunScreen, most_mb: float) -> Recorder:
+    """What keeps a run's rows. most_mb : size of the ledger past which that is told."""
     size = LedgerSize(ledger, most_mb, screen.say)
 
-    def record(kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        session = current()
-        try:
-            ledger.append(kind, {**body, "samples": session.samples if session else 0}, t_s)
-        except LedgerError as error:  # an alarm; the controller goes on with what it runs
-            if session is None:
-                raise
-            if not session.frozen:
-                session.freeze(str(error))
-                screen.say(f"{error}; nothing more is changed, and the run ends")
-            return
+    def keep(kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        ledger.append(kind, body, t_s)
         size.look()
-        if kind == "decision" and session is not None:
-            screen.decision(session.decisions[-1])
-        elif kind in TOLD:
-            screen.say(f"{t_s:8,.0f} s {kind}: {told_values(body, TOLD[kind])}")
 
-    return record
+    return keep
+
+
+class _Progress(NobodyLooks):
+    """Shows how far a run is."""
+
+    def __init__(self, screen: RunScreen, *, several: bool) -> None:
+        self._screen, self._several = screen, several
+
+    def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
+        """See Observer."""
+        region = loop.table.regions.names[loop.retuner.region or 0]
+        where = f"{loop.name} {region}" if self._several else region
+        self._screen.sample(sample, loop.scenario.progress, where)
+
+
+class _Shown(_Progress):
+    """Shows a run to whoever sits at the screen; a line names its loop where there are several."""
+
+    def recorded(self, loop: LoopSession | None, kind: str, t_s: float, body: Mapping[str, object]) -> None:
+        """See Observer."""
+        name = loop.name if loop is not None and self._several else ""
+        if kind == "decision" and loop is not None:
+            self._screen.decision(loop.decisions[-1], name)
+        elif kind in TOLD:
+            whose = f"{name}: " * bool(name)
+            self._screen.say(f"{t_s:8,.0f} s {whose}{kind}: {told_values(body, TOLD[kind])}")
+
+    def said(self, text: str) -> None:
+        """See Observer."""
+        self._screen.say(text)
 
 
 def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:
     """The run to its end, or until it was stopped: what there is, and whether it was stopped."""
     try:
-        return (job_run.simulated() if job.simulated else job_run.live(job.speed)), False
+        return (job_run.simulated() if job.config.simulated else job_run.live(job.speed)), False
     except (KeyboardInterrupt, DeviceError) as stop:
-        if job_run.session is None or not job_run.session.trend.rows:
+        if job_run.session is None or not any(loop.trend.rows for loop in job_run.session.loops):
             raise NothingHappenedError(stop) from stop
         return job_run.session, True
 
@@ -291,61 +336,106 @@ def _leave(
     job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: RunScreen, *, interrupted: bool
 ) -> None:
     """Write everything that the run leaves, and show the result."""
-    config, folder = job.config, job.folder
-    columns = session.trend.columns()
-    fixed_columns = fixed.trend.columns() if fixed else None
-    scores = scores_of(config, session.table, session.commits, columns, fixed_columns)
-    trend = write_trend(folder / TREND, session.trend, config.output.trend)
-    write_whole(folder / GAINS, to_toml(session.table))
+    left = [
+        _leave_loop(job, ledger, session, i, fixed.loops[i] if fixed else None)
+        for i, loop in enumerate(session.loops)
+        if loop.trend.rows
+    ]
+    if job.config.several:
+        write_whole(job.folder / REPORT, render_index(_index_lines(session, left), _facts(job, ledger, LOOPS)))
+    _show(job, ledger, session, left, screen, interrupted=interrupted)
+
+
+class _Left(NamedTuple):
+    """What a run leaves of one loop. path : of its report, below the session's folder."""
+
+    loop: LoopSession
+    unit: str
+    scores: list[RegionScore]
+    report: Path
+
+
+def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: LoopSession | None) -> _Left:
+    """What the run leaves of one loop, in the folder of the loop."""
+    config, loop = job.config.loops[i], session.loops[i]
+    folder = loop_folder(job.folder, loop.name if job.config.several else "")
+    columns = loop.trend.columns()
+    fixed_columns = fixed.trend.columns() if fixed is not None and fixed.trend.rows else None
+    scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns)
+    trend = write_trend(folder / TREND, loop.trend, config.output.trend)
+    write_whole(folder / GAINS, to_toml(loop.table))
     data = ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
         before=config.gain_table(),
-        after=session.table,
+        after=loop.table,
         scores=scores,
-        decisions=list(session.decisions),
+        decisions=list(loop.decisions),
         run=columns,
         fixed=fixed_columns,
-        commits=[t for t, _ in session.commits],
-        events=session.scenario.played,
-        facts=_facts(job, ledger, trend.name) | ({"not restored": session.left_open} if session.left_open else {}),
-        stopped=config.scenario is not None and not session.scenario.finished,
-        advice=[one.sentence for one in advice_of(session)],
+        commits=[t for t, _ in loop.commits],
+        events=loop.scenario.played,
+        facts=_facts(job, ledger, trend.name, i) | ({"not restored": loop.left_open} if loop.left_open else {}),
+        stopped=config.scenario is not None and not loop.scenario.finished,
+        advice=[one.sentence for one in advice_of(loop)],
     )
     write_whole(folder / REPORT, render(data))
-    _show(job, ledger, session, scores, screen, interrupted=interrupted)
+    return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder))
+
+
+def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
+    """A line for each loop of the session."""
+    reports = {one.loop.name: str(one.report) for one in left}
+    scores = {one.loop.name: one.scores for one in left}
+    return [
+        loop_line(
+            loop.name,
+            reports.get(loop.name),
+            [decision.to_dict() for decision in loop.decisions],
+            scores.get(loop.name, []),
+            session.absent.get(loop.name, loop.left_open),
+        )
+        for loop in session.loops
+    ]
 
 
 def _show(
-    job: _Job, ledger: Ledger, session: Session, scores: list[RegionScore], screen: RunScreen, *, interrupted: bool
+    job: _Job, ledger: Ledger, session: Session, left: Sequence[_Left], screen: RunScreen, *, interrupted: bool
 ) -> None:
     """The result as a file, and for whoever asked for it."""
-    folder = job.folder
-    document = {**result(session, scores, ledger, folder), "interrupted": interrupted}
+    folder, several = job.folder, job.config.several
+    results = [result(one.loop, one.scores, ledger, folder / one.report.parent) for one in left]
+    whole = {"folder": str(folder), "loops": results, "absent": session.absent, "ledger_head": ledger.head()}
+    document = {**(whole if several else results[0]), "interrupted": interrupted}
     write_json(folder / SUMMARY, document)
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
-    screen.table(scores_table(scores, job.config.loop.pv_unit))
-    done = f"{counted(len(session.decisions), 'decision')}, {counted(len(session.commits), 'change')} of gains"
+    for one in left:
+        screen.table(scores_table(one.scores, one.unit, one.loop.name if several else ""))
+    decisions = sum(len(loop.decisions) for loop in session.loops)
+    changes = sum(len(loop.commits) for loop in session.loops)
+    done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
 
 
-def advice_of(session: Session) -> tuple[RegionAdvice, ...]:
+def advice_of(loop: LoopSession) -> tuple[RegionAdvice, ...]:
     """Whether regions should be split or merged, by what their records say."""
-    retuner = session.retuner
+    retuner = loop.retuner
     return region_advice(retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s, AdviceSettings())
 
 
-def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:
-    """What a reader of the report needs to find the rest, or to do the run again."""
-    config = job.config
+def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:
+    """What a reader of the report needs to find the rest, or to do the run again. i : of which loop, None for all."""
+    loops = job.config.loops if i is None else (job.config.loops[i],)
+    buses = {f"{one.bus.interface} {one.bus.channel}, node {one.bus.node}": None for one in loops}
+    seeds = [str(one.device.seed) if one.device else "a real controller" for one in loops]
     return {
         "retuner": version("retuner"),
         "Python": platform.python_version(),
-        "bus": f"{config.bus.interface} {config.bus.channel}, node {config.bus.node}",
-        "seed": str(config.device.seed) if config.device else "a real controller",
+        "bus": "; ".join(buses),
+        "seed": ", ".join(dict.fromkeys(seeds)),
         "ledger": f"{LEDGER}, {ledger.verify().rows} rows, head {ledger.head()}",
         "trend": trend,
         "bus log": BUS_LOG,
@@ -354,18 +444,18 @@ def _facts(job: _Job, ledger: Ledger, trend: str) -> dict[str, str]:
     }
 
 
-def result(session: Session, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:
-    """The run as one JSON document: decisions, gains before and after per region, scores."""
+def result(loop: LoopSession, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:
+    """The run of a loop as one JSON document: decisions, gains before and after per region, scores."""
     return {
-        "loop": session.table.loop,
+        "loop": loop.name,
         "folder": str(folder),
-        "decisions": [decision.to_dict() for decision in session.decisions],
+        "decisions": [decision.to_dict() for decision in loop.decisions],
         "gains": [
             {"region": name, **gains_dict(gains)}
-            for name, gains in zip(session.table.regions.names, session.table.gains, strict=True)
+            for name, gains in zip(loop.table.regions.names, loop.table.gains, strict=True)
         ],
         "scores": [score.to_dict() for score in scores],
-        "advice": [one.to_dict() for one in advice_of(session)],
-        "revision": session.table.revision,
+        "advice": [one.to_dict() for one in advice_of(loop)],
+        "revision": loop.table.revision,
         "ledger_head": ledger.head(),
     }

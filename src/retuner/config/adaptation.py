@@ -122,13 +122,31 @@ class AdaptationConfig(Section):
         default=3.0,
         source="one false alarm in 700 by noise alone",
     )
-    trial_timeout_s: float = setting(
-        "An undecided trial is undone after this time",
-        unit="s",
+    trial_inconclusive: int = setting(
+        "Responses that may say nothing for or against a change before its trial is over: what nothing speaks against "
+        "stays",
+        unit="responses",
         low=1,
+        high=100,
+        default=5,
+        source="further ones of that kind say nothing either",
+    )
+    trial_settles: float = setting(
+        "In mode trial: promised settling times after which a change that no response decided waits for a person",
+        unit="settling times",
+        low=1,
+        high=10000,
+        default=50.0,
+        source="in the loop's own time; by itself time says nothing of a change",
+    )
+    edit_hold_s: float = setting(
+        "Gains that a person has set beside retuner stay for this long, changes are only proposed; doubled each time "
+        "that a person takes a change of retuner's away",
+        unit="s",
+        low=0,
         high=1e8,
-        default=86400.0,
-        source="a day: every shift sees it",
+        default=28800.0,
+        source="a shift",
     )
     cool_down_s: float | None = setting(
         "No change of a region for this long after one was undone, doubled each time; absent: 20 integral times",

@@ -3,7 +3,7 @@
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from retuner.config.messages import key_name, problems_of
 from retuner.config.model import SCHEMA, Config
 from retuner.config.schedule import AxisConfig
+from retuner.config.session_config import SessionConfig, loop_documents, written_at
 from retuner.config.setting import Problem
 from retuner.config.toml_lines import Path, toml_lines
 from retuner.drivers.host.key_file import KeyFileError, read_key
@@ -88,13 +89,17 @@ class UnusableError(Exception):
         super().__init__(findings)
 
 
-def load_config(path: str | FilePath) -> Config:
-    """Read and check a configuration file; errors as load_with_text."""
-    return load_with_text(path)[0]
+def load_config(path: str | FilePath, loop: str | None = None) -> Config:
+    """Read and check a configuration file; errors as load_session, and UserError when its loop is not the only one.
+
+    loop : the name of one of several loops.
+    """
+    session = load_session(path)[0]
+    return session.loops[session.place(loop)]
 
 
-def load_with_text(path: str | FilePath) -> tuple[Config, str]:
-    """Read and check a configuration file; the configuration and the text that it was read from.
+def load_session(path: str | FilePath) -> tuple[SessionConfig, str]:
+    """Read and check a configuration file of one loop or several; the text that it was read from comes with it.
 
     Raises
     ------
@@ -103,7 +108,7 @@ def load_with_text(path: str | FilePath) -> tuple[Config, str]:
     """
     try:
         text = read_text(path)
-        return with_signals(parse_config(text), text), text
+        return with_signals(parse_session(text), text), text
     except UnusableError as unusable:
         raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
 
@@ -143,7 +148,7 @@ def read_text(path: str | FilePath) -> str:
         raise UnusableError([ConfigFlaw(line, "", message)]) from None
 
 
-def parse_config(text: str) -> Config:
+def parse_session(text: str) -> SessionConfig:
     """Check a configuration text.
 
     Raises
@@ -153,15 +158,28 @@ def parse_config(text: str) -> Config:
     """
     document = _parsed(text)
     _check_schema(document, text)
-    try:
-        return Config.model_validate(document)
-    except ValidationError as error:
-        problems = problems_of(error.errors(include_url=False), document)
-    lines = toml_lines(text)
-    raise UnusableError(sorted((_placed(problem, lines) for problem in problems), key=lambda finding: finding.line))
+    several = isinstance(document.get("loop"), list) and bool(document["loop"])
+    documents = loop_documents(document) if several else [document]
+    lines, loops, findings = toml_lines(text), [], []
+    for i, one in enumerate(documents):
+        try:
+            loops.append(Config.model_validate(one))
+        except ValidationError as error:
+            problems = problems_of(error.errors(include_url=False), one)
+            findings += [_placed(problem, lines, i if several else None) for problem in problems]
+    _refuse_findings(findings)
+    session = SessionConfig(tuple(loops), several)
+    _refuse_findings([_placed(problem, lines, i) for i, problem in session.problems()])
+    return session
 
 
-def with_signals(config: Config, text: str) -> Config:
+def parse_config(text: str) -> Config:
+    """Check a configuration text of one loop; errors as parse_session, and UserError when there are several."""
+    session = parse_session(text)
+    return session.loops[session.place(None)]
+
+
+def with_signals(session: SessionConfig, text: str) -> SessionConfig:
     """The configuration, once the signals on the bus that it names have been found in their DBC files.
 
     Raises
@@ -169,11 +187,10 @@ def with_signals(config: Config, text: str) -> Config:
     UnusableError
         With every signal that is not there.
     """
-    _refuse(signal_problems(config), text)
-    return config
+    return _with(session, text, signal_problems)
 
 
-def usable_here(config: Config, text: str) -> Config:
+def usable_here(session: SessionConfig, text: str) -> SessionConfig:
     """The configuration, once what it names is on this machine: signals, the bus's interface, the key file.
 
     Raises
@@ -181,16 +198,22 @@ def usable_here(config: Config, text: str) -> Config:
     UnusableError
         With everything that is not.
     """
-    _refuse((*signal_problems(config), *bus_problems(config)), text)
-    return config
+    return _with(session, text, signal_problems, bus_problems)
 
 
-def _refuse(problems: Iterable[Problem], text: str) -> None:
-    """Refuse a text with these problems, if there are any."""
-    lines = toml_lines(text)
-    findings = [_placed(problem, lines) for problem in problems]
-    if findings:
-        raise UnusableError(sorted(findings, key=lambda finding: finding.line))
+def _with(session: SessionConfig, text: str, *looks: Callable[[Config], Iterable[Problem]]) -> SessionConfig:
+    """The configuration, once these have found nothing wrong with any of its loops."""
+    found = [(i, problem) for i, config in enumerate(session.loops) for look in looks for problem in look(config)]
+    lines = toml_lines(text) if found else {}
+    _refuse_findings([_placed(problem, lines, i if session.several else None) for i, problem in found])
+    return session
+
+
+def _refuse_findings(findings: Iterable[ConfigFlaw]) -> None:
+    """Refuse a text in which something was found, each thing once, in the order of the file."""
+    once = list(dict.fromkeys(findings))
+    if once:
+        raise UnusableError(sorted(once, key=lambda finding: finding.line))
 
 
 def _parsed(text: str) -> dict[str, object]:
@@ -217,12 +240,15 @@ def _check_schema(document: dict[str, object], text: str) -> None:
         raise UnusableError([ConfigFlaw(line, "schema", message)])
 
 
-def _placed(problem: Problem, lines: dict[Path, int]) -> ConfigFlaw:
-    """The problem with the line of its key, or of the nearest table round it that is written down."""
-    path = problem.path
+def _placed(problem: Problem, lines: dict[Path, int], loop: int | None) -> ConfigFlaw:
+    """The problem with the line of its key, or of the nearest table round it that is written down.
+
+    loop : index of the [[loop]] that it is about; None in a file of one [loop].
+    """
+    key = path = problem.path if loop is None else written_at(problem.path, loop, lines)
     while path not in lines:
         path = path[:-1]
-    return ConfigFlaw(lines[path], key_name(problem.path), problem.message)
+    return ConfigFlaw(lines[path], key_name(key), problem.message)
 
 
 # A configuration as it was run: the whole text, with what the command line changed written into it.
@@ -231,45 +257,58 @@ def _placed(problem: Problem, lines: dict[Path, int]) -> ConfigFlaw:
 # be replaced on its line (an inline table, say), the settings in force are written out instead, without the comments.
 
 
-def text_as_run(text: str, config: Config, changes: Mapping[tuple[str, str], str | bool]) -> str:
-    """The text of a configuration with some settings changed.
+def text_as_run(text: str, session: SessionConfig, changes: Mapping[tuple[str, str], str | bool]) -> str:
+    """The text of a configuration with some settings changed, for all of its loops.
 
     Parameters
     ----------
-    text : as it was read. config : as it is run, with the changes. changes : (section, key) to its value.
+    text : as it was read. session : as it is run, with the changes. changes : (section, key) to its value.
     """
     for (section, key), value in changes.items():
-        text = _with_setting(text, section, key, value)
+        for i in range(len(session.loops)) if session.several else ():
+            if ("loop", i, section, key) in toml_lines(text):
+                text = _with_setting(text, ("loop", i, section), key, value)
+        text = _with_setting(text, (section,), key, value)
     try:
-        same = parse_config(text) == config
+        same = parse_session(text) == session
     except UnusableError:
         same = False
-    return text if same else written_out(config)
+    return text if same else written_out(session)
 
 
-def _with_setting(text: str, section: str, key: str, value: str | bool) -> str:
+def _with_setting(text: str, table: Path, key: str, value: str | bool) -> str:
     """The text with one setting replaced on its line, or put under its section's header, or at the end."""
     places = toml_lines(text)
     lines = text.split("\n")
     setting = f"{key} = {json.dumps(value)}"
-    if (section, key) in places:
-        at = places[section, key] - 1
+    section = table[-1]
+    if (*table, key) in places:
+        at = places[(*table, key)] - 1
         lines[at] = f"{setting}  # by the command line; the file says: {lines[at].strip()}"
-    elif (section,) in places and re.match(rf"\s*\[\s*{section}\s*\]", lines[places[(section,)] - 1]):
-        lines.insert(places[(section,)], f"{setting}  # by the command line")
+    elif table in places and re.match(rf"\s*\[\s*{section}\s*\]", lines[places[table] - 1]):
+        lines.insert(places[table], f"{setting}  # by the command line")
     else:
         lines += [f"[{section}]", f"{setting}  # by the command line", ""]
     return "\n".join(lines)
 
 
-def written_out(config: Config) -> str:
+def written_out(session: SessionConfig) -> str:
     """All settings in force as TOML, a line each, tables inside a section inline."""
-    settings = config.model_dump(mode="json", by_alias=True, exclude_none=True)
+    documents = [config.model_dump(mode="json", by_alias=True, exclude_none=True) for config in session.loops]
+    if not session.several:
+        return _tables(documents[0], "[{}]")
+    top = {name: documents[0][name] for name in ("schema", "output")}
+    loops = [{**one.pop("loop"), **{k: v for k, v in one.items() if k not in top}} for one in documents]
+    return "\n".join((_tables(top, "[{}]"), *("[[loop]]\n" + _tables(one, "[loop.{}]") for one in loops)))
+
+
+def _tables(settings: Mapping[str, object], header: str) -> str:
+    """Settings and one level of tables; header : of a table, with a place for its name."""
     plain = {name: value for name, value in settings.items() if not isinstance(value, dict)}
     tables = {name: value for name, value in settings.items() if isinstance(value, dict)}
     parts = ["\n".join(f"{name} = {_toml(value)}" for name, value in plain.items())]
     parts += [
-        "\n".join((f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())))
+        "\n".join((header.format(name), *(f"{key} = {_toml(value)}" for key, value in table.items())))
         for name, table in tables.items()
     ]
     return "\n\n".join(parts) + "\n"

@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import Literal
 
 from retuner.config.adaptation import AdaptationConfig
-from retuner.config.bench import BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
+from retuner.config.bench import CONFIRM_SAMPLES, BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
 from retuner.config.schedule import AxisConfig, ScheduleConfig
 from retuner.config.setting import Problem, Section, setting
 from retuner.drivers.controller.firmware_settings import SAMPLES_MAX
@@ -183,8 +183,17 @@ class Config(Section):
             )
         yield from self._trial_problems()
 
+    @property
+    def confirm_within_s(self) -> float:
+        """Trial time of the virtual device's firmware, s; 0: none."""
+        if self.device is None:
+            return 0.0
+        given = self.device.confirm_within_s
+        least = max(CONFIRM_SAMPLES, 2 * (self.bus.probation_samples + CONFIRM_ROOM))
+        return given if given is not None else min(least, SAMPLES_MAX) * self.loop.sample_time_s
+
     def _trial_problems(self) -> Iterator[Problem]:
-        sample, confirm = self.loop.sample_time_s, self.device.confirm_within_s if self.device else 0.0
+        sample, confirm = self.loop.sample_time_s, self.confirm_within_s
         least, most = (self.bus.probation_samples + CONFIRM_ROOM) * sample, SAMPLES_MAX * sample
         if confirm and not least <= confirm <= most:
             yield Problem(

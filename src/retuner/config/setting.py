@@ -42,10 +42,18 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _settings_go_together(self) -> "Section":
-        problems = list(self.problems())
+        problems = [*self._unprintable(), *self.problems()]
         if problems:
             raise CrossCheckError(problems)
         return self
+
+    def _unprintable(self) -> Iterator[Problem]:
+        """Texts with characters that a terminal would act on: they are shown, and stand in reports and ledgers."""
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            for text in value if isinstance(value, tuple) else (value,):
+                if isinstance(text, str) and not text.isprintable():
+                    yield Problem((name,), f"= {text!r} has characters that cannot be printed; leave them out")
 
     def problems(self) -> Iterator[Problem]:
         """What is wrong between the settings of this section; sections override it."""

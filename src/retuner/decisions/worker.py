@@ -113,8 +113,9 @@ class DecideInWorker:
     ) -> None:
         self.close()
 
-    def ask(self, question: Question) -> None:
-        """See Decider."""
+    def ask(self, question: Question, deadline_s: float | None = None) -> None:
+        """See Decider. deadline_s : for this question and those after it; None for the one before."""
+        self._deadline_s = self._deadline_s if deadline_s is None else deadline_s
         if self._worker is None or self._worker.process.poll() is not None:
             self._end()
             self._start()

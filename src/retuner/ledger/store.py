@@ -17,6 +17,10 @@ from retuner.ledger.chain import ChainReport, Row, check_chain, next_row
 from retuner.ledger.lock import WriterLock
 from retuner.ledger.schema import READING_ERRORS, connect
 
+BUSY_TRIES = 24
+"""Times that a row waits schema.BUSY_TIMEOUT_S for another process's lock, 120 s in all: the controller goes on by
+itself meanwhile, and a backup or a careless reader is over by then."""
+
 
 class Recorder(Protocol):
     """Keeps rows for good before it returns: the ledger, seen from a loop under supervision."""
@@ -148,15 +152,24 @@ class Ledger(LedgerReader):
             raise LedgerError(f"{self.path}: refused, because an earlier row failed ({self._failed}); open it anew")
         row = next_row(self._last, self._seq + 1, clock_s, kind, canonical_json(body))
         try:
-            self._connection.execute(
-                "INSERT INTO ledger VALUES (?, ?, ?, ?, ?, ?)",
-                (row.seq, row.clock_s, row.kind, row.text, row.previous, row.hash),
-            )
+            self._insert(row)
         except sqlite3.Error as error:
             self._failed = str(error)
             raise LedgerError(f"{self.path}: row {row.seq} cannot be written: {error}") from None
         self._last, self._seq = row.hash, row.seq
         return row
+
+    def _insert(self, row: Row) -> None:
+        """The row, once whoever else has locked the file lets go of it: as long as it is locked nothing is written."""
+        columns = (row.seq, row.clock_s, row.kind, row.text, row.previous, row.hash)
+        for tries_left in reversed(range(BUSY_TRIES)):
+            try:
+                self._connection.execute("INSERT INTO ledger VALUES (?, ?, ?, ?, ?, ?)", columns)
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or not tries_left:
+                    raise
+            else:
+                return
 
     def close(self) -> None:
         """Close the file and let another process write; more than once does no harm."""

@@ -95,7 +95,8 @@ class Replay:
             gaps=gaps,
             after_s=begun.last_s if begun is not None else None,
         )
-        self._rows = [row for row in session.rows if row.kind != "session"]
+        not_of_samples = {"session", "end"} if session.name else {"session"}  # of several loops each has its "over"
+        self._rows = [row for row in session.rows if row.kind not in not_of_samples]
         self._next = 0
         self._t_s = 0.0
         self._waiting: list[Decision] = []  # made again, and not yet met in the ledger
@@ -109,12 +110,12 @@ class Replay:
         UserError
             There is no log.
         """
-        result, end = self._result, self._session.end
+        result, known = self._result, self._session.bus_log_sha256
         log = self._session.bus_log
         if not log.is_file():
             raise UserError(f"{log}: no such file; a session is decided again from its bus log")
         parts = log_parts(log)
-        if end is not None and end.get("bus_log_sha256") not in {None, file_sha256(*parts.paths)}:
+        if known not in {None, file_sha256(*parts.paths)}:
             result.stopped = f"{log}: is not the log of this session, or was changed after it"
             return result
         if parts.gone:

@@ -83,10 +83,10 @@ class RunScreen:
             state = f"t {sample.t_s:,.0f} s  {region}  {values}"
             self._progress.update(self._task, completed=progress, state=state)
 
-    def decision(self, decision: Decision) -> None:
-        """A decision was taken."""
+    def decision(self, decision: Decision, loop: str = "") -> None:
+        """A decision was taken. loop : its name, where there are several."""
         if not self._quiet:
-            self._progress.console.print(live_line(decision), highlight=False, soft_wrap=True)
+            self._progress.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
         """A line of plain text."""
@@ -113,12 +113,16 @@ def told_values(body: Mapping[str, object], names: Iterable[str]) -> str:
     return ", ".join(f"{name} {value}" for name, value in words.items())
 
 
-def live_line(decision: Decision) -> str:
-    """A decision as it is shown when it is taken, in rich's markup: when, where, cause, what is done or why not."""
+def live_line(decision: Decision, loop: str = "") -> str:
+    """A decision as it is shown when it is taken, in rich's markup: when, where, cause, what is done or why not.
+
+    loop : its name, where there are several.
+    """
     undone = decision.action == Action.RESTORE
     cause = UNDONE if undone else cause_text(decision)
     colour = COLOURS.get(cause, "magenta")
-    head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(decision.region):6}[/] [{colour}]{cause:10}[/]"
+    where = f"{loop} {decision.region}" if loop else decision.region
+    head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
     told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(decision.reason)]
     told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
     judged = decision.judgement.reason if decision.judgement and not undone else ""
@@ -127,10 +131,11 @@ def live_line(decision: Decision) -> str:
     return f"{head} {'; '.join(told)}{f' [dim]{escape(model)}[/]' if model else ''}"
 
 
-def scores_table(scores: list[RegionScore], unit: str) -> Table:
-    """Gains, Ms and IAE per region, before and after."""
+def scores_table(scores: list[RegionScore], unit: str, loop: str = "") -> Table:
+    """Gains, Ms and IAE per region, before and after. loop : its name, where there are several."""
     compared = ", against the same run with fixed gains" if any(s.iae_fixed is not None for s in scores) else ""
-    title = f"\nGains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s{compared}"
+    whose = f"{loop}: " if loop else ""
+    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s{compared}"
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
     for name in ("region", "commissioned", "final"):
         table.add_column(name, no_wrap=True)

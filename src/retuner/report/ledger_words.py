@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 from retuner.decision_page.explain import cause_text, model_text, ms_words, response_text, settings_text
-from retuner.decision_page.row_values import Document, gains_of, number, numbers, part, words
+from retuner.decision_page.row_values import Document, gains_of, number, numbers, part, parts, words
 from retuner.errors import one_line
 from retuner.ledger import Row
 
@@ -15,7 +15,8 @@ RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller
 BY = {
     "decision": RETUNER, "dropped": RETUNER, "trial": RETUNER, "judged": RETUNER, "restore": RETUNER,
     "lockout": RETUNER, "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
-    "link": BUS, "lost": BUS, "variable": BUS, "restored": CONTROLLER, "unknown": CONTROLLER, "restart": CONTROLLER,
+    "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
+    "restart": CONTROLLER,
     "reverted": CONTROLLER, "command": CONTROLLER, "foreign": "somebody else", "foreign_host": "another host",
     "lease": "another host", "conflict": "two controllers",
 }  # fmt: skip
@@ -28,6 +29,7 @@ HIDDEN = {
     "before",
     "reason",
     "region",
+    "loop",
     "why",
     "by",
     "decision",
@@ -50,6 +52,7 @@ class Told:
     when_s: float
     kind: str
     who: str
+    loop: str
     region: str
     why: str
     old: str
@@ -65,7 +68,8 @@ class Told:
 def told(row: Row) -> Told:
     """A row in words."""
     body: Document = row.body
-    texts = (row.kind, _who(row.kind, body), words(body, "region"), *WORDS.get(row.kind, _other)(body))
+    where = words(body, "loop"), words(body, "region")
+    texts = (row.kind, _who(row.kind, body), *where, *WORDS.get(row.kind, _other)(body))
     return Told(row.seq, row.clock_s, *map(one_line, texts))
 
 
@@ -152,7 +156,9 @@ def _digest(body: Document) -> str:
 def _session(body: Document) -> Words:
     """What the run is made with."""
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
-    return f"begins: {words(part(part(body, 'config'), 'loop'), 'name')}", "", "", made_with, ""
+    config = part(body, "config")
+    loops = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
+    return f"begins: {', '.join(loops)}", "", "", made_with, ""
 
 
 def _other(body: Document) -> Words:

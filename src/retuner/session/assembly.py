@@ -58,13 +58,16 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
     trial = TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
-        timeout_s=a.trial_timeout_s,
+        inconclusive=a.trial_inconclusive,
+        settles=a.trial_settles,
+        edit_hold_s=a.edit_hold_s,
         cool_down_s=a.cool_down_s,
         lock_out_after=a.lock_out_after,
     )
     return RetunerSettings(
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
+        pv_range=(loop.pv_min, loop.pv_max),
         mode=mode or Mode(a.mode),
         region_modes=region_modes(config, mode),
         band=a.noise_band,
@@ -147,7 +150,7 @@ def virtual_device_settings(config: Config) -> VirtualDeviceSettings:
         co_rate_per_s=loop.co_rate_pct_per_s,
         b=loop.b,
         tau_f_s=loop.tau_f_s,
-        trial_samples=round(config.device.confirm_within_s / loop.sample_time_s) if config.device else 0,
+        trial_samples=round(config.confirm_within_s / loop.sample_time_s),
         key=commit_key(config),
     )
 

@@ -1,21 +1,194 @@
-"""Where an experiment takes place: on the virtual device in simulated time, or on a bus in real time.
+"""Where a session or an experiment takes place: on virtual devices in simulated time, or on whatever hangs on buses in
+real time.
 
-Both are a device and a turn: let some time pass and say what time it is. The turn of the live bus may be interrupted,
-that of the simulated one not, because device and host share a thread there.
+In simulated time devices and host take turns on python-can's `virtual` bus in one thread: a device makes a sample, the
+host takes it in and answers, the device takes the answers in before its next sample. Nothing waits and nothing races,
+so the same seed gives the same bytes. Devices with different sample times take their turns in the order of time.
+
+Loops on one bus share its link (shared_link.py), so each frame is read once, however many loops there are.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from retuner.config import Config
-from retuner.drivers.bus.bus import CanLink
-from retuner.drivers.clock import MonotonicClock
+from retuner.config.session_config import SessionConfig
+from retuner.drivers.bus.bus import CanLink, LinkSettings
+from retuner.drivers.bus.link_faults import FaultNews
+from retuner.drivers.bus.link_settings import FramePort
+from retuner.drivers.bus.shared_link import LinkPort, LinkShare
+from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
+from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.host.connection import CanDevice
 from retuner.experiment.runner import Bench
-from retuner.session.assembly import device_settings, link_settings
-from retuner.session.running import POLLS_PER_SAMPLE, virtual_bench
+from retuner.session.assembly import device_settings, link_settings, make_plant, virtual_device_settings
+from retuner.session.outputs import log_of_bus
 from retuner.stopping import unstoppable
+
+POLLS_PER_SAMPLE = 4
+"""In real time the host looks at least this often per sample, even when no frame wakes it."""
+_channels = itertools.count()
+
+
+class HostBus(NamedTuple):
+    """An end of one bus. loops : indexes of those that hang on it. ports : theirs, in the same order."""
+
+    link: CanLink
+    loops: tuple[int, ...]
+    ports: tuple[CanLink | LinkPort, ...]
+
+
+class HostBuses:
+    """The host's ends of all buses of a session."""
+
+    def __init__(self, buses: Sequence[HostBus]) -> None:
+        self.buses = tuple(buses)
+
+    def port(self, loop: int) -> FramePort:
+        """Where a loop's host sends and receives."""
+        return next(port for bus in self.buses for i, port in zip(bus.loops, bus.ports, strict=True) if i == loop)
+
+    def wait_until(self, t_s: float) -> None:
+        """Return when a frame may be there, or the clock has reached t_s."""
+        self.buses[0].link.wait_until(t_s)
+
+    def news(self) -> list[tuple[int, list[FaultNews]]]:
+        """What the links have to tell, for each loop on them."""
+        told = [(bus, bus.link.news()) for bus in self.buses]
+        return [(loop, news) for bus, news in told if news for loop in bus.loops]
+
+
+def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> HostBus:
+    """A link for its loops: itself for one, a port each for several."""
+    if len(loops) == 1:
+        return HostBus(link, loops, (link,))
+    share = LinkShare(link)
+    return HostBus(link, loops, tuple(share.port(config.loops[i].bus.node) for i in loops))
+
+
+class VirtualBench(NamedTuple):
+    """Virtual devices and the host's ends of their buses. turn : lets time go on to the next sample of any device."""
+
+    buses: HostBuses
+    clock: SimulatedClock
+    turn: Callable[[], None]
+
+
+class _Turns:
+    """Samples of virtual devices, each at its own times."""
+
+    def __init__(self, clock: SimulatedClock, devices: Sequence[DeviceOnBus], periods_s: Sequence[float]) -> None:
+        self._clock, self._devices, self._periods_s = clock, devices, periods_s
+        self._next_s = list(periods_s)
+
+    def turn(self) -> None:
+        """Let time go on to the next sample, and have it made."""
+        now_s = min(self._next_s)
+        self._clock.wait_until(now_s)
+        for i, device in enumerate(self._devices):
+            if self._next_s[i] <= now_s:
+                device.sample()
+                self._next_s[i] += self._periods_s[i]
+
+
+@contextmanager
+def virtual_bench(
+    config: SessionConfig, log: Path | None = None, first: Callable[[VirtualBench], None] | None = None
+) -> Iterator[VirtualBench]:
+    """The configured virtual devices on buses of their own in this process, in simulated time.
+
+    log : file for the traffic of the first bus; the others' names follow from it (log_of_bus).
+    first : is given a bench whose links are its own and log nothing, before the host's links open.
+
+    Raises
+    ------
+    UserError, DeviceError
+        A loop has no [device], or a bus log cannot be opened.
+    """
+    clock = SimulatedClock()
+    settings = [replace(_settings(config, loops), channel=f"retuner-{next(_channels)}") for loops in config.buses]
+    with ExitStack() as stack:
+        devices: dict[int, DeviceOnBus] = {}
+        for bus, loops in zip(settings, config.buses, strict=True):
+            far = _share(stack.enter_context(CanLink(bus, clock)), config, loops)
+            for i, port in zip(loops, far.ports, strict=True):
+                one = config.loops[i]
+                devices[i] = DeviceOnBus(VirtualDevice(virtual_device_settings(one), make_plant(one)), port)
+        periods_s = [one.loop.sample_time_s for one in config.loops]
+        turn = _Turns(clock, [devices[i] for i in range(len(periods_s))], periods_s).turn
+        if first is not None:
+            with opened(config, settings, clock, before(log)) as buses:
+                first(VirtualBench(buses, clock, turn))
+        with opened(config, settings, clock, log) as buses:
+            yield VirtualBench(buses, clock, turn)
+
+
+@contextmanager
+def far_ends(
+    config: SessionConfig, speed: float, clock: Clock, epoch: Callable[[], int]
+) -> Iterator[list[DeviceOnBus]]:
+    """The configured virtual devices on real buses, for a process of their own. epoch : a number for each boot.
+
+    Raises
+    ------
+    UserError, DeviceError
+        A loop has no [device], or a bus cannot be opened.
+    """
+    with ExitStack() as stack:
+        devices: dict[int, DeviceOnBus] = {}
+        for loops in config.buses:
+            link = stack.enter_context(CanLink(_settings(config, loops, speed), clock))
+            for i, port in zip(loops, _share(link, config, loops).ports, strict=True):
+                one = config.loops[i]
+                machine = VirtualDevice(virtual_device_settings(one), make_plant(one), epoch=epoch())
+                devices[i] = DeviceOnBus(machine, port)
+        yield [devices[i] for i in range(len(config.loops))]
+
+
+def before(log: Path | None) -> Path | None:
+    """The log of what happens on the bus before a session."""
+    return None if log is None else log.with_name(f"pretune-{log.name}")
+
+
+@contextmanager
+def opened(
+    config: SessionConfig, settings: Sequence[LinkSettings], clock: Clock, log: Path | None
+) -> Iterator[HostBuses]:
+    """The host's ends of the buses, each with its log.
+
+    Raises
+    ------
+    DeviceError
+        A bus or a log cannot be opened.
+    """
+    with ExitStack() as stack:
+        links = [
+            stack.enter_context(CanLink(one, clock, log_of_bus(log, number) if log else None))
+            for number, one in enumerate(settings)
+        ]
+        yield HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
+
+
+def _settings(config: SessionConfig, loops: Sequence[int], speed: float = 1.0) -> LinkSettings:
+    """How the bus of some loops is opened: as patient as the most patient of them."""
+    wanted = [link_settings(config.loops[i], speed) for i in loops]
+    return replace(wanted[0], silent_after_s=max(one.silent_after_s for one in wanted))
+
+
+@contextmanager
+def live_buses(config: SessionConfig, speed: float, clock: Clock, log: Path | None = None) -> Iterator[HostBuses]:
+    """The configured buses in real time; errors as opened."""
+    with opened(config, [_settings(config, loops, speed) for loops in config.buses], clock, log) as buses:
+        yield buses
+
+
+# Where an experiment takes place: a device and a turn, which lets some time pass and says what time it is. The turn of
+# the live bus may be interrupted, that of the simulated one not, because device and host share a thread there.
 
 
 @contextmanager
@@ -27,15 +200,14 @@ def simulated(config: Config, log: Path | None = None) -> Iterator[Bench]:
     UserError, DeviceError
         The configuration has no [device], or the bus log cannot be opened.
     """
-    with virtual_bench(config, log) as (near, clock, sample):
+    with virtual_bench(SessionConfig((config,)), log) as bench:
 
         def turn() -> float:
             with unstoppable():
-                clock.advance(config.loop.sample_time_s)
-                sample()
-            return clock.now_s()
+                bench.turn()
+            return bench.clock.now_s()
 
-        yield Bench(CanDevice(near, device_settings(config)), turn)
+        yield Bench(CanDevice(bench.buses.port(0), device_settings(config)), turn)
 
 
 @contextmanager

@@ -236,7 +236,20 @@ class GainWriter:
         wanted = self._in_table()
         known = wanted is not None and change_factor(event.running.gains, wanted) <= self._tolerance
         self._give_up(write, event.reason, now_s, event.running.gains, written=not known)
-        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE and not known else None
+        if known:
+            return None
+        if self._is_a_persons(event.running.gains):
+            return TrialEvent.OPERATOR_EDIT
+        return TrialEvent.WRITE_UNKNOWN if write.why != Why.RESTORE else None
+
+    def _is_a_persons(self, running: PidGains) -> bool:
+        """Whether what runs is none of ours: neither in the table nor on trial. A mean of sets may be either."""
+        table, trials = self.retuner.table, self.retuner.trials
+        if table.lookup == Lookup.INTERPOLATED:
+            return False
+        tried = (gains for i in range(len(table.gains)) for gains in (trials.of(i).old, trials.of(i).new))
+        ours = (gains for gains in (*table.gains, *tried) if gains is not None)
+        return all(change_factor(running, gains) > SAME_GAINS for gains in ours)
 
     def _start(self, running: RunningSet, wanted: Wanted, now_s: float) -> None:
         """Record what is meant, then begin to write it; what could not be recorded is not written, but the way back.

@@ -73,10 +73,8 @@ def abort_cause(event: Event) -> TrialEvent | None:
             return TrialEvent.RESTARTED
         case Reverted():
             return TrialEvent.DEVICE_REVERTED
-        case RunningChanged():
-            return TrialEvent.OPERATOR_EDIT
         case LeaseChanged():
-            return None if event.ours else TrialEvent.OPERATOR_EDIT
+            return None if event.ours else TrialEvent.LEASE_LOST
         case WriteUnknown():
             return TrialEvent.WRITE_UNKNOWN
         case VariableChanged():  # nobody can say in which region its responses would be
@@ -109,6 +107,8 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
             return retuner.abort(TrialEvent[str(body["cause"]).upper()])
         case "restored", _:
             retuner.restored()
+        case "foreign", _:
+            return retuner.edited(gains_of(body["gains"]))
         case "answer", _:
             return _answer(retuner, body)
         case "pretune", _:

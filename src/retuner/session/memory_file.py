@@ -24,12 +24,12 @@ from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
 from retuner.ledger import Recorder, Row
 from retuner.session.ledger_rows import feed
-from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, MEMORY_START
+from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE, MEMORY_START, loop_folder
 from retuner.session.recorded_session import believed_rows
 
 ROW = "memory"
 """Kind of the rows that know a memory by its hash."""
-TOLD_AGAIN = frozenset({"committed", "refused", "dropped", "abort", "restored", "order", "pretune"})
+TOLD_AGAIN = frozenset({"committed", "refused", "dropped", "abort", "restored", "foreign", "order", "pretune"})
 """Rows behind a memory that the retuner is told again. A question that was open is lost with the process."""
 
 
@@ -128,23 +128,28 @@ def from_text(text: str, config: Config, settings: RetunerSettings) -> Retuner:
         raise NoMemoryError(str(error)) from error
 
 
-def recall(before: Path | None, config: Config, settings: RetunerSettings) -> Remembered:
+def recall(
+    before: Path | None, config: Config, settings: RetunerSettings, loop: str = "", known: Sequence[Row] | None = None
+) -> Remembered:
     """The memory of the session that was in the folder before, brought up to the last row of its ledger.
+
+    loop : whose memory, empty for the only one of a session. known : the ledger's rows about it, if they were read.
 
     Raises
     ------
     NoMemoryError
         There is none, or none that can be trusted: a line on why, empty where there never was one.
     """
-    if before is None or not any((before / name).exists() for name in (MEMORY, MEMORY_BEFORE)):
+    folder = loop_folder(before, loop) if before is not None else None
+    if before is None or folder is None or not any((folder / name).exists() for name in (MEMORY, MEMORY_BEFORE)):
         raise NoMemoryError("")
     try:
-        rows = believed_rows(before / LEDGER)
-        text, place = _known(before, rows)
+        rows = known if known is not None else believed_rows(before / LEDGER)
+        text, place = _known(folder, rows)
         retuner = from_text(text, config, settings)
         told = _tell_again(retuner, rows[place + 1 :])
     except (NoMemoryError, LedgerError, UserError) as error:
-        raise NoMemoryError(f"{before / MEMORY}: {error}; the loop begins without memory") from error
+        raise NoMemoryError(f"{folder / MEMORY}: {error}; the loop begins without memory") from error
     again = as_text(retuner, about(config))
     return Remembered(from_text(again, config, settings), again, told)
 

@@ -21,7 +21,7 @@ from retuner.ledger import Recorder, Row
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
-from retuner.session.outputs import LEDGER, ORDERS
+from retuner.session.outputs import LEDGER, ORDERS, loop_folder
 from retuner.session.recorded_session import believed_rows, canonical, without_place
 
 # What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
@@ -149,12 +149,16 @@ class Before(NamedTuple):
     trouble: str = ""
 
 
-def left_before(folder: Path | None) -> Before | None:
-    """Orders that a session which was there before has left undone; None without one, or when there are none."""
-    if folder is None or not (folder / ORDERS).is_dir():
+def left_before(session: Path | None, loop: str = "", known: Iterable[Row] | None = None) -> Before | None:
+    """Orders that a session which was there before has left undone; None without one, or when there are none.
+
+    loop : to which they were given, empty for the only one. known : the ledger's rows about it, if they were read.
+    """
+    folder = loop_folder(session, loop) if session is not None else None
+    if session is None or folder is None or not (folder / ORDERS).is_dir():
         return None
     try:
-        past = shown(believed_rows(folder / LEDGER))
+        past = shown(known if known is not None else believed_rows(session / LEDGER))
     except LedgerError as error:
         return Before(OrderBox(folder), Shown(), str(error))
     return Before(OrderBox(folder, past.files), past)

@@ -2,14 +2,18 @@
 summary.json and report.html; on a real bus memory.json (memory_file.py); and orders/, into which people's orders to it
 are put (orders.py).
 
+A session of several loops has a folder for each of them in loops/, with the loop's trend, gains, report, memory and
+orders. Configuration, ledger, bus logs, summary and a report that leads to theirs stand in the session's own folder.
+
 A folder that holds an earlier run is moved aside under a number, never written over: a ledger is evidence.
 """
 
 import contextlib
+import re
 from pathlib import Path
 from typing import NamedTuple
 
-from retuner.drivers.bus.bus_log import log_parts
+from retuner.config.session_config import folder_name
 from retuner.errors import LedgerError, UserError
 from retuner.files import sync_folder
 from retuner.ledger.lock import WriterLock
@@ -25,7 +29,20 @@ LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
 )
 MEMORY, MEMORY_BEFORE, MEMORY_START = "memory.json", "memory-before.json", "memory-start.json"
 ORDERS = "orders"
+LOOPS = "loops"
+LOG_NAME = re.compile(r"(?:pretune-)?bus(?:_[0-9]+)?(?:-[0-9]+)?\.blf")
+"""Logs of buses and their parts."""
 OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG, MEMORY, MEMORY_BEFORE, MEMORY_START}
+
+
+def loop_folder(session: Path, loop: str) -> Path:
+    """The folder of a loop; loop : its name, empty for the only one of a session, whose folder is the session's."""
+    return session / LOOPS / folder_name(loop) if loop else session
+
+
+def log_of_bus(log: Path, number: int) -> Path:
+    """The log of a session's bus, from that of its first one: bus.blf, bus_2.blf, ... number : of the bus, from 0."""
+    return log.with_name(f"{log.stem}_{number + 1}{log.suffix}") if number else log
 
 
 class FreshFolder(NamedTuple):
@@ -72,10 +89,11 @@ def give_back(fresh: FreshFolder) -> None:
     with contextlib.suppress(LedgerError, OSError):
         lock = WriterLock(fresh.path / LEDGER)
         try:
-            logs = log_parts(fresh.path / BUS_LOG).paths
             for path in fresh.path.iterdir():
-                if path in logs or path.name in OURS or path.name.startswith(f"{LEDGER}-"):
+                if LOG_NAME.fullmatch(path.name) or path.name in OURS or path.name.startswith(f"{LEDGER}-"):
                     path.unlink()
+            if (fresh.path / LOOPS).is_dir():
+                _clear_loops(fresh.path / LOOPS)
         finally:
             lock.close()
         fresh.path.rmdir()
@@ -84,3 +102,12 @@ def give_back(fresh: FreshFolder) -> None:
             return
         for path in fresh.made[1:]:
             path.rmdir()
+
+
+def _clear_loops(folder: Path) -> None:
+    """Take away what a run that came to nothing had begun in the folders of its loops."""
+    for loop in folder.iterdir():
+        for name in (MEMORY, MEMORY_BEFORE, MEMORY_START):
+            (loop / name).unlink(missing_ok=True)
+        loop.rmdir()
+    folder.rmdir()

@@ -25,8 +25,6 @@ from retuner.stopping import unstoppable
 
 OrderTaker = Callable[[float], Iterable[Decision]]
 """As a session has it: given the time of a sample, the decisions on what was ordered by then."""
-LOG_PREFIX = "pretune-"
-"""Of the log of the bus while the step is made, before the name of the session's."""
 
 
 def pretune_plan(config: Config) -> Plan:

@@ -1,81 +1,45 @@
-"""Running a session: on a virtual device in simulated time, or on whatever hangs on a bus in real time.
+"""Running a session: on virtual devices in simulated time, or on whatever hangs on buses in real time.
 
-In simulated time device and host take turns on python-can's `virtual` bus in one thread: the device makes a sample, the
-host takes it in and answers, the device takes the answers in before its next sample. Nothing waits and nothing races,
-so the same seed gives the same bytes.
+    configuration of each loop -> device on its bus, retuner (with what it remembers), recorder, orders -> LoopSession
+
+bench.py says what the places are like; here the session is put together there, and driven to its end.
 """
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
 from retuner.config import Config
+from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
-from retuner.decisions.worker import DecideInWorker
-from retuner.drivers.bus.bus import CanLink
-from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
-from retuner.drivers.controller.device_process import DeviceOnBus
-from retuner.drivers.controller.virtual_device import VirtualDevice
+from retuner.decisions.shared_workers import DecisionWorkers
+from retuner.drivers.bus.link_settings import FramePort
+from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
 from retuner.drivers.host.connection import CanDevice
-from retuner.errors import UserError
-from retuner.ledger import Recorder
-from retuner.session.assembly import (
-    device_settings,
-    link_settings,
-    make_plant,
-    make_retuner,
-    retuner_settings,
-    virtual_device_settings,
-)
+from retuner.errors import LedgerError, UserError
+from retuner.ledger import Recorder, Row
+from retuner.session.assembly import device_settings, make_retuner, retuner_settings
+from retuner.session.bench import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
+from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
 from retuner.session.order_queue import OrderDesk, left_before
 from retuner.session.orders import OrderBox
-from retuner.session.pretuning import LOG_PREFIX, Pretuning
+from retuner.session.outputs import LEDGER, loop_folder
+from retuner.session.pretuning import Pretuning
+from retuner.session.recorded_session import believed_rows, rows_by_loop
 from retuner.session.scenario import ScenarioPlayer
-from retuner.session.session import Session
+from retuner.session.session import LoopRecorder, NobodyLooks, Observer, Session
 from retuner.stopping import unstoppable
-
-POLLS_PER_SAMPLE = 4
-"""In real time the host looks at least this often per sample, even when no frame wakes it."""
-_channels = itertools.count()
-FirstTurns = Callable[[CanLink, SimulatedClock, Callable[[], None]], None]
-"""What is done on a virtual bench before the host: it is given a link, the clock, and a turn of the device."""
 
 
 def nothing(kind: str, t_s: float, body: object) -> None:
     """A recorder that keeps nothing: for the comparison run."""
     del kind, t_s, body
-
-
-@contextmanager
-def virtual_bench(
-    config: Config, log: Path | None = None, first: FirstTurns | None = None
-) -> Iterator[tuple[CanLink, SimulatedClock, Callable[[], None]]]:
-    """The configured virtual device on a bus of its own in this process, in simulated time.
-
-    Yields the host's link, the clock, and `turn`: the device takes in what came and makes a sample.
-    first : is given a link with a log of its own, clock and a turn, before the host's link opens.
-    """
-    clock = SimulatedClock()
-    settings = replace(link_settings(config), interface="virtual", channel=f"retuner-{next(_channels)}")
-    device = VirtualDevice(virtual_device_settings(config), make_plant(config))
-    with CanLink(settings, clock) as far:
-        on_bus = DeviceOnBus(device, far)
-        if first is not None:
-            with CanLink(settings, clock, _before(log)) as link:
-                first(link, clock, on_bus.sample)
-        with CanLink(settings, clock, log) as near:
-            yield near, clock, on_bus.sample
-
-
-def _before(log: Path | None) -> Path | None:
-    """The log of what happens on the bus before a session."""
-    return None if log is None else log.with_name(LOG_PREFIX + log.name)
 
 
 def to_the_end(session: Session, once: Callable[[], None]) -> None:
@@ -98,7 +62,7 @@ def to_the_end(session: Session, once: Callable[[], None]) -> None:
 
 def _end(session: Session, once: Callable[[], None]) -> None:
     """The turns that a session which was told to end still needs."""
-    if session.samples:
+    if session.seen:
         try:
             while not session.finished:
                 once()
@@ -106,175 +70,245 @@ def _end(session: Session, once: Callable[[], None]) -> None:
             session.tell_what_is_open()
 
 
-class Run:
-    """One run of a configuration.
+class _Before(NamedTuple):
+    """The session that was in the folder before. known : its rows by loop, where they were read once for all."""
+
+    folder: Path | None
+    known: Mapping[str, Sequence[Row]]
+
+
+def _before(folder: Path | None, config: SessionConfig) -> _Before:
+    """What is known of the session before; a ledger that cannot be believed is told by whoever wants to use it."""
+    if folder is None or not config.several:
+        return _Before(folder, {})
+    try:
+        return _Before(folder, rows_by_loop(believed_rows(folder / LEDGER), config.names))
+    except LedgerError:
+        return _Before(folder, {})
+
+
+class _Loop:
+    """One loop of a run, before and while it is watched.
 
     Parameters
     ----------
-    config : what to run. record : keeps rows for good. mode : overrides the configured one. log : file for bus traffic.
-    on_sample : told of every sample and of the session, for progress. folder : of the session, where people put orders;
-    before : that of the session which was there before and may have left some. tell : says a line to the user.
+    config : its. run : that it belongs to. folder : of the session, None where nothing is kept. before : the session
+    that was there before.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        record: Recorder,
-        *,
-        mode: Mode | None = None,
-        log: Path | None = None,
-        on_sample: Callable[[Session, LoopSample], None] | None = None,
-        folder: Path | None = None,
-        before: Path | None = None,
-        tell: Callable[[str], None] | None = None,
-    ) -> None:
-        self.config = config
-        self.mode = mode
-        self._record = record
-        self._log = log
-        self._on_sample = on_sample
-        self._folder, self._before, self._tell = folder, before, tell
-        self._why_no_memory = ""
-        self._pretuning = Pretuning(config, record, tell) if config.adaptation.pretune else None
-        self.session: Session | None = None
+    def __init__(self, config: Config, run: "Run", folder: Path | None, before: "_Before") -> None:
+        self.config, self._run = config, run
+        self._name = name = config.loop.name if run.config.several else ""
+        self._folder = loop_folder(folder, name) if folder is not None else None
+        self._before, self._known = before.folder, before.known.get(name)
+        self.record = LoopRecorder(run.keep, name, run.observer, run.ledger_failed)
+        self.pretuning = Pretuning(config, self.record, self._say) if config.adaptation.pretune else None
+        self.session: LoopSession | None = None
 
-    def simulated(self) -> Session:
-        """Run the whole scenario against the virtual device in this process, as fast as it goes.
+    def begin(self, port: FramePort, decider: Decider, speed: float = 1.0, *, remember: bool = False) -> LoopSession:
+        """The loop's session on its port. remember : go on with what was learned before, and keep what is learned."""
+        if self._folder is not None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        remembered, why_not = self._recalled() if remember else (None, "")
+        device = CanDevice(
+            port, device_settings(self.config, speed), remembered.last_s if remembered is not None else None
+        )
+        retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
+        player = ScenarioPlayer(self.config.scenario)
+        session = LoopSession(device, retuner, player, self.record, self._sampled, decider)
+        self.session = self.record.loop = session
+        if remember and self._folder is not None:
+            memory = MemoryFile(self._folder, self.config, self.record)
+            memory.begin(remembered, why_not)
+            session.remember = lambda t_s: memory.save(session.retuner, t_s)
+        if self._folder is not None:
+            session.orders = self._desk(session, self._folder).take
+        if self.pretuning is not None:
+            session.orders = self.pretuning.decisions(retuner, session.orders)
+        return session
 
-        Raises
-        ------
-        DeviceError
-            The bus log cannot be opened.
-        """
-        with self._bench() as (session, clock, turn):
-
-            def once() -> None:
-                clock.advance(self.config.loop.sample_time_s)
-                turn()
-                with unstoppable():
-                    session.poll(clock.now_s())
-
-            to_the_end(session, once)
-            return session
-
-    @contextmanager
-    def _bench(self) -> Iterator[tuple[Session, SimulatedClock, Callable[[], None]]]:
-        """The host's session on a virtual bench."""
-        first = self._pretune_simulated if self._pretuning else None
-        with virtual_bench(self.config, self._log, first) as (near, clock, turn):
-            session = self._session(near, DecideHere(self.config.adaptation.decision_delay_samples))
-
-            def turn_and_tell() -> None:
-                turn()
-                session.link_faults(near.news())
-
-            yield session, clock, turn_and_tell
-
-    def live(self, speed: float = 1.0) -> Session:
-        """Run against whatever answers on the configured bus, until the scenario is over or the user stops it.
-
-        speed : how much faster than real time the far side's clock runs (a simulated plant on a bench).
-
-        Raises
-        ------
-        DeviceError
-            The bus does not open, or nobody (or the wrong one) answers at first.
-        """
-        clock: Clock = MonotonicClock(speed)
-        if self._pretuning is not None:
-            with CanLink(link_settings(self.config, speed), clock, _before(self._log)) as link:
-                pause_s = self.config.loop.sample_time_s / POLLS_PER_SAMPLE
-                self._pretune(link, clock, lambda: link.wait_until(clock.now_s() + pause_s), speed)
-        deadline_s = self.config.adaptation.decision_deadline_s
-        with (
-            DecideInWorker(deadline_s) as worker,
-            CanLink(link_settings(self.config, speed), clock, self._log) as link,
-        ):
-            session = self._session(link, worker, speed, self._recalled())
-
-            def once() -> None:
-                with unstoppable():
-                    session.poll(clock.now_s())
-                    session.link_faults(link.news())
-                link.wait_until(clock.now_s() + self.config.loop.sample_time_s / POLLS_PER_SAMPLE)
-
-            try:
-                to_the_end(session, once)
-            finally:
-                session.device.release(clock.now_s())
-            return session
-
-    def _pretune_simulated(self, link: CanLink, clock: SimulatedClock, sample: Callable[[], None]) -> None:
-        """The commanded step on the virtual bench: nobody may interrupt what device and host share."""
-
-        def turn() -> None:
-            with unstoppable():
-                clock.advance(self.config.loop.sample_time_s)
-                sample()
-
-        self._pretune(link, clock, turn)
-
-    def _pretune(self, link: CanLink, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
+    def pretune(self, port: FramePort, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
         """The commanded step before the session, on a link of its own."""
-        assert self._pretuning is not None
+        if self.pretuning is None:
+            return
         settings = device_settings(self.config, speed)
         settings = replace(settings, owner=settings.owner % OWNERS + 1)  # its lease is counted by itself
-        device = CanDevice(link, settings)
+        device = CanDevice(port, settings)
 
         def turned() -> float:
             turn()
             return clock.now_s()
 
         try:
-            self._pretuning.conduct(device, settings.silent_s, turned)
+            self.pretuning.conduct(device, settings.silent_s, turned)
         finally:
             device.release(clock.now_s())
 
-    def _recalled(self) -> Remembered | None:
+    def _desk(self, session: LoopSession, folder: Path) -> OrderDesk:
+        """Where people's orders are taken in."""
+        return OrderDesk(
+            OrderBox(folder),
+            session.retuner,
+            self.record,
+            session.decisions,
+            self.config.adaptation.approval_s,
+            left_before(self._before, self._name, self._known),
+        )
+
+    def _recalled(self) -> tuple[Remembered | None, str]:
         """What the session before this one has learned, if it can be trusted; why not is said in a line."""
         try:
-            return recall(self._before, self.config, retuner_settings(self.config, self.mode))
+            return recall(
+                self._before, self.config, retuner_settings(self.config, self._run.mode), self._name, self._known
+            ), ""
         except NoMemoryError as why_not:
-            self._why_no_memory = str(why_not)
-            if self._tell is not None and self._why_no_memory:
-                self._tell(self._why_no_memory)
-            return None
+            if str(why_not):
+                self._say(str(why_not))
+            return None, str(why_not)
 
-    def _keep_memory(self, session: Session, remembered: Remembered | None, folder: Path) -> None:
-        """From now on, write down what is learned before it is recorded as decided."""
-        memory = MemoryFile(folder, self.config, self._record)
-        memory.begin(remembered, self._why_no_memory)
-        session.remember = lambda t_s: memory.save(session.retuner, t_s)
-
-    def _session(
-        self, link: CanLink, decider: Decider, speed: float = 1.0, remembered: Remembered | None = None
-    ) -> Session:
-        """The host's side on an open link."""
-        after_s = remembered.last_s if remembered is not None else None
-        device = CanDevice(link, device_settings(self.config, speed), after_s)
-        retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self.mode)
-        scenario = ScenarioPlayer(self.config.scenario)
-        session = Session(device, retuner, scenario, self._record, self._sampled, decider)
-        if isinstance(decider, DecideInWorker) and self._folder is not None:
-            self._keep_memory(session, remembered, self._folder)
-        if self._folder is not None:
-            session.orders = OrderDesk(
-                OrderBox(self._folder),
-                retuner,
-                self._record,
-                session.decisions,
-                self.config.adaptation.approval_s,
-                left_before(self._before),
-            ).take
-        if self._pretuning is not None:
-            session.orders = self._pretuning.decisions(retuner, session.orders)
-        self.session = session
-        return session
+    def _say(self, text: str) -> None:
+        """Say a line, and of which loop."""
+        self._run.observer.said(f"{self._name}: {text}" if self._name else text)
 
     def _sampled(self, sample: LoopSample) -> None:
-        """Pass a sample on to whoever shows progress."""
-        if self._on_sample is not None and self.session is not None:
-            self._on_sample(self.session, sample)
+        """A sample was taken."""
+        if self.session is not None:
+            self._run.sampled(self.session, sample)
+
+
+class Run:
+    """One run of a configuration.
+
+    Parameters
+    ----------
+    config : what to run, one loop or several. keep : the ledger. mode : overrides the configured one. log : file for
+    the traffic of the first bus. observer : looks on. folder : of the session, where people put orders; before : that
+    of the session which was there before and may have left some.
+    """
+
+    def __init__(
+        self,
+        config: Config | SessionConfig,
+        keep: Recorder,
+        *,
+        mode: Mode | None = None,
+        log: Path | None = None,
+        observer: Observer | None = None,
+        folder: Path | None = None,
+        before: Path | None = None,
+    ) -> None:
+        self.config = SessionConfig((config,)) if isinstance(config, Config) else config
+        self.keep, self.mode, self.observer = keep, mode, observer or NobodyLooks()
+        self._log = log
+        self.session: Session | None = None
+        earlier = _before(before, self.config)
+        self._loops = [_Loop(one, self, folder, earlier) for one in self.config.loops]
+
+    def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
+        """Pass a sample on to whoever looks on."""
+        self.observer.sampled(loop, sample)
+
+    def ledger_failed(self, reason: str) -> None:
+        """The ledger takes no more rows: every loop comes to its end."""
+        if self.session is not None:
+            self.session.freeze(reason)
+
+    def simulated(self) -> Session:
+        """Run the whole scenario against the virtual devices in this process, as fast as it goes.
+
+        Raises
+        ------
+        UserError, DeviceError
+            A loop has no [device], or the bus log cannot be opened.
+        """
+        with self.bench() as (session, bench):
+
+            def once() -> None:
+                bench.turn()
+                with unstoppable():
+                    self._faults(bench.buses)
+                    session.poll(bench.clock.now_s())
+
+            to_the_end(session, once)
+            return session
+
+    @contextmanager
+    def bench(self) -> Iterator[tuple[Session, VirtualBench]]:
+        """The session on a virtual bench, for whoever makes the turns himself."""
+        first = self._pretune_simulated if self._pretunes else None
+        with virtual_bench(self.config, self._log, first) as bench:
+            deciders = [DecideHere(one.adaptation.decision_delay_samples) for one in self.config.loops]
+            yield self._begin(bench.buses, deciders), bench
+
+    def live(self, speed: float = 1.0) -> Session:
+        """Run against whatever answers on the configured buses, until the scenarios are over or the user stops it.
+
+        speed : how much faster than real time the far side's clock runs (a simulated plant on a bench).
+
+        Raises
+        ------
+        DeviceError
+            A bus does not open, or nobody (or the wrong one) answers at first.
+        """
+        clock: Clock = MonotonicClock(speed)
+        pause_s = min(one.loop.sample_time_s for one in self.config.loops) / POLLS_PER_SAMPLE
+        if self._pretunes:
+            with live_buses(self.config, speed, clock, before(self._log)) as buses:
+                self._pretune(buses, clock, lambda: buses.wait_until(clock.now_s() + pause_s), speed)
+        deadlines_s = [one.adaptation.decision_deadline_s for one in self.config.loops]
+        with (
+            DecisionWorkers(len(deadlines_s)) as workers,
+            live_buses(self.config, speed, clock, self._log) as buses,
+        ):
+            session = self._begin(buses, [workers.decider(s) for s in deadlines_s], speed, remember=True)
+
+            def once() -> None:
+                with unstoppable():
+                    session.poll(clock.now_s())
+                    self._faults(buses)
+                buses.wait_until(clock.now_s() + pause_s)
+
+            try:
+                to_the_end(session, once)
+            finally:
+                session.release(clock.now_s())
+            return session
+
+    def _begin(
+        self, buses: HostBuses, deciders: Sequence[Decider], speed: float = 1.0, *, remember: bool = False
+    ) -> Session:
+        """The host's side on open buses."""
+        loops = [
+            loop.begin(buses.port(i), decider, speed, remember=remember)
+            for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))
+        ]
+        self.session = Session(loops, self.observer.said)
+        return self.session
+
+    def _pretune_simulated(self, bench: VirtualBench) -> None:
+        """The commanded steps on the virtual bench: nobody may interrupt what devices and host share."""
+
+        def turn() -> None:
+            with unstoppable():
+                bench.turn()
+
+        self._pretune(bench.buses, bench.clock, turn)
+
+    def _pretune(self, buses: HostBuses, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
+        """The commanded steps before the session, one loop after the other."""
+        for i, loop in enumerate(self._loops):
+            loop.pretune(buses.port(i), clock, turn, speed)
+
+    @property
+    def _pretunes(self) -> bool:
+        """Whether a loop begins with a commanded step."""
+        return any(loop.pretuning for loop in self._loops)
+
+    def _faults(self, buses: HostBuses) -> None:
+        """Tell the loops what their links have to tell."""
+        assert self.session is not None
+        for i, news in buses.news():
+            self.session.loops[i].link_faults(news)
 
 
 # --speed: simulated time, or how much faster than real time the far side of a bus runs.

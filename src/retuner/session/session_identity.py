@@ -7,6 +7,7 @@ differently from release to release and from processor to processor.
 import hashlib
 import platform
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from retuner import adaptive, drivers, schedule
 from retuner.adaptive.fit.engine import engine_name
 from retuner.config.loading import text_as_run
 from retuner.config.model import Config
+from retuner.config.session_config import SessionConfig
 
 ROOMS = (schedule, adaptive, drivers)
 """The code that lies between frames and decisions."""
@@ -59,22 +61,27 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
 
 
 def session_identity(
-    config: Config, text: str, changes: Mapping[tuple[str, str], str | bool]
+    session: SessionConfig, text: str, changes: Mapping[tuple[str, str], str | bool]
 ) -> tuple[str, dict[str, object]]:
     """The configuration as it is run, as text, and what a session's first row says of all that it is made with.
 
-    config : as read, with the bus that is meant. text : as its author wrote it. changes : (section, key) to its value,
+    session : as read, with the bus that is meant. text : as its author wrote it. changes : (section, key) to its value,
     as the command line has it.
     """
-    mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
-    as_run = config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
-    text = text_as_run(text, as_run, changes)
+    text = text_as_run(text, replace(session, loops=tuple(_in_mode(one, changes) for one in session.loops)), changes)
+    seeds = [one.device.seed if one.device else None for one in session.loops]
     return text, {
         "versions": versions(),
-        "seed": config.device.seed if config.device else None,
+        "seed": seeds if session.several else seeds[0],
         "config_sha256": hashlib.sha256(text.encode()).hexdigest(),
         "overrides": {".".join(place): value for place, value in changes.items()},
     }
+
+
+def _in_mode(config: Config, changes: Mapping[tuple[str, str], str | bool]) -> Config:
+    """A loop's configuration in the mode that the command line names."""
+    mode = changes.get(("adaptation", "mode"), config.adaptation.mode)
+    return config.model_copy(update={"adaptation": config.adaptation.model_copy(update={"mode": mode})})
 
 
 def file_sha256(*paths: Path) -> str | None:

@@ -179,9 +179,28 @@ def test_no_dead_band_for_a_loop_over_its_limit() -> None:
     assert verdict.gains.kp < over.kp
 
 
-def test_a_loop_over_its_limit_is_not_written_what_it_has() -> None:
+def test_a_loop_over_its_limit_is_never_called_as_good_and_is_made_calmer_where_the_rule_gives_what_it_has() -> None:
     same = Tuning("pattern", "parallel", times(1.5, 1.5))
-    assert prove(request(times(1.5, 1.5), same), SETTINGS).ruling == Ruling.TOO_SMALL
+    verdict = prove(request(times(1.5, 1.5), same), SETTINGS)
+    assert verdict.ruling == Ruling.ACCEPTED
+    assert verdict.gains is not None
+    assert ms_of(MODEL, verdict.gains) <= SETTINGS.ms_nominal < verdict.ms_before
+    locked = replace(request(times(1.5, 1.5), same), locks=Locks(kc=True, tau_i=True, tau_d=True))
+    refused = prove(locked, SETTINGS)
+    assert refused.ruling == Ruling.NOT_ROBUST
+    assert "as good" not in refused.sentence
+
+
+def test_only_tau_i_moves_where_that_is_all_that_is_free() -> None:
+    same = Tuning("pattern", "parallel", times(1.0, 2.5))
+    verdict = prove(replace(request(times(1.0, 2.5), same), locks=Locks(kc=True)), SETTINGS)
+    assert verdict.gains is not None
+    assert verdict.gains.kp == GAINS.kp
+    assert verdict.ms_nominal < verdict.ms_before
+
+
+def test_a_right_loop_is_not_slowed_down_because_a_slower_version_of_its_settings_is_another_set() -> None:
+    assert prove(request(GAINS), SETTINGS).ruling == Ruling.TOO_SMALL
 
 
 def neighbour(model: ProcessModel, gains: PidGains = GAINS, interpolated: bool = False) -> NeighbourBorder:

@@ -186,7 +186,7 @@ def test_plain_values() -> None:
     assert found.to_dict()["numbers"] == found.numbers.to_dict()
 
 
-@pytest.mark.parametrize(("name", "value"), [("responses", 0), ("level", 1.0), ("timeout_s", 0.0), ("grows", 0.9)])
+@pytest.mark.parametrize(("name", "value"), [("responses", 0), ("level", 1.0), ("settles", 0.0), ("grows", 0.9)])
 def test_settings_outside_their_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         TrialSettings(**{name: value})

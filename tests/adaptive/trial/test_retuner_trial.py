@@ -97,7 +97,7 @@ def test_a_gap_or_manual_mode_ends_the_trial() -> None:
     sample = next(stand.rig.run(1))
     decision = stand.retuner.observe(sample._replace(t_s=sample.t_s + 9.0))
     assert decision is not None
-    assert decision.code == "undo_lost_telemetry"
+    assert decision.code == "undo_gap"
     stand = Stand()
     decision = stand.retuner.observe(next(stand.rig.run(1))._replace(mode=LoopMode.MANUAL))
     assert decision is not None

@@ -9,15 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig, responses
 
+from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
-from retuner.adaptive.trial.supervisor import WITH_GAINS, TrialSupervisor
+from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 
 P, E = TrialPhase, TrialEvent
-OLD, NEW = PidGains(1.0, 0.1), PidGains(2.0, 0.2)
+OLD, NEW, PERSONS = PidGains(1.0, 0.1), PidGains(2.0, 0.2), PidGains(1.5, 0.1)
+KNOWN = StillAllowed((LinearProcess(1.0, (10.0,), (), 1.0),))  # on which all of them are robust
+STAYS = (P.PAUSED, P.ENSURING)
+"""Phases that only a set comes into that stays by what is known."""
 TAU_I_S = 10.0
 
 
@@ -28,14 +33,22 @@ class Bench:
     trial_settings: TrialSettings = field(default_factory=TrialSettings)
     table: dict[int, PidGains] = field(default_factory=lambda: {0: OLD, 1: OLD})
     t_s: float = 0.0
+    known: StillAllowed = NOTHING_KNOWN
+    asks: bool = False
 
     def __post_init__(self) -> None:
-        self.trials = TrialSupervisor(self.trial_settings, 1.0, self.table.__setitem__)
+        self.trials = TrialSupervisor(
+            self.trial_settings, 1.0, self.table.__setitem__, lambda _: self.known, lambda _: self.asks
+        )
 
     def write(self, region: int = 0, new: PidGains = NEW) -> None:
         self.trials.begin(region, self.table[region], new, PROMISE, self.t_s)
         if self.trials.written(region, new, self.t_s):
             self.table[region] = new
+
+    def edit(self, gains: PidGains) -> None:
+        self.trials.edited(0, gains, self.table[0], self.t_s)
+        self.table[0] = gains
 
     def undo(self, cause: TrialEvent = E.WORSE) -> None:
         self.write()
@@ -50,6 +63,11 @@ class Bench:
             step = {P.AWAY: E.LEFT, P.WAITING: E.PASSED_FOR_APPROVAL, P.RESTORING: E.WORSE}
             if phase in step:
                 self.trials.event(0, step[phase], self.t_s)
+        elif phase in {P.PAUSED, P.ENSURING}:
+            self.write()
+            self.trials.event(0, E.MANUAL if phase is P.PAUSED else E.LINK_LOST, self.t_s)
+        elif phase is P.HELD:
+            self.edit(PERSONS)
         elif phase is P.COOLING:
             self.undo()
         elif phase is P.LOCKED:
@@ -59,14 +77,16 @@ class Bench:
         assert self.trials.phase(0) is phase
 
 
-@pytest.mark.parametrize("phase", TrialPhase, ids=lambda p: p.name)
+@pytest.mark.parametrize("phase", [p for p in TrialPhase if p not in STAYS], ids=lambda p: p.name)
 @pytest.mark.parametrize("cause", ABORTS, ids=lambda c: c.name)
-def test_every_phase_under_every_abort_cause_ends_on_a_verified_set(phase: TrialPhase, cause: TrialEvent) -> None:
+def test_with_nothing_known_every_cause_in_every_phase_ends_on_the_set_that_was_seen_to_work(
+    phase: TrialPhase, cause: TrialEvent
+) -> None:
     bench = Bench()
     bench.into(phase)
-    passed = bench.table[0] if phase is P.WAITING else OLD
+    now = bench.table[0] if phase in {P.WAITING, P.HELD} else OLD
     bench.trials.event(0, cause, bench.t_s)
-    verified = OLD if phase is not P.WAITING or cause is E.ORDERED_BACK else passed
+    verified = OLD if phase is P.WAITING and cause is E.ORDERED_BACK else now
     assert bench.table[0] == verified
     assert bench.trials.phase(0) not in UNDECIDED
     assert (bench.trials.phase(0) is P.RESTORING) == (
@@ -171,13 +191,9 @@ def look(bench: Bench, s: LoopSample, region: int = 0, elapsed_s: float = 1.0, *
     return bench.trials.look(s, region, 0.1, elapsed_s, 5.0, blended=blended)
 
 
-@pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
-def test_what_a_sample_can_tell_ends_every_undecided_trial(phase: TrialPhase) -> None:
-    for s, elapsed_s, cause in (
-        (sample(10.0, mode=LoopMode.MANUAL), 1.0, E.MANUAL),
-        (sample(10.0), 6.0, E.LOST_TELEMETRY),
-        (sample(1e6), 1.0, E.TIMED_OUT),
-    ):
+@pytest.mark.parametrize("phase", [p for p in UNDECIDED if p not in STAYS], ids=lambda p: p.name)
+def test_what_a_sample_can_tell_ends_every_undecided_trial_of_which_nothing_is_known(phase: TrialPhase) -> None:
+    for s, elapsed_s, cause in ((sample(10.0, mode=LoopMode.MANUAL), 1.0, E.MANUAL), (sample(10.0), 6.0, E.GAP)):
         bench = Bench()
         bench.into(phase)
         assert look(bench, s, elapsed_s=elapsed_s) == {0: cause}
@@ -205,8 +221,8 @@ def test_a_write_that_is_done_when_the_loop_has_left_waits_for_its_return() -> N
 
 
 def test_one_write_at_a_time() -> None:
-    for phase in (P.WRITING, P.RESTORING):
-        bench = Bench()
+    for phase in (P.WRITING, P.RESTORING, P.ENSURING):
+        bench = Bench(known=KNOWN if phase in STAYS else NOTHING_KNOWN)
         bench.into(phase)
         assert not bench.trials.may_change(1, 0.0)
         with pytest.raises(ValueError, match="may not be changed now"):
@@ -215,7 +231,7 @@ def test_one_write_at_a_time() -> None:
 
 @pytest.mark.parametrize("phase", TrialPhase, ids=lambda p: p.name)
 def test_a_restart_of_the_host_goes_on_where_it_stood(phase: TrialPhase) -> None:
-    bench, other = Bench(), Bench()
+    bench, other = (Bench(known=KNOWN if phase in STAYS else NOTHING_KNOWN) for _ in range(2))
     bench.into(phase)
     look(bench, sample(bench.t_s + 1.0, pv=3.0))
     other.trials.resume(json.loads(json.dumps(bench.trials.to_dict(), allow_nan=False)))
@@ -224,15 +240,18 @@ def test_a_restart_of_the_host_goes_on_where_it_stood(phase: TrialPhase) -> None
     assert other.trials.busy == bench.trials.busy
 
 
-FREE = [event for event in TrialEvent if event not in WITH_GAINS]
+FREE = [event for event in TrialEvent if event not in {*WITH_GAINS, *DECIDED}]
 EVENTS = st.lists(
     st.tuples(
-        st.sampled_from(["begin", "urgent", "written", "restored", "leave", "return", *FREE]),
+        st.sampled_from(["begin", "urgent", "edit", "written", "restored", "leave", "return", *FREE]),
         st.integers(0, 1),
         st.floats(0.5, 400.0),
     ),
     max_size=60,
 )
+
+
+GOOD_ENDS = (E.PASSED, E.PASSED_FOR_APPROVAL, E.UNDECIDED, E.UNDECIDED_FOR_APPROVAL)
 
 
 class Story(Bench):
@@ -252,6 +271,10 @@ class Story(Bench):
     def happen(self, event: str, region: int) -> None:
         if event in {"begin", "urgent"}:
             self.ask(region, urgent=event == "urgent")
+        elif event == "edit":
+            self.number += 1
+            self.edit(PidGains(1.0 + self.number, 0.1))
+            self.verified[0] = self.table[0]
         elif event == "written":
             if self.trials.written(region, self.tried[region], self.t_s):
                 self.table[region] = self.tried[region]
@@ -265,7 +288,7 @@ class Story(Bench):
     def tell(self, event: TrialEvent, region: int) -> None:
         before = self.trials.of(region)
         self.trials.event(region, event, self.t_s)
-        if before.phase is P.TRIAL and event in {E.PASSED, E.PASSED_FOR_APPROVAL}:
+        if before.phase is P.TRIAL and event in GOOD_ENDS:
             self.verified[region] = self.table[region]
         if before.phase is P.WAITING and event is E.ORDERED_BACK:
             assert before.old is not None
@@ -294,4 +317,10 @@ def test_never_two_sets_and_always_an_end_on_verified_old_or_confirmed_new(
 @pytest.mark.parametrize("event", WITH_GAINS)
 def test_what_comes_with_gains_has_a_door_of_its_own(event: TrialEvent) -> None:
     with pytest.raises(ValueError, match="comes with gains"):
+        Bench().trials.event(0, event, 0.0)
+
+
+@pytest.mark.parametrize("event", DECIDED)
+def test_what_is_decided_is_not_told(event: TrialEvent) -> None:
+    with pytest.raises(ValueError, match="tell the cause"):
         Bench().trials.event(0, event, 0.0)

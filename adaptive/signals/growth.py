@@ -1,0 +1,133 @@
+"""Does the loop swing by its own fault? What can be told without a model, from the swing itself.
+
+    grows       half waves of the control error whose heights rise by the same factor each, e^(sigma t): an unstable
+                loop. A tone from outside has a height of its own; one that sets in near the loop's resonance rises
+                towards it, by less at every half wave; a valve that sticks has its band
+    at limits   the output goes from limit to limit: an unstable loop is held up there
+
+Such a swing has no other cause to wait for: a verdict of before ("from outside", "unknown") does not stand against it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from retuner.adaptive.setting import Setting, require_in_range
+from retuner.adaptive.signals.sample import LoopSample
+
+
+@dataclass(frozen=True, slots=True)
+class GrowthSettings:
+    """When a swing grows."""
+
+    half_waves: Annotated[
+        int, Setting("Half waves in a row that a growing swing shows at least", 4, 20, source="three cycles")
+    ] = 6
+    most_half_waves: Annotated[
+        int, Setting("Half waves that are looked at, the newest", 6, 60, source="twelve cycles, as for a cause")
+    ] = 24
+    growth: Annotated[
+        float,
+        Setting("Growth over them at the least", 1.2, 5, source="a sensor's noise is a quarter of its band"),
+    ] = 1.6
+    steady: Annotated[
+        float,
+        Setting(
+            "Growth, in logarithms, of the later half over that of the earlier",
+            0.2,
+            1,
+            source="1 for an exponential; 0.2 for a tone that sets in",
+        ),
+    ] = 0.5
+    scatter: Annotated[
+        float,
+        Setting("Standard errors by which the heights rise", 2, 20, source="no chance: 1 in 10,000 at 4"),
+    ] = 5.0
+    even: Annotated[
+        float, Setting("Longest of the half periods over the shortest", 1.1, 3, source="a linear swing is even")
+    ] = 1.7
+
+    def __post_init__(self) -> None:
+        require_in_range(self, "growth")
+
+
+class HalfWave(NamedTuple):
+    """A half wave of the control error: time of its extreme, s, and how high that is, pv units."""
+
+    t_s: float
+    height: float
+
+
+class Growth(NamedTuple):
+    """A swing that grows: by which factor in each half period, over how many half waves, of which period."""
+
+    factor: float
+    half_waves: int
+    period_s: float
+
+    def to_dict(self) -> dict[str, float]:
+        """Plain values."""
+        return {"growth": self.factor, "half_waves": float(self.half_waves), "period_s": self.period_s}
+
+    @property
+    def sentence(self) -> str:
+        """What is seen."""
+        return (
+            f"it swings wider by {self.factor:.2f} at every half wave of {self.period_s / 2:.3g} s, "
+            f"{self.half_waves} times in a row: the loop is unstable with the gains in force"
+        )
+
+
+def half_waves(samples: Sequence[LoopSample], band: float) -> list[HalfWave]:
+    """Half waves of the error since the setpoint and the gains last changed, oldest first; the newest is left out.
+
+    band : what the error must pass on the other side for a half wave to have ended.
+    """
+    newest = samples[-1]
+    found: list[HalfWave] = []
+    top_s = top = 0.0
+    for sample in reversed(samples):
+        if sample.revision != newest.revision or sample.sp != newest.sp:
+            break
+        e = sample.sp - sample.pv
+        if top and e * top < 0 and abs(e) > band:
+            found.append(HalfWave(top_s, abs(top)))
+            top_s, top = sample.t_s, e
+        elif abs(e) > max(abs(top), band):
+            top_s, top = sample.t_s, e
+    return found[:0:-1]
+
+
+def grows(samples: Sequence[LoopSample], band: float, settings: GrowthSettings) -> Growth | None:
+    """The growth of the swing under way, None where it does not grow as an unstable loop's does."""
+    waves = half_waves(samples, band)[-settings.most_half_waves :]
+    for n in sorted({len(waves), settings.half_waves}, reverse=True):
+        if settings.half_waves <= n <= len(waves):
+            found = _growth(waves[-n:], settings)
+            if found is not None:
+                return found
+    return None
+
+
+def _growth(waves: list[HalfWave], settings: GrowthSettings) -> Growth | None:
+    """The same of half waves that are all taken for one swing."""
+    times = np.array([wave.t_s for wave in waves])
+    heights = np.log([wave.height for wave in waves])
+    apart = np.diff(times)
+    if apart.max() > settings.even * apart.min():
+        return None
+    n = len(waves)
+    index = np.arange(n) - (n - 1) / 2
+    rise = float(index @ heights / (index @ index))
+    left = heights - heights.mean() - rise * index
+    error = math.sqrt(float(left @ left) / (n - 2) / float(index @ index))
+    if rise * (n - 1) < math.log(settings.growth) or rise < settings.scatter * error:
+        return None
+    middle = n // 2
+    earlier, later = heights[middle] - heights[0], heights[-1] - heights[middle]
+    if later * middle < settings.steady * earlier * (n - 1 - middle):
+        return None
+    return Growth(math.exp(rise), n, 2 * float(np.median(apart)))

@@ -1,0 +1,30 @@
+"""What is said of gains that a person has set: what they are by what is known of the process, and for how long."""
+
+from retuner.adaptive.trial.way_back import Robustness, StillAllowed, models_words, robustness_words
+from retuner.schedule.gains import PidGains
+
+NOT_TAKEN = (
+    "somebody has set gains that no set of this region puts in force beside its neighbours'; they run until the "
+    "schedule next writes"
+)
+
+
+def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float) -> str:
+    """A person has set gains where others were in force: recognised, weighed, held."""
+    words = f"a person has set {_set(now)} in place of {_set(ours)}"
+    ms = known.ms(now)
+    if ms:
+        found = Robustness.of(ms)
+        weighed = robustness_words(found.ms, found.unstable, len(ms))
+        words += f"; by {models_words(len(ms))} the loop {weighed}"
+    return f"{words}; they are held for {hold_s:,.0f} s, what follows until then is proposed and waits for a person"
+
+
+def _set(gains: PidGains) -> str:
+    """Kc and times, where it has them."""
+    if not gains.kp:
+        return f"ki {gains.ki:.4g}"
+    words = [f"kc {gains.kp:.4g}"]
+    words += [f"tau_I {gains.kp / gains.ki:.4g} s"] if gains.ki else []
+    words += [f"tau_D {gains.kd / gains.kp:.4g} s"] if gains.kd else []
+    return ", ".join(words)

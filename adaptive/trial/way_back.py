@@ -1,0 +1,166 @@
+"""Where a change that is not decided by a response leads: which of the sets that ran is to run from now on.
+
+    r(set)  =  (models on which it is unstable, greatest Ms on the others)       over the models that are still allowed
+
+The less, the more robust. A set whose Ms is at most harmless_ms on every model counts as robust: among such sets it is
+not Ms that decides. The commissioned set has no privilege, nor has the one before.
+
+    watched on (manual mode, a gap, saturation, ...)   the tried set stays unless the one before is more robust
+    nobody watches (the session ends, ...)             the more robust of the two, by Ms itself: the set before was seen
+                                                       to work, and the tried one may be neither seen nor undone
+    evidence against it (worse, runaway)               the set before; where that is not robust on the models that the
+                                                       evidence leaves, the most robust of all that ran, the tried one
+                                                       among them
+
+Models on which the tried set is robust do not count after evidence against it: they are refuted. Where both are no
+robust sets, those that ran before are asked as well. Without a model the set before has been seen to work and the tried
+one has not, unless the one before was seen to swing on and the tried one is less of everything.
+So what runs after it is never less robust, on the models that are still allowed, than what ran before it.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from retuner.adaptive.guard.step_size import less_of_everything
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.trial.phase import BLIND, UNDOS, TrialEvent
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.weighed import Numbers
+from retuner.schedule.gains import PidGains
+
+SWINGS_ON = 0.9
+"""Ratio of successive peaks from which a response was no decaying one (as the guard's urgent_damping)."""
+
+
+class StillAllowed(NamedTuple):
+    """What is known of a region's process.
+
+    processes : the models that are still allowed, as a sampled controller sees them; empty where nothing is known.
+    in_force : from a set that the region stores to what then runs (a mean, in an interpolated table).
+    filter_s : filter time of the controller's derivative, s.
+    """
+
+    processes: tuple[LinearProcess, ...] = ()
+    in_force: Callable[[PidGains], PidGains] = lambda stored: stored
+    filter_s: float = 0.0
+
+    def ms(self, stored: PidGains) -> tuple[float, ...]:
+        """Ms on each model, infinite where unstable."""
+        gains = self.in_force(stored)
+        return tuple(sensitivity_peak(process, gains, self.filter_s) for process in self.processes)
+
+
+NOTHING_KNOWN = StillAllowed()
+
+
+class Robustness(NamedTuple):
+    """Of one set; sorts from robust to not robust. unstable : on so many models. ms : greatest on the others."""
+
+    unstable: int
+    ms: float
+
+    @classmethod
+    def of(cls, ms: Iterable[float], harmless_ms: float = 0.0) -> "Robustness":
+        """From Ms on each model; harmless_ms : up to this sets count as alike."""
+        values = tuple(ms)
+        finite = [value for value in values if math.isfinite(value)]
+        return cls(len(values) - len(finite), max([harmless_ms, *finite]))
+
+
+@dataclass(frozen=True, slots=True)
+class WayBackNumbers(Numbers):
+    """models : how many were asked. ms_tried, ms_before : greatest where stable; unstable_* : on so many models."""
+
+    models: float
+    ms_tried: float
+    unstable_tried: float
+    ms_before: float
+    unstable_before: float
+
+
+class SetsThatRan(NamedTuple):
+    """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
+
+    swung : ratio of successive peaks that was seen of the set before, None when nothing was.
+    """
+
+    before: PidGains
+    tried: PidGains | None
+    earlier: tuple[PidGains, ...] = ()
+    swung: float | None = None
+
+
+class WayBack(NamedTuple):
+    """gains : the set that is to run. stays : it is the tried one. reason : why, empty where nothing was weighed."""
+
+    gains: PidGains
+    stays: bool
+    reason: str = ""
+    numbers: WayBackNumbers | None = None
+
+
+def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> WayBack:
+    """Which set is to run after a cause that ends trials; see the head of this file."""
+    if ran.tried is None or cause is TrialEvent.ORDERED_BACK:
+        return WayBack(ran.before, stays=False)
+    ms_tried, ms_before = known.ms(ran.tried), known.ms(ran.before)
+    left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
+    if not left:
+        return _without_model(cause, ran, ran.tried)
+    floor = 0.0 if cause in BLIND else settings.harmless_ms
+
+    def robustness(ms: Sequence[float]) -> Robustness:
+        return Robustness.of((ms[i] for i in left), floor)
+
+    tried, before = robustness(ms_tried), robustness(ms_before)
+    stays = tried < before or (tried == before and cause not in UNDOS)
+    gains, least = (ran.tried, tried) if stays else (ran.before, before)
+    if least.unstable or least.ms > settings.harmless_ms:
+        for other in ran.earlier:
+            found = robustness(known.ms(other))
+            gains, least = (other, found) if found < least else (gains, least)
+    numbers = _numbers(len(left), ms_tried, ms_before, left)
+    return WayBack(gains, gains == ran.tried, _words(numbers, gains, ran), numbers)
+
+
+def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayBack:
+    """What was seen is all there is."""
+    swung = ran.swung is not None and ran.swung >= SWINGS_ON
+    if cause not in UNDOS and swung and less_of_everything(ran.before, tried):
+        words = (
+            f"the gains before were seen to swing on (successive peaks {ran.swung:.2f}), these are less of everything"
+        )
+        return WayBack(tried, stays=True, reason=words)
+    return WayBack(ran.before, stays=False)
+
+
+def _numbers(models: int, tried: Sequence[float], before: Sequence[float], left: Sequence[int]) -> WayBackNumbers:
+    """What was weighed."""
+    one, other = (Robustness.of(ms[i] for i in left) for ms in (tried, before))
+    return WayBackNumbers(models, one.ms, one.unstable, other.ms, other.unstable)
+
+
+def _words(found: WayBackNumbers, gains: PidGains, ran: SetsThatRan) -> str:
+    """The reason for people."""
+    tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)
+    before = robustness_words(found.ms_before, found.unstable_before, found.models)
+    words = f"by {models_words(found.models)} the tried set {tried}, the one before {before}"
+    if gains in {ran.before, ran.tried}:
+        return words
+    return f"{words}; an earlier one is the most robust that ran"
+
+
+def models_words(models: float) -> str:
+    """How many are asked."""
+    return "the one model that is still allowed" if models == 1 else f"the {models:.0f} models that are still allowed"
+
+
+def robustness_words(ms: float, unstable: float, models: float) -> str:
+    """What is said of one set."""
+    if unstable == models:
+        return "is unstable"
+    some = f"is unstable on {unstable:.0f}, else " if unstable else ""
+    return f"{some}has Ms {ms:.2f} at most"

@@ -1,0 +1,158 @@
+"""Loops that see loads only, of every kind: nobody moves the setpoint, and the gains are wrong at the start.
+
+steps      a step to and fro, the standard of the batch
+pulses     one rectangular pulse of half to ten dead times, up or down
+ramps      the load moves over 5 to 40 dead times to another place, and stays
+walk       a random walk all the time
+sinusoid   a slow sinusoid all the time, of 20 to 80 dead times
+coloured   noise through a lag of 1 to 10 dead times, all the time
+
+A period is 60 effective dead times (longer for sluggish starts), as between two disturbances of the batch; noise is
+1 %. Loads are sized by what they do under SIMC with perfect knowledge: a step moves pv by 1. Processes are those of
+benchmarks/cases, gains off as in the batch, where the loop is stable with them. Counted is what is in spec after so
+many periods, what was changed for the worse, and what was made unstable.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from cases.case import FloatArray
+from cases.plant import HeldPlant
+from cases.processes import FAMILIES, log_uniform
+from cases.setting import draw_loop, scaled
+from cases.signals import coloured, random_walk
+
+from online.batch import NOISE, PV_SPAN, SAMPLES_PER_THETA, STARTS, told
+from online.counting import counted
+from online.harm import effects
+from online.judge import Judge, Judgement
+from online.loop import LostLoop, WatchedLoop
+from online.supervisors import Watching, one_region, settings
+
+Row = dict[str, Any]
+KINDS = ("steps", "pulses", "ramps", "walk", "sinusoid", "coloured")
+PERIODS = 6
+LENGTH_THETA = 60.0
+REST_SAMPLES = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One loop. opened : limits of a change at x8 instead of the defaults. verbose : tell what was decided."""
+
+    kind: str
+    seed: int
+    index: int
+    opened: bool = False
+    verbose: bool = False
+
+
+def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool) -> list[Task]:
+    """The first `count` loops of a kind."""
+    return [Task(kind, seed, index, opened, verbose) for index in range(count)]
+
+
+def run(task: Task) -> Row:
+    """One loop; keys spec, ms, j (a value a period), changes, worse, made_unstable, lost, where verbose the story."""
+    rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 41])
+    loop = draw_loop(rng, str(rng.choice(FAMILIES)), (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
+    judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+    kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
+    while not loop.margins(scaled(loop.best, kc, tau_i)).stable:
+        kc, tau_i = STARTS[int(rng.integers(len(STARTS)))]
+    n = int(LENGTH_THETA * SAMPLES_PER_THETA * max(1.0, 1 / kc))
+    load = load_of(task.kind, rng, n, loop.theta_s / loop.dt_s) * judge.load_like_setpoint()
+    story: list[str] = []
+    watching = Watching(
+        one_region(scaled(loop.best, kc, tau_i)),
+        settings(loop.dt_s, PV_SPAN, opened=task.opened),
+        lambda decision: story.append("   " + told(decision, judge)),
+    )
+    watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching)
+    judged: list[Judgement] = []
+    lost = False
+    try:
+        watched.run(0.0, 0.0, _noise(rng, REST_SAMPLES))
+        for i in range(PERIODS):
+            watched.run(0.0, load[i * n : (i + 1) * n].tolist(), _noise(rng, n))
+            judged.append(judge.of(watched.gains))
+            story.append(f"{i + 1}. Ms {judged[-1].ms:.2f} J {judged[-1].j:.2f} {judged[-1].in_spec}")
+    except LostLoop:
+        lost = True
+    judged += [Judgement(math.inf, math.inf, in_spec=False)] * (PERIODS - len(judged))
+    found = effects(judge, watching)
+    return {
+        "part": "loads",
+        "kind": task.kind,
+        "seed": task.seed,
+        "index": task.index,
+        "opened": task.opened,
+        "what": f"{loop.family} kc x{kc:g} tau_i x{tau_i:g}",
+        "spec": [x.in_spec for x in judged],
+        "ms": [judge.of(scaled(loop.best, kc, tau_i)).ms, *(x.ms for x in judged)],
+        "j": [judge.of(scaled(loop.best, kc, tau_i)).j, *(x.j for x in judged)],
+        "ms_limit": judge.ms_limit,
+        "changes": len(found),
+        "worse": sum(x.worse and not x.restored for x in found),
+        "made_unstable": sum(math.isfinite(x.before.ms) and math.isinf(x.after.ms) for x in found),
+        "records": len(watching.decisions),
+        "lost": lost,
+        "story": story if task.verbose else [],
+    }
+
+
+def load_of(kind: str, rng: np.random.Generator, n: int, theta: float) -> FloatArray:
+    """The load of all periods, 1 for a step of the standard size. n : samples of a period. theta : of a dead time."""
+    whole = n * PERIODS
+    time = np.arange(whole)
+    if kind == "walk":
+        return 0.3 * random_walk(rng, whole) / math.sqrt(theta)
+    if kind == "coloured":
+        return 0.7 * coloured(rng, whole, log_uniform(rng, 1.0, 10.0) * theta)
+    if kind == "sinusoid":
+        period = log_uniform(rng, 20.0, 80.0) * theta
+        return np.asarray(np.sin(2 * np.pi * (time / period + rng.uniform())), dtype=np.float64)
+    load = np.zeros(whole)
+    for i in range(PERIODS):
+        first = i * n + int(rng.uniform(0.0, 0.2) * n)
+        if kind == "steps":
+            load[first:] += 1.0 if i % 2 == 0 else -1.0
+        elif kind == "pulses":
+            size = float(rng.choice([-1.5, 1.5]))
+            load[first : first + int(log_uniform(rng, 0.5, 10.0) * theta)] += size
+        else:
+            length = log_uniform(rng, 5.0, 40.0) * theta
+            size = float(rng.uniform(1.5, 3.0)) * (1.0 if i % 2 == 0 else -1.0)
+            load += size * np.clip((time - first) / length, 0.0, 1.0)
+    return load
+
+
+def _noise(rng: np.random.Generator, n: int) -> list[float]:
+    return [float(x) for x in NOISE * rng.standard_normal(n)]
+
+
+def line(row: Row) -> str:
+    """A loop for people."""
+    spec = "".join("+" if ok else "." for ok in row["spec"])
+    head = (
+        f"{row['kind']:<9}{row['index']:>4} {spec:<7} Ms {row['ms'][0]:5.2f} -> {row['ms'][-1]:5.2f} "
+        f"J {row['j'][0]:5.2f} -> {row['j'][-1]:5.2f} changes {row['changes']} worse {row['worse']} {row['what']}"
+    )
+    return "\n".join([head, *(f"    {text}" for text in row["story"])])
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Shares in spec after 1, 3 and 6 periods, a kind and all."""
+    lines = []
+    for kind in (*KINDS, "all"):
+        of = [row for row in rows if kind in {"all", row["kind"]}]
+        if not of:
+            continue
+        lines.append(
+            f"{kind}: {len(of)} loops, {sum(r['changes'] for r in of)} changes, worse {sum(r['worse'] for r in of)}, "
+            f"made unstable {sum(r['made_unstable'] for r in of)}, responses {sum(r['records'] for r in of)}"
+        )
+        lines += [f"  in spec after {n}  {counted(sum(r['spec'][n - 1] for r in of), len(of))}" for n in (1, 3, 6)]
+    return lines

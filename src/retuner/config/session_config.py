@@ -1,0 +1,148 @@
+"""What one session watches: a loop, or several that share what stands at the top of their file.
+
+    [[loop]] tables + shared sections -> one Config a loop -> what must hold between the loops
+
+Each loop is a whole configuration of its own: its table's keys, its own sections, and for what these leave out the
+sections that stand at the top of the file. So everything behind the configuration deals with one loop at a time.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from retuner.config.bench import OutputConfig
+from retuner.config.model import Config
+from retuner.config.setting import Problem
+from retuner.config.toml_lines import Path
+from retuner.errors import UserError
+
+SECTIONS = ("schedule", "adaptation", "bus", "device", "scenario")
+"""Sections that a loop may have for itself: [loop.schedule] and so on below its [[loop]]. [output] is the session's."""
+NO_NAME = re.compile(r"[^A-Za-z0-9._-]+")
+"""What does not go into the name of a folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class SessionConfig:
+    """Configurations of the loops that one session watches.
+
+    loops : one or more. several : written as [[loop]] tables, so rows, files and people name the loop.
+    """
+
+    loops: tuple[Config, ...]
+    several: bool = False
+
+    @property
+    def output(self) -> OutputConfig:
+        """What a run leaves behind, and where."""
+        return self.loops[0].output
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The loops' names."""
+        return tuple(config.loop.name for config in self.loops)
+
+    @property
+    def buses(self) -> tuple[tuple[int, ...], ...]:
+        """The loops by the bus they hang on, as indexes, in the order of the file."""
+        found: dict[tuple[str, str], list[int]] = {}
+        for i, config in enumerate(self.loops):
+            found.setdefault((config.bus.interface, config.bus.channel), []).append(i)
+        return tuple(map(tuple, found.values()))
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the loops are virtual devices in this process."""
+        return self.loops[0].bus.interface == "virtual"
+
+    def place(self, name: str | None) -> int:
+        """Index of the loop of this name; without a name that of the only one.
+
+        Raises
+        ------
+        UserError
+            There is no such loop, or no name was given and there are several.
+        """
+        if name is None and len(self.loops) > 1:
+            raise UserError(f"--loop: there are {len(self.loops)} loops, name one of {', '.join(self.names)}")
+        if name is not None and name not in self.names:
+            raise UserError(f"--loop {name}: there is no such loop; there are {', '.join(self.names)}")
+        return 0 if name is None else self.names.index(name)
+
+    def summary(self) -> dict[str, object]:
+        """What it says, as JSON values."""
+        if not self.several:
+            return self.loops[0].summary()
+        return {"loops": [config.summary() for config in self.loops]}
+
+    def problems(self) -> Iterator[tuple[int, Problem]]:
+        """What does not go together between loops: index of the later loop, and the problem."""
+        for i, config in enumerate(self.loops):
+            for earlier in self.loops[:i]:
+                yield from ((i, problem) for problem in _between(earlier, config))
+
+
+def _between(earlier: Config, later: Config) -> Iterator[Problem]:
+    """What is wrong between two loops of a session."""
+    name, bus, other = later.loop.name, later.bus, earlier.bus
+    if folder_name(name).lower() == folder_name(earlier.loop.name).lower():
+        yield Problem(("loop", "name"), f'= "{name}" names the files of "{earlier.loop.name}", too; give another name')
+    if (bus.interface == "virtual") != (other.interface == "virtual"):
+        message = f'= "{bus.interface}" and "{other.interface}" above: simulated loops have a session of their own'
+        yield Problem(("bus", "interface"), message)
+    if (bus.interface, bus.channel) != (other.interface, other.channel):
+        return
+    if bus.node == other.node:
+        message = f'= {bus.node} is the number of "{earlier.loop.name}" on the same bus; each controller has its own'
+        yield Problem(("bus", "node"), message)
+    if bus.hop_limit != other.hop_limit:
+        message = f'= {bus.hop_limit}, and {other.hop_limit} for "{earlier.loop.name}" on the same bus; make them equal'
+        yield Problem(("bus", "hop_limit"), message)
+
+
+def folder_name(loop: str) -> str:
+    """A loop's name as a folder may have it."""
+    return NO_NAME.sub("-", loop).strip("-.") or "loop"
+
+
+def loop_documents(document: Mapping[str, object]) -> list[dict[str, object]]:
+    """A document with [[loop]] tables as one document a loop, each with what all share."""
+    tables = document["loop"]
+    assert isinstance(tables, list)
+    shared = {name: value for name, value in document.items() if name != "loop"}
+    return [_of_one(shared, table) for table in tables]
+
+
+def _of_one(shared: Mapping[str, object], table: object) -> dict[str, object]:
+    """The document of one loop."""
+    if not isinstance(table, Mapping):
+        return {**shared, "loop": table}
+    own = {name: table[name] for name in SECTIONS if name in table}
+    keys = {name: value for name, value in table.items() if name not in own}
+    return {**_joined(shared, own), "loop": keys}
+
+
+def _joined(shared: Mapping[str, object], own: Mapping[str, object]) -> dict[str, object]:
+    """Tables key by key, the own ones first; one of another kind stands alone, and so do arrays."""
+    found = dict(shared)
+    for name, value in own.items():
+        before = shared.get(name)
+        if isinstance(before, Mapping) and isinstance(value, Mapping):
+            same = value.get("kind", before.get("kind")) == before.get("kind")
+            found[name] = _joined(before, value) if same else value
+        else:
+            found[name] = value
+    return found
+
+
+def written_at(path: Path, loop: int, lines: Mapping[Path, int]) -> Path:
+    """Where a key of a loop's configuration stands in the file: in its own tables, or in those that all share."""
+    if path[:1] == ("loop",):
+        return ("loop", loop, *path[1:])
+    own = ("loop", loop, *path)
+    return own if _depth(own, lines) - 2 >= _depth(path, lines) else path
+
+
+def _depth(path: Path, lines: Mapping[Path, int]) -> int:
+    """How much of a path is written in the file."""
+    return max(n for n in range(len(path) + 1) if path[:n] in lines)

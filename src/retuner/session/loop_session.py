@@ -1,0 +1,357 @@
+"""One loop under supervision: device events in, decisions and writes out, everything recorded before it takes effect.
+
+The same object serves simulated and real time: it is driven by `poll(now_s)` and never waits. What the controller shall
+run is gain_writer.py's business; here it is decided what ends a trial, and how a loop's session ends: an undecided
+change is taken back first, for as long as patience lasts and the link holds. Several loops, and what they share, are
+session.py's.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from enum import Enum
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.decisions.decider import DecideHere, Decider
+from retuner.drivers.bus.link_faults import HOLDING, FaultNews
+from retuner.drivers.device import (
+    CommandDone,
+    Device,
+    Event,
+    Reverted,
+    RunningChanged,
+    WriteDone,
+    WriteFailed,
+)
+from retuner.drivers.state_machine import StateMachine
+from retuner.ledger import Recorder
+from retuner.report.trend import Trend
+from retuner.schedule.table import GainTable
+from retuner.session.gain_writer import HOLD_SAMPLES, RETRY_SAMPLES, SAME_GAINS, GainWriter
+from retuner.session.ledger_rows import HELD_BY, abort_cause, trouble
+from retuner.session.scenario import ScenarioPlayer
+
+__all__ = ["HOLD_SAMPLES", "RETRY_SAMPLES", "SAME_GAINS", "LoopSession"]
+
+DECISIONS_KEPT = 5000
+"""Decisions that are kept for report and summary, the newest ones; the ledger has all of them."""
+UNSEEN_SAMPLES = 30
+"""Sample times without a sample after which nobody watches a trial any more, though the link may live."""
+END_PATIENCE_SAMPLES = 200
+"""Sample times that the end of a session waits for an open write and for the verified set to run again."""
+
+
+class SessionPhase(Enum):
+    """How a session stands."""
+
+    WATCHING = "watching"
+    ENDING = "ending: an undecided change is taken back"
+    FAILING = "ending after a defect: no sample is looked at any more"
+    SETTLED = "over: nothing is open"
+    LEFT_OPEN = "over: patience has ended before the verified set was known to run"
+
+
+class SessionInput(Enum):
+    """What can happen to it."""
+
+    PLAYED = "the scenario is over"
+    STOPPED = "somebody ends it"
+    FROZEN = "rows cannot be recorded any more"
+    FAILED = "a defect"
+    CLOSED = "no write is open and no set is to be restored"
+    IMPATIENT = "patience is over"
+
+
+P, S = SessionPhase, SessionInput
+COURSE: dict[tuple[SessionPhase, SessionInput], SessionPhase] = {
+    (P.WATCHING, S.PLAYED): P.ENDING,
+    (P.WATCHING, S.STOPPED): P.ENDING,
+    (P.WATCHING, S.FROZEN): P.ENDING,
+    (P.WATCHING, S.FAILED): P.FAILING,
+    (P.ENDING, S.FAILED): P.FAILING,
+    **{(phase, S.CLOSED): P.SETTLED for phase in (P.ENDING, P.FAILING)},
+    **{(phase, S.IMPATIENT): P.LEFT_OPEN for phase in (P.ENDING, P.FAILING)},
+}
+"""Everything that is not here leaves the phase as it is: the first reason to end counts."""
+
+
+def no_orders(t_s: float) -> Iterable[Decision]:
+    """Nobody orders anything."""
+    del t_s
+    return ()
+
+
+def no_memory(t_s: float) -> None:
+    """Nothing is kept beyond this session."""
+    del t_s
+
+
+class LoopSession:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    device : the controller. retuner : watches it. scenario : what to do to it. record : keeps rows for good.
+    on_sample : told of every sample (progress). decider : where decisions are made; None for here, at once.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        retuner: Retuner,
+        scenario: ScenarioPlayer,
+        record: Recorder,
+        on_sample: Callable[[LoopSample], None] | None = None,
+        decider: Decider | None = None,
+    ) -> None:
+        self.device = device
+        self.decider = decider or DecideHere()
+        self.retuner = retuner
+        self.scenario = scenario
+        self.trend = Trend(two=retuner.table.regions.second is not None)
+        self.decisions: deque[Decision] = deque(maxlen=DECISIONS_KEPT)
+        self.writer = GainWriter(device, retuner, record)
+        self._record = record
+        self._on_sample = on_sample
+        self.frozen = ""
+        self.remember: Callable[[float], None] = no_memory
+        self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
+        self.samples = 0  # seen so far: the place of a row in the order of events, for replay
+        self._events: deque[Event] = deque()  # told by the device, and not dealt with yet
+        self._sampled_s = math.inf  # when the newest sample came, by the clock of poll
+        self._ends_at_s = math.inf  # when patience is over, once the end has begun
+        self.machine = StateMachine(COURSE, SessionPhase.WATCHING)
+        self.ended_by = ""  # why it was ended, if somebody or something did
+        self.left_open = ""  # what the session could not bring to its end, in a sentence
+
+    @property
+    def name(self) -> str:
+        """Name of the loop."""
+        return self.retuner.table.loop
+
+    @property
+    def table(self) -> GainTable:
+        """The gain table as it stands."""
+        return self.retuner.table
+
+    @property
+    def commits(self) -> list[tuple[float, int]]:
+        """Changes of the table: time and region."""
+        return self.writer.commits
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end has begun and neither a write is open nor a set to be restored, or patience is over."""
+        return self.machine.phase in {SessionPhase.SETTLED, SessionPhase.LEFT_OPEN}
+
+    @property
+    def ending(self) -> bool:
+        """Whether the end has begun, and something may still be open."""
+        return self.machine.phase in {SessionPhase.ENDING, SessionPhase.FAILING}
+
+    def freeze(self, reason: str) -> None:
+        """Begin no write any more: what cannot be recorded must not be done, but the way back to the verified set.
+
+        A write under way goes to its end.
+        """
+        self.frozen = self.frozen or reason
+        self.writer.frozen = True
+        self.machine.take(SessionInput.FROZEN)
+
+    def stop(self, reason: str) -> None:
+        """Come to an end: an undecided change is taken back, and `finished` says when that is done."""
+        self.ended_by = self.ended_by or reason
+        self.machine.take(SessionInput.STOPPED)
+
+    def fail(self, reason: str) -> None:
+        """Come to an end after a defect: no sample is looked at any more, and the verified set comes back."""
+        self.ended_by = self.ended_by or reason
+        self.machine.take(SessionInput.FAILED)
+
+    def poll(self, now_s: float) -> int:
+        """Take what the device has to tell; returns the number of samples among it.
+
+        Raises
+        ------
+        DeviceError
+            Before the first connection: nobody answers, or the wrong controller does.
+        """
+        samples = 0
+        self._events += self.device.poll(now_s)
+        while self._events:
+            event = self._events.popleft()
+            if isinstance(event, LoopSample):
+                samples += 1
+                self._sampled_s = now_s
+                self._sample(event, now_s)
+            else:
+                self._event(event, now_s)
+        if now_s - self._sampled_s > UNSEEN_SAMPLES * self.retuner.settings.sample_time_s:
+            self._abort(TrialEvent.LOST_TELEMETRY)
+        self._end(now_s)
+        self.writer.keep(now_s)
+        self._close(now_s)
+        return samples
+
+    def link_faults(self, news: Iterable[FaultNews]) -> None:
+        """Record what the link has to tell, and hold the adaptation where frames may be missing or stale."""
+        for fault, times in news:
+            self._record("bus", self.writer.t_s, {"fault": fault, "times": times})
+            if fault in HOLDING:
+                self.writer.hold(fault)
+
+    def _sample(self, sample: LoopSample, now_s: float) -> None:
+        """One sample of the loop: play the scenario, watch, decide."""
+        self.writer.t_s = sample.t_s
+        self.samples += 1
+        if self.machine.phase is SessionPhase.FAILING:
+            return
+        for step in self.scenario.due(sample.t_s):
+            if step.sp is not None:
+                self.device.send_setpoint(step.sp, now_s)
+            if step.load is not None:
+                self.device.send_load(step.load, now_s)
+        decision = self._look(sample)
+        if self.retuner.region is not None and self.device.running is not None:
+            self.trend.add(sample, self.retuner.region, self.device.running.gains)
+        if self._on_sample is not None:
+            self._on_sample(sample)
+        if decision is not None:
+            self._decided(decision)
+        self._enter_answer()
+        if self.writer.free:
+            for ordered in self.orders(sample.t_s):
+                self._decided(ordered)
+
+    def _look(self, sample: LoopSample) -> Decision | None:
+        """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
+        step = self.retuner.step(sample)
+        if step.question is None:
+            return step.decision
+        self.decider.ask(step.question)
+        answer = self.decider.answer(self.retuner.sample_number)
+        if answer is not None:  # with what ended a trial at this sample, if anything did: see Retuner.enter
+            return self.retuner.enter(step.question, answer.result, self.retuner.sample_number)
+        region = self.table.regions.names[step.question.record.region]
+        self._record("question", step.question.t_s, {"asked": step.question.sample_number, "region": region})
+        return step.decision
+
+    def _enter_answer(self) -> None:
+        """Enter the answer to the open question, if it has come: recorded first, for a replay enters it here too."""
+        question = self.retuner.open_question
+        answer = self.decider.answer(self.retuner.sample_number) if question is not None else None
+        if question is None or answer is None:
+            return
+        body = {"asked": question.sample_number, "code": answer.result.code, "reason": answer.trouble}
+        self._record("answer", self.writer.t_s, body)
+        if answer.trouble:
+            self._record("worker", self.writer.t_s, {"reason": answer.trouble})
+        self._decided(self.retuner.enter(question, answer.result, self.retuner.sample_number))
+
+    def _decided(self, decision: Decision) -> None:
+        """Record a decision; what it wants written waits for the wire."""
+        self.decisions.append(decision)
+        self.remember(self.writer.t_s)  # before the row: what the ledger says was decided is never forgotten
+        self._record("decision", decision.t_s, decision.to_dict())
+        judged = decision.judgement
+        if judged is not None:
+            self._record(
+                "judged", decision.t_s, {"region": decision.region, **judged.to_dict(), "trial": decision.trial}
+            )
+        undone = decision.code.removeprefix("undo_")
+        if decision.action == Action.RESTORE and decision.gains_after is not None and undone != decision.code:
+            body = {
+                "region": decision.region,
+                "cause": undone,
+                "reason": decision.reason,
+                "gains": gains_dict(decision.gains_after),
+                "decision": decision.digest(),
+            }
+            self._record("restore", decision.t_s, body)
+        elif decision.action == Action.COMMIT:
+            self.writer.ask(decision)
+
+    def _event(self, event: Event, now_s: float) -> None:
+        """Everything that is not a sample."""
+        match event:
+            case WriteDone():
+                self.writer.done(event)
+            case WriteFailed():
+                cause = self.writer.failed(event, now_s)
+                if cause is TrialEvent.OPERATOR_EDIT:
+                    self._event(RunningChanged(event.running), now_s)
+                else:
+                    self._abort(cause)
+            case CommandDone():
+                pass
+            case _:
+                if isinstance(event, Reverted):  # it was not confirmed in time: no hurry to write it again
+                    self.writer.wait()
+                kind, body = trouble(event)
+                self._record(kind, self.writer.t_s, body)
+                if isinstance(event, HELD_BY):
+                    self.writer.hold(kind)
+                if isinstance(event, RunningChanged):
+                    self._edited(event)
+                self._abort(abort_cause(event))
+
+    def _edited(self, event: RunningChanged) -> None:
+        """Somebody else has changed the running set: it is theirs, and stays."""
+        decision = self.retuner.edited(event.running.gains)
+        if decision is not None:
+            self._decided(decision)
+
+    def _abort(self, cause: TrialEvent | None) -> None:
+        """Put a cause to the undecided trials that do not know it: recorded, then what is to run is decided."""
+        if cause is None or not self.retuner.trials.concerned(cause):
+            return
+        self._record("abort", self.writer.t_s, {"cause": cause.name.lower(), "reason": str(cause)})
+        decision = self.retuner.abort(cause)
+        if decision is not None:
+            self._decided(decision)
+
+    def _end(self, now_s: float) -> None:
+        """Begin the end when it is time, and take back what is undecided."""
+        if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
+            self.machine.take(SessionInput.PLAYED)
+        if self.machine.phase is SessionPhase.WATCHING:
+            return
+        self.writer.frozen = True
+        self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
+        self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
+
+    def _close(self, now_s: float) -> None:
+        """The end is reached when nothing is open; or patience is over, and what is left open is said."""
+        if not self.ending:
+            return
+        if not self.writer.open and not self.writer.restoring:
+            self.machine.take(SessionInput.CLOSED)
+        elif now_s >= self._ends_at_s:
+            self.machine.take(SessionInput.IMPATIENT)
+            self.tell_what_is_open()
+
+    def tell_what_is_open(self) -> None:
+        """Record that the session ends without knowing that the verified set runs, if it is so."""
+        trials = self.retuner.trials
+        if not self.left_open and (self.writer.open or trials.left_open):
+            self.left_open = "the controller has not reported that it runs the gains that are to run"
+            running = self.device.running
+            names = self.table.regions.names
+            body = {
+                "regions": [names[region] for region in trials.left_open],
+                "write_open": self.writer.open,
+                "running": gains_dict(running.gains) if running else None,
+                "reason": self.left_open,
+            }
+            self._record("unrestored", self.writer.t_s, body)
+
+    def tell_absent(self, reason: str) -> None:
+        """Record that the session goes on without this loop: its controller was never there."""
+        self._record("absent", self.writer.t_s, {"reason": reason})
+
+    def tell_over(self) -> None:
+        """Record that no sample of this loop is looked at any more: in a session of several, where each has its end."""
+        self._record("over", self.writer.t_s, {"course": self.machine.phase.name.lower()})

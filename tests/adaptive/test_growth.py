@@ -1,0 +1,69 @@
+"""A swing that only the loop itself can make: exponential growth, and nothing else that rises."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.signals.growth import GrowthSettings, grows, half_waves
+from retuner.adaptive.signals.sample import LoopSample
+
+BAND, PERIOD, N = 0.04, 40.0, 400
+S = GrowthSettings()
+
+
+def heard(error: Callable[[float], float], noise: float = 0.01, seed: int = 0) -> list[LoopSample]:
+    rng = np.random.default_rng(seed)
+    return [LoopSample(float(i), 0.0, -error(float(i)) - noise * float(rng.standard_normal()), 0.0) for i in range(N)]
+
+
+def swing(t_s: float) -> float:
+    return math.sin(2 * math.pi * t_s / PERIOD)
+
+
+@given(rate=st.floats(0.08, 0.5), start=st.floats(0.3, 5.0), seed=st.integers(0, 10))
+def test_growth_is_found_with_its_factor_and_period(rate: float, start: float, seed: int) -> None:
+    found = grows(heard(lambda t: start * math.exp(2 * rate * t / PERIOD) * swing(t), seed=seed), BAND, S)
+    assert found is not None
+    assert found.factor == pytest.approx(math.exp(rate), rel=0.05)
+    assert found.period_s == pytest.approx(PERIOD, rel=0.1)
+    assert f"{found.factor:.2f}" in found.sentence
+    assert found.to_dict()["period_s"] == found.period_s
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        swing,
+        lambda t: math.exp(-t / 100) * swing(t),
+        lambda t: (1 - math.exp(-t / 60)) * swing(t),
+        lambda t: math.sin(math.pi * t / 500) * swing(t),
+        lambda t: math.exp(t / 100) * (math.sin(2 * math.pi * t / 17) + math.sin(2 * math.pi * t / 41)),
+        lambda t: t / N,
+    ],
+    ids=["a tone", "decay", "a tone that sets in", "a beat", "two periods", "a ramp"],
+)
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_else_grows(error: Callable[[float], float], seed: int) -> None:
+    assert grows(heard(error, seed=seed), BAND, S) is None
+
+
+def test_noise_does_not_grow() -> None:
+    assert not any(grows(heard(lambda _: 0.0, 0.02, seed), BAND, S) for seed in range(40))
+
+
+def test_other_gains_or_another_setpoint_begin_anew() -> None:
+    samples = heard(lambda t: math.exp(t / 100) * swing(t))
+    assert grows(samples, BAND, S) is not None
+    assert grows([s._replace(revision=int(s.t_s > 340)) for s in samples], BAND, S) is None
+    assert grows([s._replace(sp=float(s.t_s > 340)) for s in samples], BAND, S) is None
+
+
+def test_half_waves_stand_in_their_order_with_their_heights() -> None:
+    found = half_waves(heard(swing, noise=0.0), BAND)
+    assert len(found) >= 15
+    assert [wave.t_s for wave in found] == sorted(wave.t_s for wave in found)
+    assert all(wave.height == pytest.approx(1.0, abs=0.02) for wave in found)

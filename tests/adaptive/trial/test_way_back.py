@@ -1,0 +1,172 @@
+"""What runs after a cause is never less robust, on the models that are still allowed, than what ran before it."""
+
+import itertools
+import math
+
+import pytest
+from effort import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rig import PROMISE
+
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.trial.phase import ABORTS, BLIND, UNDECIDED, UNDOS, WATCHED_ON, TrialEvent, TrialPhase
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.supervisor import TrialSupervisor
+from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.way_back import NOTHING_KNOWN, SetsThatRan, StillAllowed, way_back
+from retuner.schedule.gains import PidGains
+
+P, E = TrialPhase, TrialEvent
+PROCESS = LinearProcess(1.0, (50.0,), (), 5.5)
+SETS = {
+    "weak": PidGains(1.0, 0.02),
+    "right": PidGains(4.5, 0.1),
+    "right too": PidGains(5.0, 0.11),
+    "swinging": PidGains(9.5, 0.3),
+    "swinging more": PidGains(11.0, 0.4),
+    "unstable": PidGains(20.0, 0.5),
+}
+HARMLESS = TrialSettings().harmless_ms
+PAIRS = list(itertools.permutations(SETS, 2))
+
+
+def ms(gains: PidGains, process: LinearProcess = PROCESS) -> float:
+    return sensitivity_peak(process, gains)
+
+
+def test_the_sets_are_what_they_are_called() -> None:
+    found = [ms(gains) for gains in SETS.values()]
+    assert found == sorted(found)
+    assert found[2] < HARMLESS < found[3]
+    assert math.isfinite(found[4])
+    assert math.isinf(found[5])
+
+
+class Bench:
+    """A region in a phase, by its state, and the table."""
+
+    def __init__(self, phase: TrialPhase, old: PidGains, tried: PidGains, known: StillAllowed) -> None:
+        self.ran = phase is not P.WRITING
+        self.table = {0: tried if self.ran else old}
+        self.trials = TrialSupervisor(TrialSettings(), 1.0, self.table.__setitem__, lambda _: known)
+        trial = Trial(phase, old, tried, PROMISE, self.ran, cause=E.LOST_TELEMETRY)
+        self.trials.resume({"at": 0, "trials": {"0": trial.to_dict()}})
+
+
+@pytest.mark.parametrize("phase", UNDECIDED, ids=lambda p: p.name)
+@pytest.mark.parametrize("cause", ABORTS, ids=lambda c: c.name)
+def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust(
+    phase: TrialPhase, cause: TrialEvent
+) -> None:
+    known = StillAllowed((PROCESS,))
+    for one, other in PAIRS:
+        old, tried = SETS[one], SETS[other]
+        bench = Bench(phase, old, tried, known)
+        before = bench.table[0]
+        bench.trials.event(0, cause, 1.0)
+        now = bench.table[0]
+        assert now in {old, tried}
+        if cause is E.ORDERED_BACK or not bench.ran:
+            assert now == old
+        elif cause in UNDOS and ms(tried) <= HARMLESS:
+            assert now == old, "the model that calls the tried set robust is refuted"
+        else:
+            assert max(ms(now), HARMLESS) <= max(ms(before), HARMLESS), (one, other)
+        if cause in BLIND and bench.ran:
+            assert ms(now) == min(ms(old), ms(tried))
+        if cause in WATCHED_ON and bench.ran and ms(tried) <= HARMLESS:
+            assert now == tried, "nothing speaks against it, and it is watched on"
+        bench.trials.restored(2.0)
+        assert bench.table[0] == now
+        assert not bench.trials.restoring
+
+
+@pytest.mark.parametrize("cause", [c for c in ABORTS if c not in {*UNDOS, E.ORDERED_BACK}], ids=lambda c: c.name)
+def test_a_cure_stays_and_goes_on_being_tried(cause: TrialEvent) -> None:
+    bench = Bench(P.TRIAL, SETS["unstable"], SETS["right"], StillAllowed((PROCESS,)))
+    assert bench.trials.event(0, cause, 1.0)
+    bench.trials.restored(2.0)
+    assert bench.table[0] == SETS["right"]
+    assert bench.trials.phase(0) is (P.IDLE if cause is E.TIMED_OUT else P.PAUSED)
+    back = bench.trials.of(0).back
+    assert back is not None
+    assert "the one before is unstable" in back.reason
+
+
+@pytest.mark.parametrize("cause", ABORTS, ids=lambda c: c.name)
+def test_a_cause_that_goes_on_is_put_to_a_region_once(cause: TrialEvent) -> None:
+    bench = Bench(P.TRIAL, SETS["unstable"], SETS["right"], StillAllowed((PROCESS,)))
+    assert bench.trials.abort(cause, 1.0) == (0,)
+    bench.trials.restored(2.0)
+    assert bench.trials.abort(cause, 3.0) == ()
+
+
+def test_a_cure_whose_write_was_given_up_and_came_through_stays() -> None:
+    old, tried = SETS["unstable"], SETS["right"]
+    for known, stays in ((StillAllowed((PROCESS,)), True), (NOTHING_KNOWN, False)):
+        bench = Bench(P.WRITING, old, tried, known)
+        bench.trials.event(0, E.STOPPED, 1.0)
+        assert bench.table[0] == old
+        assert bench.trials.written(0, tried, 2.0) is stays
+        assert bench.trials.phase(0) is (P.ENSURING if stays else P.RESTORING)
+
+
+def test_evidence_against_a_set_leads_to_the_most_robust_that_ran() -> None:
+    known, worse = StillAllowed((PROCESS,)), E.WORSE
+    old, tried = SETS["swinging more"], SETS["swinging"]
+    assert way_back(worse, SetsThatRan(old, tried), known, TrialSettings()).gains == tried
+    found = way_back(worse, SetsThatRan(old, tried, (SETS["unstable"], SETS["right"])), known, TrialSettings())
+    assert found.gains == SETS["right"]
+    assert "an earlier one" in found.reason
+    assert not found.stays
+
+
+def test_without_a_model_what_was_seen_decides() -> None:
+    less = PidGains(SETS["right"].kp / 2, SETS["right"].ki / 2)
+    for swung, tried, stays in (
+        (1.0, less, True),
+        (0.4, less, False),
+        (None, less, False),
+        (1.0, SETS["right too"], False),
+    ):
+        ran = SetsThatRan(SETS["right"], tried, swung=swung)
+        assert way_back(E.STOPPED, ran, NOTHING_KNOWN, TrialSettings()).stays is stays
+        assert not way_back(E.RUNAWAY, ran, NOTHING_KNOWN, TrialSettings()).stays
+
+
+def test_a_person_is_told_when_the_way_back_leads_to_an_unstable_loop() -> None:
+    for old, tried, said in (
+        ("unstable", "right", True),
+        ("swinging", "right", False),
+        ("unstable", "unstable", False),
+    ):
+        bench = Bench(P.TRIAL, SETS[old], SETS[tried], StillAllowed((PROCESS,)))
+        assert bool(bench.trials.no_way_back(0)) is said
+
+
+GAINS = st.builds(PidGains, st.floats(0.3, 30.0), st.floats(0.003, 2.0))
+PROCESSES = st.builds(
+    lambda k, tau, theta: LinearProcess(k, (tau,), (), theta), st.floats(0.3, 3.0), st.floats(5, 200), st.floats(1, 20)
+)
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(
+    st.sampled_from([c for c in ABORTS if c is not E.ORDERED_BACK]),
+    st.lists(GAINS, min_size=2, max_size=4),
+    st.lists(PROCESSES, min_size=1, max_size=3),
+)
+def test_whatever_is_known_and_ran_before_what_runs_is_no_less_robust(
+    cause: TrialEvent, sets: list[PidGains], processes: list[LinearProcess]
+) -> None:
+    """Worst over the models: unstable on no more of them, and of those on which both are stable no larger Ms."""
+    old, tried, *earlier = sets
+    found = way_back(cause, SetsThatRan(old, tried, tuple(earlier)), StillAllowed(tuple(processes)), TrialSettings())
+    left = [p for p in processes if cause not in UNDOS or ms(tried, p) > HARMLESS]
+    assert found.gains in sets
+    now, before = ([ms(gains, p) for p in left] for gains in (found.gains, tried))
+    assert sum(map(math.isinf, now)) <= sum(map(math.isinf, before))
+    if not any(map(math.isinf, (*now, *before))):
+        assert max([HARMLESS, *now]) <= max([HARMLESS, *before])
