@@ -39,7 +39,7 @@ class Action(StrEnum):
     SIZE = "look at its size or its load"
     SIGNAL = "look at the sensor or the tag"
     AUTOMATIC = "ask why it is in manual"
-    RECORD = "record it better"
+    RECORD = "a record with a setpoint step"
     LOOK = "look at it"
     NOTHING = "nothing"
 
@@ -175,7 +175,7 @@ def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVer
     newest = stretches[-1] if stretches else None
     reason = newest.reason if newest is not None else "no stretch of its record says anything"
     swings = screen.swinging >= SWINGS
-    action = Action.LOOK if swings else Action.RECORD if screen.compression > 3 else Action.NOTHING
+    action = Action.LOOK if swings else Action.RECORD
     rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0
     avoidable = screen.harris * screen.strength if swings else 0.0
     return LoopVerdict(Cause.UNKNOWN, 0.5, action, reason, None, 0, len(stretches), avoidable, rank)
