@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 .PHONY: demo test lint lowest bench nightly clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
-	$(BIN)/retuner run examples/oven.toml --out runs/demo
+	$(BIN)/retuner run examples/oven.toml --out runs/demo --serve
 
 test: $(DEV)  ## set up and pass the tests, on all cores; PYTEST='-k pid' and the like are handed on
 	$(BIN)/python scripts/link_typing.py

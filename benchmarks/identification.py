@@ -115,7 +115,7 @@ def score(seed: int, group: str | None, folder: str | None, bounds: bool, index:
         outcome = "not identifiable"
         structure = str(result.estimate.log.model().type)
         if result.estimate.identifiable and result.settings is not None:
-            gains = result.settings.tuning.gains
+            gains = (result.aim or result.settings).tuning.gains  # what the record was found to ask for in the end
             outcome, ms, j = judged(case, gains)
             best = case.best_pid if gains.kd and case.best_pid is not None else case.best
             kc_error = abs(math.log(gains.kp / best.kp)) if gains.kp * best.kp > 0 else math.inf

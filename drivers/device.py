@@ -140,6 +140,13 @@ class VariableChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class DeviceStopped:
+    """The controller has stopped controlling, by its own word: an error, a state, an emergency message."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class SamplesLost:
     """count samples before t_s never arrived: a window that spans them is not for identification."""
 
@@ -174,6 +181,7 @@ Event = (
     | LeaseChanged
     | ForeignHost
     | DeviceConflict
+    | DeviceStopped
     | SamplesLost
     | VariableChanged
     | CommandDone

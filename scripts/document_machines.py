@@ -12,6 +12,7 @@ from retuner.adaptive.experiments import phases as experiment
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
 from retuner.drivers.host import connection, write_protocol
+from retuner.drivers.profiles import gain_course
 from retuner.session import gain_writer, loop_session
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "state-machines.md"
@@ -101,6 +102,13 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
         "drivers/host/write_protocol.py",
         write_protocol.WritePhase.IDLE,
         ways(write_protocol.TRANSITIONS),
+    ),
+    lambda: Machine(
+        "The write to a controller that is not ours",
+        "One gain set, message by message, each read back before the next.",
+        "drivers/profiles/gain_course.py",
+        gain_course.CoursePhase.IDLE,
+        ways(gain_course.COURSE),
     ),
     lambda: Machine(
         "An experiment on demand",

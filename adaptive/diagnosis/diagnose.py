@@ -14,22 +14,25 @@ change gains must hold on the models that the record allows, weighted by their l
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.confidence import counted
-from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sticking, turns
+from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sharper, sticking, turns_s
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition
 from retuner.adaptive.indexes.screening import Screening, screen
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
 # Stiction or an oscillation from outside, where one of them explains a record clearly better than the loop by itself.
@@ -54,7 +57,8 @@ def rival_verdict(
     leads = {Cause.EXTERNAL: evidence["external_lead"], Cause.STICTION: evidence["stuck_lead"]}
     tone_left, stuck_left = evidence["external_left"], evidence["stuck_left"]
     allowed = handicap(evidence, settings)
-    sent = turns(valve) <= settings.turns_per_change * changes or not _within(valve)
+    turns = len(turns_s(valve))
+    sent = turns < max(settings.turns_per_change * changes + 1, settings.fewest_turns) or not _within(valve)
     if sent or (tone_left <= settings.tone_explains and tone_left < stuck_left):
         cause = Cause.EXTERNAL
     elif stuck_left < settings.stuck_helps * evidence["linear_left"] and stuck_left < allowed * tone_left:
@@ -211,16 +215,60 @@ def _compared(
         against = against_rivals(best, seen, settings, len(setpoint_changes(window)))
         evidence, fits = against.evidence, against.fits
         verdict = against.verdict
-        if verdict is not None and (stood is None or _outweighs(verdict, seen)):
+        if verdict is not None and verdict.cause == Cause.EXTERNAL and _of_setpoint(window, verdict):
+            verdict = None
+        if verdict is not None and (stood is None or _outweighs(verdict, seen, stood, settings)):
             return Found(verdict, fits=fits)
     if stood is not None:
         return Found(standing_verdict(stood, evidence), fits=fits)
-    return linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
+    told = linear_verdict(window, gains, found, evidence, fits, seen.oscillates, settings)
+    tone = fits.get("external")
+    return told if tone is None else _by_tone(told, tone, settings)
 
 
-def _outweighs(verdict: Diagnosis, seen: Screening) -> bool:
-    """Whether a rival's verdict counts for more than that pv stands: a valve of one band, or a regular oscillation."""
-    return verdict.cause == Cause.STICTION or (verdict.cause == Cause.EXTERNAL and seen.oscillates)
+def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found:
+    """External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well."""
+    record = tone.fit.misfit.record
+    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    if told.diagnosis.cause != Cause.UNKNOWN or _left(tone) > settings.tone_explains:
+        return told
+    size = np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2])
+    if record.span_s < settings.tone_cycles * period_s or size < settings.tone_size * float(np.std(record.pv)):
+        return told
+    reason = (
+        f"an oscillation from outside with a period of {period_s:.3g} s explains the record; the loop by itself, with "
+        f"load steps, does so as well, but then: {told.diagnosis.reason}"
+    )
+    evidence = told.diagnosis.evidence | {"external_period_s": period_s}
+    return replace(told, diagnosis=Diagnosis(Cause.EXTERNAL, 0.6, evidence, reason))
+
+
+def _of_setpoint(window: Window, verdict: Diagnosis) -> bool:
+    """Whether a tone is the setpoint's own: it repeats with the same period."""
+    period_s = verdict.evidence.get("external_period_s")
+    moves = window.sp - float(np.mean(window.sp))
+    if not period_s or not np.any(moves):
+        return False
+    t = window.t_s - window.t_s[0]
+    turns = [f(2 * math.pi * i * t / period_s) for i in range(1, SETPOINT_HARMONICS + 1) for f in (np.cos, np.sin)]
+    q, _ = np.linalg.qr(np.stack([np.ones_like(t), *turns], axis=1))
+    left = moves - q @ (q.T @ moves)
+    return float(left @ left) < SETPOINT_LEFT * float(moves @ moves)
+
+
+SETPOINT_HARMONICS = 5
+SETPOINT_LEFT = 0.2
+"""A setpoint of which its own harmonics leave less than this share repeats; steps to and fro leave a tenth."""
+
+
+def _outweighs(verdict: Diagnosis, seen: Screening, stood: Standing, settings: DiagnosisSettings) -> bool:
+    """Whether a rival's verdict counts for more than that pv stands: a valve of one band, or a regular oscillation.
+
+    Squares under triangles for a few rounds are a valve of one band, or a load that ramps under a fast loop.
+    """
+    if verdict.cause == Cause.STICTION:
+        return stood.sticks or verdict.evidence.get("valve_turns", 0.0) >= settings.confirming_turns
+    return verdict.cause == Cause.EXTERNAL and seen.oscillates
 
 
 def _stood(window: Window, gains: PidGains | None, best: Candidate, settings: DiagnosisSettings) -> Standing | None:
@@ -252,18 +300,63 @@ def against_rivals(best: Candidate, seen: Screening, settings: DiagnosisSettings
     best : the linear explanation. seen : the record's screening. changes : of the setpoint in it.
     """
     period_s = seen.period_s or seen.evidence.get("period_s") or _time_scale(best)
-    tone = external(best, _frequencies(best, period_s), settings.fit.choice.most_loads)
-    valve = sticking(best, period_s, settings.fit.choice.most_loads)
+    most = settings.fit.choice.most_loads
+    valve = sticking(best, period_s, most)
+    tone = external(best, _frequencies(best, _periods(valve, period_s)), most)
+    if valve.fit.criterion < best.criterion and _left(tone) > settings.tone_explains:
+        tone = sharper(tone)
     evidence = dict(seen.evidence) | {
         "linear_left": _left(best),
         "loads": float(best.fit.misfit.loads),
         "external_left": _left(tone),
         "stuck_left": _left(valve.fit),
+        "valve_turns": float(len(turns_s(valve))),
         "external_lead": best.criterion - tone.criterion,
         "stuck_lead": best.criterion - valve.fit.criterion,
     }
     fits = {"linear": best, "external": tone, "stuck": valve.fit}
-    return Against(rival_verdict(best, tone, valve, evidence, settings, changes), evidence, fits)
+    verdict = rival_verdict(best, tone, valve, evidence, settings, changes)
+    if (verdict is None or verdict.cause != Cause.STICTION) and _unexplained(best, tone, settings):
+        slips = slipping(best, most)
+        told = None if slips is None else slipping_verdict(best, tone, slips, evidence, settings, changes)
+        if slips is not None and told is not None:
+            return Against(told, told.evidence, fits | {"stuck": slips.fit})
+    return Against(verdict, evidence, fits)
+
+
+def _unexplained(best: Candidate, tone: Candidate, settings: DiagnosisSettings) -> bool:
+    """Whether neither the loop by itself nor a tone leaves nothing but noise."""
+    return _left(best) > settings.oscillating_residual and _left(tone) > settings.slips_asked
+
+
+def slipping_verdict(
+    best: Candidate,
+    tone: Candidate,
+    slips: Slipping,
+    evidence: Mapping[str, float],
+    settings: DiagnosisSettings,
+    changes: int = 0,
+) -> Diagnosis | None:
+    """Stiction, where a valve that slips at its own times explains the record better than loop and tone.
+
+    changes : of the setpoint. What slips no more than twice for each of them goes where it is sent.
+    """
+    n, left = len(slips.fit.fit.misfit.record.pv), _left(slips.fit)
+    lead = min(best.criterion, tone.criterion) - slips.criterion
+    needed = max(settings.least_lead, settings.lead_per_sample * n)
+    count = len(slips.bands)
+    fewest = max(settings.turns_per_change * changes + 1, settings.fewest_slips)
+    if lead < needed or left > settings.slips_explain or count < fewest or slips.travel < settings.slips_travel:
+        return None
+    told = dict(evidence) | {"slips": float(count), "slips_left": left, "stand_travel": slips.travel}
+    told["valve_turns"] = float(count)
+    narrow, wide = np.quantile(slips.bands, [0.1, 0.9])
+    reason = (
+        f"a valve that sticks explains the record: {count} slips, each when co had gone {narrow:.3g} to {wide:.3g} "
+        f"from it; without it {evidence['linear_left']:.1f} times the noise is left, with it {left:.1f}"
+    )
+    confidence = 0.5 + 0.5 * math.tanh(lead / needed / 2)
+    return Diagnosis(Cause.STICTION, confidence, told, reason)
 
 
 def _left(candidate: Candidate) -> float:
@@ -272,16 +365,31 @@ def _left(candidate: Candidate) -> float:
 
 
 def _time_scale(best: Candidate) -> float:
-    """A typical time of the record's movement where there is no period: a tenth of it."""
-    return best.fit.misfit.record.span_s / 10
-
-
-def _frequencies(best: Candidate, period_s: float) -> list[float]:
-    """Where to look for a tone, rad/s: at the screened period, and at the peak of what the linear fit leaves."""
+    """A typical time of the record's movement where no period was seen: where co moves most."""
     record = best.fit.misfit.record
-    left = record.pv - best.fit.explained
-    power = np.abs(np.fft.rfft(left * np.hanning(len(left)), PADDED * len(left))) ** 2
+    return 2 * math.pi / _peak(record.co - np.linspace(record.co[0], record.co[-1], len(record.co)), record)
+
+
+def _peak(x: FloatArray, record: Record) -> float:
+    """Frequency at which a signal moves most, rad/s, of those with two cycles in the record."""
+    power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)), PADDED * len(x))) ** 2
     first = FEWEST_CYCLES * PADDED
-    peak = first + int(np.argmax(power[first:]))
-    found = [2 * math.pi / period_s, 2 * math.pi * peak / (PADDED * len(left) * record.sample_time_s)]
-    return found if abs(math.log(found[1] / found[0])) > SAME_TONE else found[:1]
+    return 2 * math.pi * (first + int(np.argmax(power[first:]))) / (PADDED * len(x) * record.sample_time_s)
+
+
+def _periods(valve: Sticking, period_s: float) -> list[float]:
+    """Periods of which a tone may be: the record's, and that of the valve's turns, two to a round."""
+    turns = turns_s(valve)
+    if len(turns) < 2 * FEWEST_CYCLES:
+        return [period_s]
+    return [period_s, 2 * float(turns[-1] - turns[0]) / (len(turns) - 1)]
+
+
+def _frequencies(best: Candidate, periods_s: Sequence[float]) -> list[float]:
+    """Where to look for a tone, rad/s: at periods that were seen, and at the peak of what the linear fit leaves."""
+    record = best.fit.misfit.record
+    found: list[float] = []
+    for w in (*(2 * math.pi / p for p in periods_s), _peak(record.pv - best.fit.explained, record)):
+        if all(abs(math.log(w / other)) > SAME_TONE for other in found):
+            found.append(w)
+    return found

@@ -32,6 +32,10 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 
 HARMONICS = 5
 """Of an outside oscillation: a triangle or a saw is told from its first five to two percent."""
+MORE_HARMONICS = 11
+"""The same where a loop shows its slope instead, as squares with sharp corners."""
+SHARP = 4
+"""Samples in the shortest wave of those, at least."""
 WHITE = 0
 """Order of the filter for what is left: a filter would whiten any slow oscillation without naming its cause."""
 WEAKENED = 3.0
@@ -58,8 +62,40 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
         found.append(judged(refine(base, np.append(fit.fit.p, np.log(w)))))
         starts = (x, weak) if base.loads else (weak,)  # without loads the first is the one above
         found += [judged(refine(plain, np.append(start, np.log(w)))) for start in starts]
+        found.append(judged(refine(*_afresh(plain, w))))
     best = min(found, key=lambda c: c.criterion)
     return improved(best, most_loads, Seen(found))
+
+
+def sharper(tone: Candidate) -> Candidate:
+    """The same tone with as many harmonics as sharp corners need, where the record shows them and they pay."""
+    record = tone.fit.misfit.record
+    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    if period_s < SHARP * MORE_HARMONICS * record.sample_time_s:
+        return tone
+    finer = judged(refine(replace(tone.fit.misfit, harmonics=MORE_HARMONICS), tone.fit.p))
+    return min(tone, finer, key=lambda c: c.criterion)
+
+
+FRESH_LAGS = (2.0, 8.0, 30.0, 120.0)
+FRESH_THETAS = (1.0, 4.0, 16.0)
+"""Samples in the lag and dead time that a process beside a tone is looked for with."""
+FRESH_GAINS = (0.1, 0.3, 1.0, 3.0)
+"""Its gain in ranges of pv over ranges of co."""
+
+
+def _afresh(plain: Misfit, w: float) -> tuple[Misfit, FloatArray]:
+    """A first-order process beside a tone, from a grid: load steps bought instead of the tone lead the process astray.
+
+    plain : without load steps. w : of the tone, rad/s.
+    """
+    record, misfit = plain.record, replace(plain, type=ProcessType.FOPDT)
+    dt, usual = record.sample_time_s, record.pv_range / (record.co_range or 1.0)
+    points = [
+        np.array([np.log(gain * usual / (lag * dt)), np.log(theta * dt), np.log(lag * dt), np.log(w)])
+        for lag, theta, gain in product(FRESH_LAGS, FRESH_THETAS, FRESH_GAINS)
+    ]
+    return misfit, points[int(np.argmin(misfit.costs(points)))]
 
 
 # A valve that sticks: the two published two-parameter models, S the stick band, J the slip jump, in units of co.
@@ -191,11 +227,12 @@ class Sticking:
     fit: Candidate
 
 
-def turns(sticking: Sticking) -> int:
-    """How often the valve of an explanation turns round in its record."""
-    moved = np.diff(sticking.valve.position(sticking.fit.fit.misfit.record.co))
-    ways = np.sign(moved[moved != 0])
-    return int(np.sum(np.diff(ways) != 0))
+def turns_s(sticking: Sticking) -> FloatArray:
+    """When the valve of an explanation turns round, in record time."""
+    record = sticking.fit.fit.misfit.record
+    moved = np.diff(sticking.valve.position(record.co))
+    rows = np.flatnonzero(moved)
+    return np.asarray(record.t_s[rows[1:][np.diff(np.sign(moved[rows])) != 0]], dtype=np.float64)
 
 
 def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:

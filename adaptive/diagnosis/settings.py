@@ -28,6 +28,13 @@ class DiagnosisSettings:
     stuck_helps : a valve must leave less than this share of what the loop by itself leaves; 0.5 to 1, default 0.87.
     turns_per_change : a valve that turns no more than so many times for each setpoint change goes where it is sent;
         1 to 3, default 2.
+    fewest_turns : of a valve with one stick band; 3 to 6, default 4: two reversals give its band and its jump, and only
+        those after them can confirm it.
+    confirming_turns : where pv stands for long between slips that are no faster than the loop, so many turns are
+        needed; 6 to 20, default 10 (a load's slow triangle under a fast loop draws the same for a few rounds).
+    slips_asked : what a tone must leave, in times the noise, for a valve of free slips to be asked; default 1.15.
+        slips_explain : what that may leave itself; 1.5 to 5, default 3. fewest_slips : default 4. slips_travel : of co
+        while the valve stands, in its ranges; 1 to 4, default 2.
     rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
         rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
@@ -37,6 +44,8 @@ class DiagnosisSettings:
         leaves; 0.8 to 1, default 0.95. tone_as_good_loads : the same where only load steps excite it; default 0.98.
         tone_odds : unless its criterion is the larger one by this much; 0 to 60, default 30 (odds of e^15 against it:
         the eleven parameters of a tone leave 2 % less of any record).
+    tone_cycles : of a tone that is believed where the loop's own explanation leaves the cause open; default 3.
+        tone_size : and its amplitude in standard deviations of pv; 0.2 to 1.2, default 0.4.
     many_loads : load steps from which a record is taken to be disturbed all along; 3 to 12, default 5.
         many_loads_beside : the same beside setpoint steps; default 4 (a slipping valve looks like loads).
     spread_limit : largest spread of ln |C| over the plausible models with which the cause may still be told where
@@ -55,6 +64,12 @@ class DiagnosisSettings:
     jump_share: float = 0.04
     stuck_helps: float = 0.87
     turns_per_change: float = 2.0
+    fewest_turns: int = 4
+    confirming_turns: int = 10
+    slips_asked: float = 1.15
+    slips_explain: float = 3.0
+    fewest_slips: int = 4
+    slips_travel: float = 2.0
     rival_explains: float = 2.0
     oscillating_residual: float = 1.12
     explained: float = 1.5
@@ -62,6 +77,8 @@ class DiagnosisSettings:
     tone_as_good: float = 0.95
     tone_as_good_loads: float = 0.98
     tone_odds: float = 30.0
+    tone_cycles: float = 3.0
+    tone_size: float = 0.4
     many_loads: int = 5
     many_loads_beside: int = 4
     spread_limit: float = 0.5
@@ -69,8 +86,8 @@ class DiagnosisSettings:
     second_loads: int = 1
     majority: float = 0.75
     fit: FitSettings = field(
-        default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=1000)
+        default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)
     )
-    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.75, weak=4.0))
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=4.0))
     robust: RobustSettings = field(default_factory=RobustSettings)
     standing: StandingSettings = field(default_factory=StandingSettings)

@@ -37,6 +37,8 @@ MOST_TOLD = 4
 """Stands and slips that are told with their times."""
 FEWEST_ROWS = 10
 """Rows of a leg."""
+ABOUT = 0.5
+"""Share of a stand's length from which plateaus are looked for: on them the error is smoothed a little otherwise."""
 STEPS_OF_A_PROCESS = 1
 """A process, with its gain, lags and dead time, costs as much as so many steps beside the one lag of the plateaus."""
 ROUGHLY = LawSettings(explained_limit=0.5, std_limit=0.5, disagreement=2.0, slow_disagreement=2.0)
@@ -169,6 +171,8 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     rows = _thinned(window)
     reset_s = abs(gains.kp / gains.ki)
     tau_i = max(reset_s, window.sample_time_s) / rows.sample_time_s
+    if not _may_stand(rows, tau_i, settings):
+        return None
     steps = as_steps(rows.pv)
     found = plateaus(rows.pv, steps)
     legs = [leg for p in found for leg in _legs(rows, p, steps, gains, tau_i, settings)]
@@ -191,6 +195,16 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
         steps.sigma,
         steps.criterion,
     )
+
+
+def _may_stand(rows: Window, tau_i: float, settings: StandingSettings) -> bool:
+    """Whether the error keeps its sign for about as long as a stand takes; else plateaus are looked for in vain.
+
+    tau_i : in rows.
+    """
+    error = running_mean(rows.sp - rows.pv, max(len(rows.pv) // SMOOTHED, 1))
+    longest = max((end - first for sign in (1.0, -1.0) for first, end in runs(sign * error > 0)), default=0)
+    return longest >= ABOUT * settings.dwell * tau_i
 
 
 def _long_enough(legs: Sequence[Leg], settings: StandingSettings) -> bool:

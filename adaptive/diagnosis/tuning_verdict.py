@@ -18,8 +18,10 @@ from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.fit.coincident_loads import apart
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
-from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of
+from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
+from retuner.adaptive.indexes.harmonics import pure_tone_s
+from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
@@ -54,7 +56,7 @@ def linear_verdict(
     estimate = estimate_of(found, float(window.t_s[0]), {}, settings.fit)
     events = evidence.get("setpoint_steps", 0.0) + evidence["loads"]
     if not events:
-        return Found(_undisturbed(estimate, evidence, oscillates), estimate, fits=fits)
+        return Found(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
     if gains is None:
         reason = "the loop by itself explains the record; without the settings in force no more can be said"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
@@ -64,6 +66,8 @@ def linear_verdict(
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
     verdict = weighed(estimate, gains, tuning, window.sample_time_s, settings.cause)
     verdict = replace(verdict, evidence=verdict.evidence | evidence)
+    if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
+        return Found(_hardly_explained(estimate, verdict), estimate, fits=fits)
     loop = Loop(window, gains, found[0], Fits(window, (gains.direction,), FitSettings()), settings)
     if verdict.cause not in TUNING_CAUSES:
         return _if_agreed(loop, Found(verdict, estimate, fits=fits))
@@ -109,11 +113,10 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
     other = loop.fits.estimate()
     between = apart(estimate.log.model(), other.log.model(), loop.window.sample_time_s)
     unsure = next((e.reason for e in (estimate, other) if not e.identifiable), "")
+    if hidden_sigma(loop.window.pv):
+        unsure = unsure or "pv was compressed by its recorder, and the shape of a response is the recorder's"
     if not unsure and between > loop.settings.fit.apart_limit:
-        unsure = (
-            f"the record can be explained in two ways, as white noise beside load steps and as a drift: two models, "
-            f"gains apart by a factor of {factor_text(between)}"
-        )
+        unsure = TWO_WAYS.format(factor_text(between))
         if not asked:
             return _torn(loop, found, other.log.model(), unsure)
     return _open(found, unsure) if unsure else _first_step(loop, found)
@@ -208,15 +211,23 @@ GROWTH = 1.3
 """Ratio of the last third's standard deviation to the middle third's from which a loop is running away."""
 
 
-def _undisturbed(estimate: ModelEstimate, evidence: dict[str, float], oscillates: bool) -> Diagnosis:
+def _hardly_explained(estimate: ModelEstimate, verdict: Diagnosis) -> Diagnosis:
+    """The cause, where what a model explains of pv is too little for its margins to mean anything."""
+    if verdict.evidence.get("noise_share", 0.0) > NOISY:
+        return replace(verdict, cause=Cause.NOISE, confidence=0.8, reason="nothing but noise moves this loop")
+    return replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=estimate.reason)
+
+
+def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, float], oscillates: bool) -> Diagnosis:
     """Neither a setpoint nor a load step: noise, or a disturbance that nothing here explains.
 
     One tone never identifies a process: whatever G explains it explains any loop. What swings on and on without a
     cause inside comes from outside.
     """
-    if oscillates:
-        reason = f"a lasting oscillation of {evidence['period_s']:.3g} s without any step that could have begun it"
-        return Diagnosis(Cause.EXTERNAL, 0.8, evidence, reason)
+    period_s = evidence["period_s"] if oscillates else pure_tone_s(window.t_s, window.sp - window.pv)
+    if period_s is not None:
+        reason = f"a lasting oscillation of {period_s:.3g} s without any step that could have begun it"
+        return Diagnosis(Cause.EXTERNAL, 0.8, evidence | {"external_period_s": period_s}, reason)
     if evidence.get("noise_share", 0.0) > NOISY or estimate.noise_std >= estimate.residual_std:
         return Diagnosis(Cause.NOISE, 0.8, evidence, "nothing but noise moves this loop")
     reason = "an unexplained disturbance moves this loop: neither steps nor a regular oscillation"

@@ -109,6 +109,8 @@ AT_REST = 1e-4
 """A start_spread of zero (a record known to begin at rest) counts as this, so that its weight stays finite."""
 RAMP_SPREAD = 0.5
 """Prior standard deviation of a drift over the whole record, as a share of pv's range."""
+PARABOLA_SPREAD = 30.0
+"""The same for an integrating process: what a drifting load would do to it is large, for the loop takes it back."""
 USEFUL = 1e-10
 """A column of which less than this share is its own, against the largest, says nothing."""
 SWING_WEIGHT = 30.0
@@ -281,7 +283,7 @@ class Misfit:
         if self.record.motion_at_start:
             spreads += [max(self.start_spread * self.record.motion_at_start, AT_REST)] * (2 * starts)
         if self.ramp:
-            spreads.append(RAMP_SPREAD)
+            spreads.append(RAMP_SPREAD if self.type in LAG else PARABOLA_SPREAD)
         return [self.sigma / (spread * self.record.pv_range) for spread in spreads]
 
     def _rows(self, columns: FloatArray, count: int) -> FloatArray:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from retuner.adaptive.fit.dynamics import Clock
+from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.signals.noise import noise_sigma, quantum_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -51,10 +52,11 @@ class Record:
     @classmethod
     def of(cls, window: Window, most_samples: int | None = None) -> "Record":
         """Prepare a window, condensed to most_samples."""
+        hidden = hidden_sigma(window.pv)
         window = window if most_samples is None else window.condensed(most_samples)
         t = window.t_s - window.t_s[0]  # seconds since 1970 leave too few digits for derivatives by the dead time
         pv_range = float(np.ptp(window.pv))
-        resolution = max(quantum_sigma(window.pv), LEAST_NOISE * pv_range)
+        resolution = max(quantum_sigma(window.pv), hidden, LEAST_NOISE * pv_range)
         noise = max(noise_sigma(window.pv), resolution)
         dt = window.sample_time_s
         return cls(

@@ -43,7 +43,7 @@ def starts(misfit: Misfit, most_loads: int, count: int) -> dict[int, list[FloatA
     """
     grid = Grid.of(misfit)
     engine = compiled()
-    if engine is None or misfit.record.barred_s:  # the engine's search knows no barred instants
+    if engine is None or misfit.record.barred_s or misfit.ramp:  # the engine's search knows neither
         nodes = _searched(grid, misfit, most_loads)
     else:
         nodes = iter(engine.searched(grid, misfit.sigma, most_loads))
@@ -107,7 +107,9 @@ def _searched(grid: Grid, misfit: Misfit, most_loads: int) -> Iterator[Node]:
         dynamics = Dynamics(0.0, 1.0 / lag)
         steps = dynamics.step(t[:, None] - grid.at_s[None, :])
         steps /= np.maximum(np.max(np.abs(steps), axis=0), 1e-300)
-        rest = np.stack([np.ones_like(t), dynamics.step(t) / max(float(dynamics.step(t)[-1]), 1e-300)], axis=1)
+        start = dynamics.step(t) / max(float(dynamics.step(t)[-1]), 1e-300)
+        drift = [(t / record.span_s) ** (1 if misfit.type in LAG else 2)] if misfit.ramp else []
+        rest = np.stack([np.ones_like(t), start, *drift], axis=1)
         for theta in grid.thetas_s.tolist():
             x = dynamics.held(grid.clock, grid.co, theta)
             barred = near(grid.at_s, record.barred_s, _counted(lag, record), theta, record.sample_time_s)

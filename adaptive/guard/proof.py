@@ -137,6 +137,8 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
 
 SHARES = (1.0, 0.5, 0.25)
 """Full, half and quarter step."""
+SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)
+"""Shares of a step that are tried where the controller rounds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,13 +281,30 @@ def _candidates(case: _Case, wanted: list[Goal]) -> Iterator[TriedSettings]:
 
 
 def _inside(case: _Case, candidate: TriedSettings) -> Iterator[TriedSettings]:
-    """The candidate, if it keeps every limit; remembers the first limit that one did not keep."""
-    gains = without_short_derivative(candidate.gains, case.request, case.settings)
-    checks = limit_checks(case.request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
-    failed = next((check for check in checks if not check.passed), None)
-    case.outside = case.outside or failed
-    if failed is None:
-        yield replace(candidate, gains=gains)
+    """The candidate as the controller would hold it, if it keeps every limit; remembers the first that one did not.
+
+    Rounding may carry a step past a limit that it was cut to, so one that is rounded may stop a little short of it.
+    """
+    request = case.request
+    for short in SHORT_OF_LIMIT if request.units is not None else (1.0,):
+        nearer = _between(request.in_force, candidate.gains, short)
+        gains = request.held(without_short_derivative(nearer, request, case.settings))
+        if gains is None:
+            continue
+        checks = limit_checks(request, gains, case.settings, over_limit=case.over, urgent=candidate.beyond)
+        failed = next((check for check in checks if not check.passed), None)
+        case.outside = case.outside or failed
+        if failed is None:
+            yield replace(candidate, gains=gains)
+            return
+
+
+def _between(old: PidGains, new: PidGains, share: float) -> PidGains:
+    """The point after this share of the way."""
+    if share == 1.0:
+        return new
+    pairs = ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
+    return PidGains(*(o + share * (n - o) for o, n in pairs))
 
 
 def _safe_direction(case: _Case, gains: PidGains, goal: Goal) -> bool:
@@ -376,7 +395,10 @@ def _unproved(case: _Case, goal: Goal) -> Verdict:
     request, s = case.request, case.settings
     way_out = request.urgent and less_of_everything(request.in_force, goal.gains)
     limit = math.inf if way_out else s.pattern_step_max
-    gains = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
+    wanted = without_short_derivative(within_factor(request.in_force, goal.gains, limit), request, s)
+    gains = request.held(wanted)
+    if gains is None:
+        return _refused(case, *_outside(case), goal.notes)
     numbers = FactorNumbers(change_factor(request.in_force, gains), None if way_out else limit)
     checks = tuple(limit_checks(request, gains, s, factor=limit))
     case.outside = next((check for check in checks if not check.passed), None)

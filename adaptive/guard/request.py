@@ -10,6 +10,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.gains import PidGains
+from retuner.schedule.vendor_units import VendorUnits
 
 
 class Support(StrEnum):
@@ -125,6 +126,7 @@ class ChangeRequest:
     slower : the rule's own settings at larger tau_c, in order of tau_c; the guard finds SIMC's by itself.
     filter_s : filter time of the controller's derivative, s.
     urgent : a measured oscillation that does not decay. locks : parameters that must stay.
+    units : how the controller keeps gains: only what it can hold is proved. None for one that keeps them as they are.
 
     Raises
     ------
@@ -144,6 +146,7 @@ class ChangeRequest:
     filter_s: float = 0.0
     urgent: bool = False
     locks: Locks = NO_LOCKS
+    units: VendorUnits | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.sample_time_s < math.inf:
@@ -153,3 +156,12 @@ class ChangeRequest:
         excesses = [p.excess for p in self.models]
         if not all(0 <= excess < math.inf for excess in excesses) or (excesses and excesses[0] > min(excesses)):
             raise ValueError(f"models: excesses {excesses} must be finite, 0 or more, the first the least")
+
+    def held(self, gains: PidGains) -> PidGains | None:
+        """The set that the controller runs when it is given this one; None when it cannot hold it."""
+        if self.units is None:
+            return gains
+        try:
+            return self.units.rounded(gains)
+        except ValueError:
+            return None

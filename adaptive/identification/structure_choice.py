@@ -9,6 +9,7 @@ remainder whitened, which is what makes the estimate unbiased in closed loop and
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -128,15 +129,21 @@ def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit
         with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
         found += [integrating, first, with_lag]
         found.append(with_second_lag(first, SECOND, [with_lag], 1 + (loads == 0)))
-    return [*found, *_drifting(replace(misfit(FIRST, 0), ramp=True), seeds[0])]
+    drifting = partial(replace, ramp=True)
+    return [*found, *_drifting(drifting(misfit(FIRST, 0)), drifting(misfit(INTEGRATING, 0)), seeds[0])]
 
 
-def _drifting(misfit: Misfit, points: list[FloatArray]) -> list[Fit]:
-    """First and second order beside a drift of pv: where all optima without one are fictions, no move leads there."""
+def _drifting(lag: Misfit, slope: Misfit, points: list[FloatArray]) -> list[Fit]:
+    """Every structure beside a load that drifts: where all optima without one are fictions, no move leads there.
+
+    points : starts of the lag. The integrating process has a search of its own, for a drift hides its gain.
+    """
     if not points:
         return []
-    first = _best(misfit, points)
-    return [first, with_second_lag(first, SECOND, [])]
+    first = _best(lag, points)
+    integrating = refine(slope, starts(slope, 0, 1)[0][0])
+    with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
+    return [first, with_second_lag(first, SECOND, [with_lag], 1), integrating, with_lag]
 
 
 def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:

@@ -3,7 +3,8 @@
 In this order, the first that applies:
 
     dead pv, dead co      the signal does not change: a broken sensor, a closed line, a flat-lined tag
-    no response           co moves and pv does not follow: it stays within its noise, or on a few values of its grid
+    no response           co moves and pv does not follow: it stays within its noise, or on a few values of its grid,
+                          while co goes one way all the time, or the setpoint asks for more
     manual                co stands exactly still for most of the time although the error would move it
     not controlling       the error stays far on one side and co is not at a limit: no integral action, or another
                           controller has the valve
@@ -35,6 +36,8 @@ OFFSET_RATIO = 6.0
 """Mean error over its standard deviation from which it stands far on one side."""
 NOISE_RATIO = 1.6
 """Slow movement over what averaged noise would leave, from which a signal moves."""
+ASKED_SIGMAS = 8.0
+"""A setpoint step of so many standard deviations of the noise shows in any pv that follows."""
 AVERAGED = 16
 """Samples averaged to see slow movement."""
 
@@ -111,7 +114,7 @@ def _condition(window: Window, still: float, moving: float, offset: float, at_li
         return Condition.MANUAL
     pv_moves, co_moves = _slow_movement(window.pv), _slow_movement(window.co)
     if not pv_moves and moving < MOVING_SHARE:
-        return Condition.NO_RESPONSE if co_moves and _escapes(window) else Condition.QUIET
+        return Condition.NO_RESPONSE if co_moves and (_escapes(window) or _asked(window)) else Condition.QUIET
     if offset > OFFSET_RATIO and at_limit < STILL_SHARE:
         return Condition.NOT_CONTROLLING
     return Condition.MOVING_SETPOINT if moving > MOVING_SHARE else Condition.NORMAL
@@ -135,6 +138,11 @@ def _slow_movement(x: FloatArray) -> bool:
     means = running_mean(x, width)[width // 2 :: width]
     noise = noise_sigma(x) / math.sqrt(width)
     return float(np.std(means)) > NOISE_RATIO * noise
+
+
+def _asked(window: Window) -> bool:
+    """Whether the setpoint asked for a movement that stands out of pv's noise."""
+    return float(np.ptp(window.sp)) > ASKED_SIGMAS * noise_sigma(window.pv)
 
 
 def _escapes(window: Window) -> bool:

@@ -95,3 +95,26 @@ def phase_deg(pv: Tone, co: Tone, direction: int) -> float:
     """Phase of pv against co at the fundamental in degrees, -270 to 90; direction : sign of the process gain."""
     angle = math.degrees(float(np.angle(direction * pv.phasors[0] / co.phasors[0])))
     return angle - 360 if angle > 90 else angle
+
+
+FEWEST_CYCLES = 3
+"""Cycles of a tone that is told by itself."""
+PADDED = 4
+PURE = 0.9
+"""Share of a signal's movement from which one sinusoid is what moves it."""
+
+
+def pure_tone_s(t_s: FloatArray, x: FloatArray) -> float | None:
+    """Period of the one sinusoid that a signal consists of, in seconds; None where it is something else.
+
+    Three cycles are enough for that, where its regularity cannot be counted yet. t_s, x : shape (n,).
+    """
+    n, span_s = len(x), float(t_s[-1] - t_s[0])
+    power = np.abs(np.fft.rfft(detrended(x) * np.hanning(n), PADDED * n)) ** 2
+    first = FEWEST_CYCLES * PADDED - PADDED // 2
+    peak = first + int(np.argmax(power[first:]))
+    w = refined_frequency(t_s, x, 2 * math.pi * peak / (PADDED * span_s))
+    found = tones(t_s, w, x)
+    if found is None or found[0].share < PURE or w * span_s < 2 * math.pi * FEWEST_CYCLES:
+        return None
+    return 2 * math.pi / w

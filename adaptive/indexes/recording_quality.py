@@ -8,11 +8,15 @@
 Historians keep only the corners of a signal and draw straight lines between them (second difference zero), or hold the
 last value. Compression above 3 spoils indexes that look at shapes and at non-linearity (the same source). A quantised
 signal stands still as well; its compression cannot be told and counts as 1.
+
+    deviation     what the historian let pass: a point was kept because without it the line, or the held value, would
+                  have missed the signal by more. So the smallest misses of the kept points tell it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
@@ -51,6 +55,41 @@ def recording_quality(x: FloatArray) -> RecordingQuality | None:
     straight = 0 if step else int(np.sum(np.abs(np.diff(steps)) <= STRAIGHT * span))
     noise = min(noise_sigma(x) ** 2 / float(np.var(x)), 1.0)
     return RecordingQuality(noise, step, float(np.mean(steps == 0)), len(x) / (len(x) - straight))
+
+
+LEAST_STRAIGHT = 0.4
+"""Share of the samples on straight lines from which a recorder drew them."""
+SMALLEST_MISSES = 0.2
+"""Quantile of the misses that is taken for the deviation: a few kept points are the ends of the record's gaps."""
+FEWEST_KEPT = 8
+
+
+def hidden_sigma(x: FloatArray) -> float:
+    """Standard deviation of what compression took away from a signal, in its units; 0 where it was not compressed.
+
+    Inside its deviation the signal may have been anywhere, and is taken to be evenly spread.
+    """
+    span = float(np.ptp(x))
+    if span <= 0 or quantum(x):
+        return 0.0
+    bends = np.flatnonzero(np.abs(np.diff(x, 2)) > STRAIGHT * span) + 1
+    straight, steps = 1 - len(bends) / len(x), np.diff(x)
+    if len(bends) < FEWEST_KEPT or straight < LEAST_STRAIGHT:
+        return 0.0
+    held = float(np.mean(steps == 0)) > HELD * straight
+    misses = np.abs(steps)[steps != 0] if held else _misses(x, bends)
+    return float(np.quantile(misses, SMALLEST_MISSES)) / 3**0.5
+
+
+HELD = 0.5
+"""Share of repeats among the straight pieces from which the last value was held, and no lines were drawn."""
+
+
+def _misses(x: FloatArray, kept: npt.NDArray[np.int64]) -> FloatArray:
+    """By how much the line between its neighbours misses every kept point."""
+    before, at, after = kept[:-2], kept[1:-1], kept[2:]
+    part = (at - before) / (after - before)
+    return np.abs(x[at] - x[before] - part * (x[after] - x[before]))
 
 
 def quantum(x: FloatArray) -> float:

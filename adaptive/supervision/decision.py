@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -136,11 +138,25 @@ class Decision:
 
     def canonical(self) -> bytes:
         """The bytes that replay must reproduce: JSON, sorted keys, no spaces, shortest round-trip floats."""
-        return json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+        body = self.to_dict()
+        return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_own).encode()
 
     def digest(self) -> str:
         """SHA-256 of the canonical bytes, in hexadecimal."""
         return hashlib.sha256(self.canonical()).hexdigest()
+
+
+def _own(value: object) -> object:
+    """A number of numpy, as settings may bring it in, as one of Python.
+
+    Raises
+    ------
+    TypeError
+        It is none.
+    """
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is no plain value")
 
 
 def gains_dict(gains: PidGains) -> dict[str, float]:

@@ -55,6 +55,7 @@ def change_request(
         filter_s=settings.filter_s,
         urgent=_urgent(damping, settings),
         locks=settings.locks_of(region),
+        units=settings.units,
     )
 
 
@@ -77,6 +78,7 @@ def unproved_request(
         evidence,
         urgent=_urgent(damping, settings),
         locks=settings.locks_of(region),
+        units=settings.units,
     )
 
 
@@ -102,6 +104,14 @@ def known_of(
 def _urgent(damping: float | None, settings: RetunerSettings) -> bool:
     """Whether a response swings on as if it would not end."""
     return damping is not None and damping >= settings.guard.urgent_damping
+
+
+def allowed_models(
+    region: int, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> tuple[Plausible, ...]:
+    """The models of a region that its records still allow now; none where nothing is known of it."""
+    known = region_models.get(region)
+    return () if known is None else still_allowed(known, t_s, settings)
 
 
 def still_allowed(region_model: RegionModel, t_s: float, settings: RetunerSettings) -> tuple[Plausible, ...]:

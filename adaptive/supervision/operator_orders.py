@@ -1,4 +1,4 @@
-"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock taken off.
+"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock, a mode.
 
 An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
 approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
@@ -8,12 +8,13 @@ set that would make the known process unstable is refused. While a change is on 
 """
 
 import math
+from dataclasses import replace
 
 from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.supervision.decision import Decision
+from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.guard_request import change_request
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, ProposalStanding
 from retuner.adaptive.supervision.pipeline_types import StageResult
@@ -111,3 +112,21 @@ def accept(retuner: Retuner, region: int, t_s: float) -> bool:
 def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person lets a locked-out region change again; whether it had been locked."""
     return retuner.trials.event(region, TrialEvent.UNLOCKED, t_s)
+
+
+def set_mode(retuner: Retuner, region: int | None, mode: Mode) -> Decision | None:
+    """A person says what may be done from now on in a region, None for all; off takes back what is on trial there.
+
+    The decision to take it back, None when nothing was. The schedule goes on: it is the controller's own business.
+    """
+    places = range(len(retuner.table.regions.names)) if region is None else (region,)
+    modes = [retuner.settings.mode_of(i) for i in range(len(retuner.table.regions.names))]
+    for i in places:
+        modes[i] = mode
+    retuner.settings = replace(retuner.settings, region_modes=tuple(modes))
+    if mode is not Mode.OFF:
+        return None
+    undecided = [i for i in places if i in retuner.trials.undecided]
+    if not undecided:
+        return None
+    return retuner.abort(TrialEvent.ORDERED_BACK) if region is None else retuner.taken_back(undecided[0])

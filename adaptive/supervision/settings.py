@@ -16,6 +16,8 @@ from retuner.adaptive.supervision.admission import EVERYWHERE, AdmissionSettings
 from retuner.adaptive.supervision.decision import Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
 from retuner.adaptive.trial.settings import TrialSettings
+from retuner.schedule.gains import PidGains
+from retuner.schedule.vendor_units import VendorUnits
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,7 @@ class RetunerSettings:
     robust : how settings follow from what is known; less is held back for what the model cannot see than off line
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
+    units : how the controller keeps gains; None for one that keeps them as they are.
     behaving_records : records that must be in the model before a loop that behaves is moved; 1 to 10, default 2.
     behaving_gain : share of the IAE above which what a change would leave is not much of a gain; 0 to 1, default 0.6.
     gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
@@ -86,6 +89,22 @@ class RetunerSettings:
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
     pv_range: tuple[float, float] = EVERYWHERE
+    units: VendorUnits | None = None
+
+    def held(self, gains: PidGains) -> PidGains:
+        """The set that the controller runs when it is given this one, or this one where it cannot hold it."""
+        if self.units is None:
+            return gains
+        try:
+            return self.units.rounded(gains)
+        except ValueError:
+            return gains
+
+    def __post_init__(self) -> None:
+        for name in ("sample_time_s", "pv_span", "band", "wait_s", "setpoint_weight", "filter_s"):
+            value = getattr(self, name)
+            if value is not None and type(value) is not float:  # of numpy, which JSON refuses in part
+                object.__setattr__(self, name, float(value))
 
     def mode_of(self, region: int) -> Mode:
         """What may be done in a region, by index."""

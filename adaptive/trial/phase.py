@@ -57,6 +57,7 @@ class TrialEvent(StrEnum):
     LEASE_LOST = "another host holds the lease"
     RESTARTED = "the controller restarted"
     DEVICE_REVERTED = "the controller went back to its confirmed set"
+    DEVICE_STOPPED = "the controller stopped by itself"
     OPERATOR_EDIT = "somebody else wrote gains"
     WRITE_UNKNOWN = "it is not known whether the write took effect"
     LEFT_INTERPOLATED = "the loop left the region, where the tried set still takes part in the interpolation"
@@ -78,7 +79,7 @@ P, E = TrialPhase, TrialEvent
 
 UNDOS = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
-BLIND = (E.LOST_TELEMETRY, E.DEVICE_REVERTED, E.STOPPED)
+BLIND = (E.LOST_TELEMETRY, E.DEVICE_REVERTED, E.DEVICE_STOPPED, E.STOPPED)
 """Causes that say nothing of the set, after which nobody watches it for a time that nobody knows."""
 WATCHED_ON = (
     E.SATURATED,
@@ -94,7 +95,16 @@ WATCHED_ON = (
 """Causes that say nothing of the set, after which it is watched on, or again."""
 ABORTS = (*UNDOS, *BLIND, *WATCHED_ON, E.ORDERED_BACK)
 """Causes that end an undecided trial where the tried set does not stay."""
-UNSURE = (E.LINK_LOST, E.LEASE_LOST, E.LOST_TELEMETRY, E.RESTARTED, E.DEVICE_REVERTED, E.WRITE_UNKNOWN, E.STOPPED)
+UNSURE = (
+    E.LINK_LOST,
+    E.LEASE_LOST,
+    E.LOST_TELEMETRY,
+    E.RESTARTED,
+    E.DEVICE_REVERTED,
+    E.DEVICE_STOPPED,
+    E.WRITE_UNKNOWN,
+    E.STOPPED,
+)
 """Of these, those after which the controller may run something else, or may come to."""
 UNDECIDED = (P.WRITING, P.TRIAL, P.AWAY, P.PAUSED, P.ENSURING)
 """Phases in which a set that has not passed may run, or would be written again."""

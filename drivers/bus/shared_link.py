@@ -31,6 +31,7 @@ class LinkShare:
         self.link = link
         self.unclaimed = 0  # frames to nodes without a port: other traffic on the bus
         self._ports: dict[int, LinkPort] = {}
+        self._whole: list[LinkPort] = []
 
     def port(self, node: int) -> "LinkPort":
         """The port of a node, made at the first call.
@@ -44,10 +45,17 @@ class LinkShare:
             raise ValueError(f"node = {node}; give a node from 1 to {HIGHEST_NODE}")
         return self._ports.setdefault(node, LinkPort(self))
 
+    def whole(self) -> "LinkPort":
+        """A port that is given every frame: for a controller whose identifiers are not ours to know."""
+        self._whole.append(LinkPort(self))
+        return self._whole[-1]
+
     def pump(self) -> None:
         """Take what has arrived and sort it."""
         ports = self._ports
         for message in self.link.receive_all():
+            for whole in self._whole:
+                whole.give(message)
             port = ports.get(message.arbitration_id >> COMMAND_BITS)
             if port is None:
                 self.unclaimed += 1

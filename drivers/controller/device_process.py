@@ -2,12 +2,13 @@
 
 import secrets
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
+
+import can
 
 from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.bus.shared_link import LinkPort
 from retuner.drivers.clock import Clock
-from retuner.drivers.controller.virtual_device import VirtualDevice
 
 LATE_SAMPLES = 1.0  # behind by more than this many samples, the device gives up catching up and counts an overrun
 
@@ -15,6 +16,23 @@ LATE_SAMPLES = 1.0  # behind by more than this many samples, the device gives up
 def fresh_epoch() -> int:
     """A boot epoch for a device process that remembers none: random, so that a host sees that it is another boot."""
     return secrets.randbelow(1 << 16)
+
+
+class BusDevice(Protocol):
+    """A controller in software: our own virtual device, or one of a foreign kind."""
+
+    @property
+    def sample_time_s(self) -> float:
+        """Controller sample time, s."""
+        ...
+
+    def step(self, dt_s: float | None = None) -> list[can.Message]:
+        """One controller sample; the frames that it sends."""
+        ...
+
+    def receive(self, message: can.Message) -> list[can.Message]:
+        """Take a frame from the bus; the frames that answer it."""
+        ...
 
 
 class DeviceOnBus:
@@ -26,13 +44,15 @@ class DeviceOnBus:
     link : open bus, used by this device alone; or a port of its own on a shared one.
     """
 
-    def __init__(self, device: VirtualDevice, link: CanLink | LinkPort) -> None:
+    def __init__(self, device: BusDevice, link: CanLink | LinkPort) -> None:
         self.device, self.link = device, link
+        self.samples = 0
         link.expect_silence()
 
     def sample(self, dt_s: float | None = None) -> None:
         """One controller sample: answer what has arrived, step, send."""
         self.answer()
+        self.samples += 1
         for message in self.device.step(dt_s):
             self.link.send(message)
 
@@ -69,7 +89,7 @@ def run_devices(
     The sampling is kept from the first instant on, so small delays do not add up. When the machine falls behind by more
     than LATE_SAMPLES, the missed instants are skipped and counted: a real controller cannot make up for them either.
     """
-    periods_s = [one.device.settings.sample_time_s for one in devices]
+    periods_s = [one.device.sample_time_s for one in devices]
     next_s = [clock.now_s() + period_s for period_s in periods_s]
     samples = overruns = 0
     while min(next_s) <= until_s and not stop():

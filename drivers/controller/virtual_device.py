@@ -110,6 +110,11 @@ class VirtualDevice:
         self._last: dict[Kind, Setpoint | Mode | Load] = {}
 
     @property
+    def sample_time_s(self) -> float:
+        """Controller sample time, s."""
+        return self.settings.sample_time_s
+
+    @property
     def running(self) -> GainSet:
         """The set that runs."""
         return self.pages.running

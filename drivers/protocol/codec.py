@@ -170,8 +170,18 @@ def schema() -> int:
     return schema_of(_plans())
 
 
+def schema_lines() -> list[str]:
+    """The lines whose CRC-32 the layout hash is."""
+    return schema_text(_plans()).split("\n")
+
+
 def schema_of(plans: Mapping[int, _Plan]) -> int:
     """The same of any plans."""
+    return zlib.crc32(schema_text(plans).encode()) & 0xFFFF
+
+
+def schema_text(plans: Mapping[int, _Plan]) -> str:
+    """What the layout hash is made of: a line a frame, by command, and one a signal, in the order of the DBC."""
     parts = []
     for command, plan in sorted(plans.items()):
         parts.append(f"{command} {plan.layout.name} {plan.layout.length}")
@@ -179,7 +189,7 @@ def schema_of(plans: Mapping[int, _Plan]) -> int:
             f"{s.name} {s.start} {s.length} {s.byte_order} {s.is_signed} {s.is_float} {s.scale} {s.offset}"
             for s in plan.layout.signals
         ]
-    return zlib.crc32("\n".join(parts).encode()) & 0xFFFF
+    return "\n".join(parts)
 
 
 class Codec:
@@ -221,6 +231,10 @@ class Codec:
         if plan.checked:
             data[-1] = frame_crc(id_, data[:-1])
         return can.Message(arbitration_id=id_, is_extended_id=False, data=data)
+
+    def name_of(self, frame: Frame) -> str:
+        """The frame's name in the DBC."""
+        return str(self._by_type[type(frame)][1].layout.name)
 
     def decode(self, message: can.Message) -> Frame | Refused:
         """The frame in a message, or why there is none."""

@@ -11,8 +11,13 @@ import numpy.typing as npt
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
+from retuner.adaptive.diagnosis.first_step import first_step
+from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
+from retuner.adaptive.fit.coincident_loads import setpoint_changes
+from retuner.adaptive.identification.bound import bounded
+from retuner.adaptive.identification.by_region import FEWEST_SAMPLES, by_region, identify_region
 from retuner.adaptive.identification.estimate import ModelEstimate
-from retuner.adaptive.identification.identify import OPEN_LOOP, FitSettings, identify_window
+from retuner.adaptive.identification.identify import FitSettings, identify_manual, identify_window
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.signals.sample import Window
@@ -28,14 +33,20 @@ Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What a record says of its process, and the settings that follow (None when it does not say enough)."""
+    """What a record says of its process, and the settings that follow (None when it does not say enough).
+
+    aim : where one event asks for far more gain than is in force, the settings are a first step only
+        (diagnosis/first_step.py), and these are what they lead to. step_reason : why; empty where there is no aim.
+    """
 
     estimate: ModelEstimate
     settings: TuneResult | None
     margins_in_force: Margins | None
+    aim: TuneResult | None = None
+    step_reason: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Keys identifiable, model, std, gains, margins, margins_in_force, reason, loads, residual, noise."""
+        """Keys identifiable, model, std, gains, margins, aim, step_reason, margins_in_force, reason, loads, ..."""
         found = self.settings.to_dict() if self.settings else None
         in_force = self.margins_in_force.to_dict() if self.margins_in_force else None
         return {
@@ -43,6 +54,8 @@ class Identification:
             "gains": found["gains"] if found else None,
             "form": found["form"] if found else None,
             "margins": found["margins"] if found else None,
+            "aim": self.aim.to_dict()["gains"] if self.aim else None,
+            "step_reason": self.step_reason,
             "margins_in_force": in_force,
         }
 
@@ -65,7 +78,7 @@ def identify(
     t : time in seconds, or moments (datetime64, a DatetimeIndex), increasing; or a record of `retuner.read`, which has
         all four. sp, pv : setpoint and process value. co : controller output, held between samples. All of shape (n,),
         n >= 3.
-    open_loop : the record is an experiment in manual that begins at rest. gains : the controller in force, for the sign
+    open_loop : the record is an experiment in manual. gains : the controller in force, for the sign
         of the process and its margins now. co_min, co_max : limits of the final element; a recorded co beyond them is
         taken to have stood at the limit.
 
@@ -143,13 +156,105 @@ def identify_record(
     co_max: float | None = None,
 ) -> Identification:
     """The same for a record that is a Window already; see identify."""
-    fit = OPEN_LOOP if open_loop else FitSettings()
     window = within(window, co_min, co_max)
-    estimate = identify_window(window, gains.direction if gains else None, settings=fit)
-    process = estimate.log.model().linear()
-    settings = settings_for(estimate, window.sample_time_s) if estimate.identifiable else None
-    in_force = margins(process, gains) if gains and estimate.identifiable else None
-    return Identification(estimate, settings, in_force)
+    sign = gains.direction if gains else None
+    estimate = identify_manual(window, sign) if open_loop else identify_window(window, sign)
+    return _followed(window, estimate, gains, open_loop)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionIdentification:
+    """What a record says of the process between two borders of a signal.
+
+    low, high : the borders, infinite at the ends. samples : of the record there, in stretches long enough to be fitted.
+    found : None where none of them moves.
+    """
+
+    low: float
+    high: float
+    samples: int
+    found: Identification | None
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys low, high (null at the ends), samples, and those of the identification; reason where there is none."""
+        ends = {name: x if np.isfinite(x) else None for name, x in (("low", self.low), ("high", self.high))}
+        told = {"identifiable": False, "reason": NO_STRETCH} if self.found is None else self.found.to_dict()
+        return {**ends, "samples": self.samples, **told}
+
+
+NO_STRETCH = f"no stretch of {FEWEST_SAMPLES} samples and more in which pv and co move"
+"""Why a region has no model."""
+
+
+def identify_by_region(
+    window: Window,
+    by: Numbers,
+    bounds: Sequence[float],
+    *,
+    open_loop: bool = False,
+    gains: PidGains | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+) -> tuple[RegionIdentification, ...]:
+    """A process for each region that a record passes through, the lowest first (identification/by_region.py).
+
+    Parameters
+    ----------
+    window : the record. by : the signal with the borders, shape (n,): pv for a level whose gain rises with the level.
+    bounds : the borders, increasing. The others : see identify.
+
+    Raises
+    ------
+    ValueError
+        The borders are none, or see identify.
+    """
+    window = within(window, co_min, co_max)
+    sign, found = gains.direction if gains else None, []
+    for region in by_region(window, np.asarray(by, dtype=np.float64), bounds):
+        estimate = identify_region(region, sign, FitSettings())
+        told = None if estimate is None else _followed(max(region.stretches, key=_length), estimate, gains, open_loop)
+        found.append(RegionIdentification(region.low, region.high, sum(map(_length, region.stretches)), told))
+    return tuple(found)
+
+
+def _length(window: Window) -> int:
+    """Number of samples."""
+    return len(window.t_s)
+
+
+def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, open_loop: bool) -> Identification:
+    """What was estimated, with the settings that may follow from it."""
+    estimate = bounded(window, estimate, FitSettings())
+    if estimate.identifiable and not open_loop:
+        estimate = _unless_pv_stands(window, gains, estimate)
+    if not estimate.identifiable:
+        return Identification(estimate, None, None)
+    settings = settings_for(estimate, window.sample_time_s)
+    if gains is None:
+        return Identification(estimate, settings, None)
+    return _no_farther(Identification(estimate, settings, margins(estimate.log.model().linear(), gains)), window, gains)
+
+
+def _unless_pv_stands(window: Window, gains: PidGains | None, estimate: ModelEstimate) -> ModelEstimate:
+    """The estimate, unless pv stands still while co travels: that shows no process, and diagnosis says so as well."""
+    settings = StandingSettings()
+    found = stand_still(window, gains, settings)
+    if found is None or not (found.stands or found.dead):
+        return estimate
+    if found.lead_of(estimate.residual_std**2, len(estimate.load_times_s)) > settings.likelier:
+        return estimate
+    return replace(estimate, identifiable=False, reason=standing_verdict(found, {}).reason)
+
+
+def _no_farther(found: Identification, window: Window, gains: PidGains) -> Identification:
+    """What was identified, with no more gain at once than the record's events carry."""
+    estimate, dt = found.estimate, window.sample_time_s
+    events = len(setpoint_changes(window)) + len(estimate.load_times_s)
+    aim = robust_simc(estimate, dt, RobustSettings())
+    step = first_step(aim, gains, events, estimate.log.model(), dt)
+    if step is None:
+        return found
+    return replace(found, settings=_result(estimate, step.now), aim=found.settings, step_reason=step.sentence)
 
 
 def within(window: Window, co_min: float | None, co_max: float | None) -> Window:

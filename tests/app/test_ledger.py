@@ -18,7 +18,7 @@ from retuner.commands.run import LedgerSize
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
-from retuner.report.console import RunScreen
+from retuner.live_view.live_screen import LiveScreen
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -420,7 +420,7 @@ def test_a_run_tells_that_its_ledger_has_grown(tmp_path: Path, monkeypatch: pyte
         SHORT.replace("duration_s = 80.0", "duration_s = 5.0").replace(LATER_STEPS, "")
     )
     told: list[str] = []
-    monkeypatch.setattr(RunScreen, "say", lambda _, line: told.append(line))
+    monkeypatch.setattr(LiveScreen, "say", lambda _, line: told.append(line))
     with (tmp_path / "short.toml").open("a") as file:
         file.write("[output]\nledger_mb_warn = 1.5\n")
     assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 0
@@ -453,3 +453,17 @@ def test_a_file_that_somebody_else_has_locked_is_waited_for(tmp_path: Path, monk
     assert len(waited) == 4
     with LedgerReader(tmp_path / "l.sqlite") as reader:
         assert reader.verify().rows == 1
+
+
+def test_a_reader_that_stays_keeps_no_row_out_of_the_file(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    with LedgerReader(tmp_path / "ledger.sqlite") as reader:
+        for i in range(5):
+            ledger.append("decision", {"number": i}, float(i))
+        assert [row.seq for row in reader.rows_after(0, 3)] == [1, 2, 3]
+        assert [row.seq for row in reader.rows_after(3, 99)] == [4, 5]
+        ledger.close()
+        (tmp_path / "copy.sqlite").write_bytes((tmp_path / "ledger.sqlite").read_bytes())
+        with LedgerReader(tmp_path / "copy.sqlite") as copy:
+            assert copy.verify() == reader.verify()
+            assert copy.verify().rows == 5

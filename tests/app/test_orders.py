@@ -17,9 +17,11 @@ HASH = "0123456789abcdef" * 4
 APPROVE = Order(OrderKind.APPROVE, "Ada", "2030-01-31T12:00:00Z", "as discussed", digest=HASH)
 REVERT = Order(OrderKind.REVERT, "Ada", "2030-01-31T12:00:01Z", decision=3)
 UNLOCK = Order(OrderKind.UNLOCK, "Ada", "2030-01-31T12:00:02Z", region="low")
+REJECT = Order(OrderKind.REJECT, "Ada", "2030-01-31T12:00:03Z", digest=HASH)
+HOLD = Order(OrderKind.MODE, "Ada", "2030-01-31T12:00:04Z", mode="off")
 
 
-@pytest.mark.parametrize("order", [APPROVE, REVERT, UNLOCK])
+@pytest.mark.parametrize("order", [APPROVE, REVERT, UNLOCK, REJECT, HOLD])
 def test_an_order_comes_back_as_it_was_given(tmp_path: Path, order: Order) -> None:
     path = put_order(tmp_path, order)
     assert read_order(path) == order

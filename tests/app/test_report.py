@@ -1,11 +1,13 @@
 """What the report's first sentences say: the result, and nothing that is not so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from retuner.report.console import scores_table
-from retuner.report.report import ReportData, render
-from retuner.report.scores import RegionScore
+from retuner.report.report import ReportData, as_commissioned, marks_of, render
+from retuner.report.scores import RegionScore, Twin
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -71,3 +73,53 @@ def test_changes_that_were_taken_back_are_counted_and_not_as_responses() -> None
     text = render(told)
     assert "0 responses were recognised in 1 h. 1 change was written to the controller. 1 change was taken back" in text
     assert '<a href="#decision-2">2</a>' in text
+
+
+def test_ms_over_the_limit_is_red_with_the_reason() -> None:
+    assert 'class="bad">2.37' not in page(score(1.7, 1.0, None))
+    text = page(score(2.37, 1.0, None))
+    assert '<b class="bad">2.37, over 1.75</b>' in text
+    assert "no response of this region was recognised" in text
+    assert "is at most 2.37, over the limit of 1.75 (see the red cells)." in text
+    refused: dict[str, object] = {
+        "number": 7,
+        "t_s": 900.0,
+        "region": "all",
+        "action": "none",
+        "reason": "the process is not known well enough",
+        "verdict": {"ms": {"before": 1.62}},
+    }
+    told = ReportData("loop", "u", TABLE, TABLE, [score(2.37, 1.0, None)], [refused], RUN, None, [], ms_limit=1.6)
+    text = render(told)
+    assert "over 1.6<" in text
+    assert "nothing was changed; the newest decision 7: the process is not known well enough" in text
+    assert "on the process as known it was 1.62" in text
+
+
+def test_marks_carry_the_numbers_of_their_decisions() -> None:
+    write: dict[str, object] = {"number": 4, "t_s": 900.0, "region": "all", "action": "commit"}
+    undo: dict[str, object] = {"number": 5, "t_s": 1800.0, "region": "all", "action": "restore"}
+    advice: dict[str, object] = {"number": 6, "t_s": 1900.0, "region": "all", "action": "advise"}
+    data = ReportData("loop", "u", TABLE, TABLE, [], [], RUN, None, [901.0])
+    found = marks_of(data, [write, undo, advice])
+    assert [(mark.t_s, mark.number, mark.undone) for mark in found] == [(900.0, 4, False), (1800.0, 5, True)]
+    assert [mark.number for mark in marks_of(data, [])] == [0]
+
+
+def test_a_step_is_compared_with_the_commissioned_gains_or_that_is_said() -> None:
+    t = np.arange(0.0, 400.0)
+    sp = np.where((t >= 100) & (t < 200) | (t >= 300), 1.0, 0.0)
+    run = {name: np.zeros(400) for name in NAMES} | {"t": t, "sp": sp, "kp": np.full(400, 2.0), "ki": np.full(400, 0.1)}
+    twin = Twin(0, (100, 200), (300, 400), "setpoint 0 to 1")
+    told = ReportData("loop", "u", TABLE, TABLE, [], [], run, None, [])
+    assert as_commissioned(told, twin)
+    assert not as_commissioned(replace(told, run=run | {"kp": np.where(t < 150, 2.0, 2.5)}), twin)
+    assert "There was no run with fixed gains" in render(replace(told, events=[]))
+    assert "There was no run with fixed gains" not in render(replace(told, fixed=run))
+
+
+def test_a_report_fits_a_narrow_screen_and_paper() -> None:
+    text = page(score(1.5, 1.0, None))
+    assert '<meta name="viewport" content="width=device-width' in text
+    assert "@media (max-width:620px)" in text
+    assert "@media print" in text

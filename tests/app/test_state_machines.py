@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from retuner.drivers.host.connection import CONNECTION, ConnectInput, ConnectPhase
+from retuner.drivers.profiles.gain_course import COURSE as GAIN_COURSE
+from retuner.drivers.profiles.gain_course import CourseInput, CoursePhase
 from retuner.drivers.state_machine import StateMachine
 from retuner.session.gain_writer import WRITING, WriterInput, WriterPhase
 from retuner.session.loop_session import COURSE, SessionInput, SessionPhase
@@ -15,6 +17,7 @@ from retuner.session.loop_session import COURSE, SessionInput, SessionPhase
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = [
     (CONNECTION, ConnectPhase, ConnectInput, set()),
+    (GAIN_COURSE, CoursePhase, CourseInput, set()),
     (WRITING, WriterPhase, WriterInput, set()),
     (COURSE, SessionPhase, SessionInput, {SessionPhase.SETTLED, SessionPhase.LEFT_OPEN}),
 ]
@@ -28,7 +31,9 @@ def test_the_page_shows_what_the_tables_say() -> None:
             assert re.search(rf"    {old.name} --> {new.name}: .*\b{event.name}\b", page)
 
 
-@pytest.mark.parametrize(("table", "phases", "inputs", "ends"), TABLES, ids=["connection", "writer", "session"])
+@pytest.mark.parametrize(
+    ("table", "phases", "inputs", "ends"), TABLES, ids=["connection", "course", "writer", "session"]
+)
 def test_every_phase_is_reached_and_left_and_every_input_leads_somewhere(table, phases, inputs, ends) -> None:
     start = next(iter(phases))
     reached = {start}

@@ -39,10 +39,10 @@ class Desk(NamedTuple):
     def happens(self, event: TrialEvent) -> None:
         self.wire.trials.event(0, event, self.wire.clock.now_s())
 
-    def order(self, kind: OrderKind, digest: str = "", decision: int = 0) -> dict[str, object]:
+    def order(self, kind: OrderKind, digest: str = "", decision: int = 0, mode: str = "") -> dict[str, object]:
         """Give an order, and let it be taken; its last row."""
         region = "low" if kind is OrderKind.UNLOCK else ""
-        put_order(self.folder, Order(kind, "Ada", "2030-01-31T12:00:00Z", "", digest, decision, region))
+        put_order(self.folder, Order(kind, "Ada", "2030-01-31T12:00:00Z", "", digest, decision, region, mode))
         self.wire.run(60)
         return dict([body for row, body in self.wire.rows if row == "order"][-1])
 
@@ -103,3 +103,28 @@ def test_an_approval_in_a_locked_region_changes_nothing(desk: Desk) -> None:
     assert desk.order(OrderKind.UNLOCK)["accepted"]
     assert desk.wire.trials.phase(0) is P.IDLE
     assert desk.wire.runs == to_wire(GOOD)
+
+
+def test_a_change_that_waits_and_is_rejected_is_taken_back(desk: Desk) -> None:
+    waits = desk.tried(1.5)
+    desk.happens(TrialEvent.PASSED_FOR_APPROVAL)
+    assert desk.order(OrderKind.REJECT, waits.digest())["accepted"]
+    desk.wire.until(P.COOLING, most=200)
+    desk.wire.run(40)
+    assert desk.wire.runs == to_wire(GOOD)
+    told = desk.order(OrderKind.APPROVE, waits.digest())
+    assert (told["accepted"], told["reason"]) == (False, "it was rejected")
+    assert not desk.order(OrderKind.REJECT, "0" * 64)["accepted"]
+
+
+def test_off_takes_back_what_is_on_trial_and_nothing_is_written_until_the_mode_is_another(desk: Desk) -> None:
+    desk.tried(4.0)
+    assert desk.order(OrderKind.MODE, mode="off")["accepted"]
+    desk.wire.until(P.COOLING, most=200)
+    desk.wire.run(40)
+    assert desk.wire.runs == to_wire(GOOD)
+    retuner = desk.wire.session.retuner
+    assert [retuner.settings.mode_of(i) for i in range(2)] == [Mode.OFF, Mode.OFF]
+    assert desk.order(OrderKind.MODE, mode="trial")["accepted"]
+    assert retuner.settings.mode_of(0) is Mode.TRIAL
+    assert [row["by"] for kind, row in desk.wire.rows if kind == "order"] == ["Ada", "Ada"]

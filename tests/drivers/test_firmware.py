@@ -7,6 +7,7 @@ import can
 import pytest
 from bus_simulation.device_end import LagPlant
 from bus_simulation.firmware import FirmwareDevice
+from bus_simulation.mutants import MUTANTS_OF_THE_STORE, Mutant
 from effort import sized
 
 from retuner.adaptive.process.model import LinearProcess
@@ -42,17 +43,20 @@ TELEMETRY = (18, 19)
 OWNERS = (5, 64, 0x1700)
 
 
+Changes = tuple[tuple[str, str], ...]
+
+
 class Twins:
     """The virtual device and the firmware, told the same. All commands are right in form, many in everything."""
 
-    def __init__(self, seed: int, *, key: bytes | None = None, trial_samples: int = 0) -> None:
+    def __init__(self, seed: int, *, key: bytes | None = None, trial_samples: int = 0, changes: Changes = ()) -> None:
         self.rng = random.Random(seed)
         settings = VirtualDeviceSettings(
             FIRST, box=BOX, key=key, trial_samples=trial_samples, lease_longest_samples=40, sp_min=0.0, sp_max=100.0
         )
         nonces = [random.Random(seed), random.Random(seed)]
         self.virtual = VirtualDevice(settings, LagPlant(), nonce=lambda: nonces[0].getrandbits(48))
-        self.firmware = FirmwareDevice(settings, LagPlant(), nonce=lambda: nonces[1].getrandbits(48))
+        self.firmware = FirmwareDevice(settings, LagPlant(), nonce=lambda: nonces[1].getrandbits(48), changes=changes)
         for device, chance in zip((self.virtual, self.firmware), nonces, strict=True):
             chance.seed(seed)
             device.restart()
@@ -128,6 +132,16 @@ class Twins:
         odd = {"is_extended_id": rng.random() < 0.05, "is_fd": rng.random() < 0.05}
         return can.Message(arbitration_id=id_, data=data, **odd)
 
+    def power_fails(self) -> None:
+        """While the newest place was written, perhaps."""
+        slots = self.virtual.pages.slots
+        there = [slot for slot in slots if slot is not None]
+        if len(there) == len(slots) and self.rng.random() < 0.5:
+            newest = max(there, key=lambda slot: slot.generation)
+            place = slots.index(newest)
+            slots[place] = newest._replace(crc=newest.crc ^ 1 << self.rng.randrange(32))
+            self.firmware.spoil(place, slots[place].crc)
+
     def run(self, acts: int) -> None:
         for _ in range(acts):
             kind = self.rng.random()
@@ -138,6 +152,7 @@ class Twins:
             elif kind < 0.65:
                 self.tell(self.noise())
             elif kind < 0.66:
+                self.power_fails()
                 self.virtual.restart()
                 self.firmware.restart()
                 self.same()
@@ -150,6 +165,18 @@ def test_the_firmware_answers_as_the_virtual_device_does(seed: int) -> None:
     twins = Twins(seed, key=KEY if seed % 2 else None, trial_samples=(0, 9)[seed // 2 % 2])
     twins.run(1500)
     assert twins.answers > 500
+
+
+@pytest.mark.parametrize("mutant", MUTANTS_OF_THE_STORE, ids=lambda mutant: mutant.name)
+def test_a_store_that_is_wrong_is_found(mutant: Mutant) -> None:
+    def found(seed: int) -> bool:
+        try:
+            Twins(seed, changes=((mutant.old, mutant.new),)).run(2000)
+        except AssertionError:
+            return True
+        return False
+
+    assert any(map(found, range(20)))
 
 
 def test_swaps_and_stores_happen_in_that() -> None:

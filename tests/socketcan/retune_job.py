@@ -16,19 +16,14 @@ from pathlib import Path
 import can
 
 CHANNEL = "vcan0"
-HEARTBEAT = 16  # command number of retuner.dbc; the identifier is node << 5 | command
-NODE = 5  # as in tank.toml
-PATIENCE_S = 60.0  # for the device's first heartbeat: imports take their time on one emulated CPU
+PATIENCE_S = 60.0  # for the device's first frame: imports take their time on one emulated CPU
 RETUNER = [sys.executable, "-P", "-c", "import sys; from retuner.cli import main; sys.exit(main())"]
 
 
-def await_heartbeat(bus: can.BusABC, device: "subprocess.Popen[bytes]") -> bool:
+def await_frame(bus: can.BusABC, device: "subprocess.Popen[bytes]") -> bool:
     for _ in range(int(PATIENCE_S)):
-        message = bus.recv(1.0)
-        while message is not None:
-            if message.arbitration_id == NODE << 5 | HEARTBEAT:
-                return True
-            message = bus.recv(0.0)
+        if bus.recv(1.0) is not None:
+            return True
         if device.poll() is not None:
             return False
     return False
@@ -48,7 +43,7 @@ def main() -> int:
     ):
         notifier = can.Notifier(ear, [capture])
         device = subprocess.Popen([*RETUNER, "device", str(config), *where], stderr=device_err)
-        outcome["heard"] = await_heartbeat(bus, device)
+        outcome["heard"] = await_frame(bus, device)
         run = [*RETUNER, "run", str(config), *where, "--out", str(out / "run"), "--json"]
         outcome["run"] = subprocess.run(run, stdout=answer, stderr=run_err, check=False).returncode
         device.send_signal(signal.SIGINT)

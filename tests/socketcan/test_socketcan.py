@@ -145,3 +145,33 @@ def test_kernel_can_is_used_where_there_is_one() -> None:
     assert done.returncode == 0, done.stderr
     assert "vcan0 of this kernel" in done.stderr
     assert "vcan0" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the firmware in C left: examined and run against on vcan0."""
+
+    def examine(out: Path) -> None:
+        folder = HERE.parents[1] / "drivers" / "firmware"
+        subprocess.run(["make", "-s", "-C", folder, f"BUILD={out}", "all"], check=True, timeout=120)
+        program = out / "retuner-firmware"
+        done = run_inside(sys.executable, "-P", HERE / "firmware_job.py", program, out, SPEED)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    return once(tmp_path_factory, "socketcan-firmware", examine)
+
+
+@pytest.mark.slow
+def test_the_firmware_in_c_keeps_the_protocol_on_a_real_bus(firmware: Path) -> None:
+    examined = json.loads((firmware / "conformance.json").read_text())
+    assert examined["findings"] == []
+    assert examined["tried"] > 150
+
+
+@pytest.mark.slow
+def test_a_session_writes_its_gains_to_the_firmware_in_c(firmware: Path) -> None:
+    outcome = json.loads((firmware / "outcome.json").read_text())
+    assert outcome == {"conformance": 0, "run": 0, "device": 0}, (firmware / "run.json").read_text()
+    with LedgerReader(firmware / "run" / "ledger.sqlite") as ledger:
+        assert ledger.verify().ok
+        assert "committed" in [row.kind for row in ledger.rows()]

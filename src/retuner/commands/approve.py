@@ -161,6 +161,8 @@ def _closed(place: LoopPlace, full: str) -> str:
     """Why what a hash names is not approved; empty when it is."""
     if full in place.shown.approved:
         return "it was approved before"
+    if full in place.shown.rejected:
+        return "it was rejected"
     proposal = place.shown.proposals.get(full)
     if proposal is None:
         return "" if full in place.shown.waiting.values() else "this change does not wait for a person"

@@ -64,7 +64,9 @@ def described(config: "Config", *, several: bool) -> list[str]:
         f"bus         {bus.interface}, channel {bus.channel}, node {bus.node}",
     ]
     if config.device is not None:
-        lines.append(f"device      {config.device.kind}, plant {config.device.plant.kind}, seed {config.device.seed}")
+        plant = config.device.plant
+        behind = f"plant {plant.kind}, seed {config.device.seed}" if plant is not None else "a real one"
+        lines.append(f"device      {config.device.kind}, {behind}")
     if config.scenario is not None:
         lines.append(f"scenario    {config.scenario.duration_s:g} s, {len(config.scenario.steps)} steps")
     return [*lines, ""] if several else lines

@@ -1,11 +1,13 @@
 """retuner device: the virtual controller as a process of its own on a bus."""
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from retuner.commands.options import Channel, ConfigFile, Interface, Loop, all_on_bus
+from retuner.commands.init import starter
+from retuner.commands.options import Channel, Interface, Loop, all_on_bus
 from retuner.errors import UserError
 
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
@@ -16,18 +18,21 @@ app = typer.Typer(add_completion=False)
 
 @app.command(epilog="Example: retuner device examples/oven.toml -i udp_multicast -c 239.74.163.2 --speed 50")
 def device(
-    path: ConfigFile,
+    path: Annotated[Path | None, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")] = None,
     interface: Interface = None,
     channel: Channel = None,
     speed: Annotated[float, typer.Option(help="How much faster than real time the simulated plant runs.")] = 1.0,
+    profile: Annotated[
+        str,
+        typer.Option(help="In place of a configuration: a virtual odrive, cia402 or cia404."),
+    ] = "",
     duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
     loop: Loop = None,
 ) -> int:
     """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped; of several loops, all."""
-    from retuner.config.loading import load_session  # noqa: PLC0415  see above
-    from retuner.config.session_config import SessionConfig  # noqa: PLC0415
+    from retuner.config.session_config import SessionConfig  # noqa: PLC0415  see above
 
-    session = all_on_bus(load_session(path)[0], interface, channel)
+    session = all_on_bus(_read(path, profile), interface, channel)
     configs = session.loops if loop is None else (session.loops[session.place(loop)],)
     if not 0 < speed < float("inf"):
         raise UserError(f"--speed {speed}: give a positive number, 1 for real time")
@@ -40,6 +45,15 @@ def device(
         )
     _be(SessionConfig(configs, session.several), speed, duration or float("inf"))
     return 0
+
+
+def _read(path: Path | None, profile: str) -> "SessionConfig":
+    """The configuration of the file, or of a profile's example."""
+    from retuner.config.loading import load_session, parse_session  # noqa: PLC0415  see above
+
+    if (path is None) == (not profile):
+        raise UserError("give a configuration file, or --profile odrive, cia402 or cia404: one of them")
+    return load_session(path)[0] if path is not None else parse_session(starter(profile))
 
 
 def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
@@ -62,6 +76,6 @@ def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
             with stoppable():
                 report = run_devices(devices, clock, until_s=until_s)
         except KeyboardInterrupt:
-            sys.stderr.write(f"{sum(one.device.sample for one in devices)} samples\n")
+            sys.stderr.write(f"{sum(one.samples for one in devices)} samples\n")
             raise
     sys.stderr.write(f"{report.samples} samples, {report.overruns} overruns\n")

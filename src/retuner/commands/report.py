@@ -107,12 +107,6 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
     summary = _summary(recorded)
     scores = scores_of(config, after, commits, columns)
     steps = config.scenario.steps if config.scenario else []
-    last = recorded.rows[-1]
-    facts = {
-        "session": str(recorded.folder),
-        "ledger": f"{last.seq} rows, head {last.hash}",
-        "retuner": str(recorded.versions.get("retuner", "")),
-    }
     return ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
@@ -124,10 +118,21 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
         fixed=None,
         commits=[t_s for t_s, _ in commits],
         events=[step.at_s for step in steps if step.at_s <= columns["t"][-1]],
-        facts=facts,
+        facts=_facts(recorded),
         stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
         advice=[words(one, "sentence") for one in parts(summary, "advice")],
+        ms_limit=config.adaptation.ms_nominal,
     )
+
+
+def _facts(recorded: RecordedSession) -> dict[str, str]:
+    """Where all this comes from."""
+    last = recorded.rows[-1]
+    return {
+        "session": str(recorded.folder),
+        "ledger": f"{last.seq} rows, head {last.hash}",
+        "retuner": str(recorded.versions.get("retuner", "")),
+    }
 
 
 def _changes(recorded: RecordedSession, names: tuple[str, ...]) -> list[Row]:
@@ -146,7 +151,7 @@ def scores_of(
         commits,
         columns,
         fixed,
-        make_plant(config).linearise if config.device else None,
+        make_plant(config).linearise if config.device and config.device.plant else None,
         config.loop.sample_time_s,
         config.loop.tau_f_s,
         loads_at(config.scenario, columns["t"]),

@@ -5,6 +5,7 @@ import platform
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -12,8 +13,8 @@ from typing import Annotated, NamedTuple
 import typer
 
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode, gains_dict
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.commands.options import Channel, ConfigFile, Interface, Json, all_on_bus, signed_by
 from retuner.commands.report import scores_of
 from retuner.config.loading import load_session
@@ -24,12 +25,16 @@ from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_json, write_whole
 from retuner.ledger import Ledger, Recorder
-from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.live_view.live_screen import LiveScreen
+from retuner.live_view.watching import OnScreen, Watching
+from retuner.live_view.what_next import narrow_scores, what_next
+from retuner.report.console import counted, scores_table, screen_console
 from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
 from retuner.schedule.document import to_toml
+from retuner.serve.beside import require_page, served_beside
 from retuner.session.assembly import make_plant
 from retuner.session.loop_session import LoopSession
 from retuner.session.outputs import (
@@ -47,8 +52,9 @@ from retuner.session.outputs import (
     log_of_bus,
     loop_folder,
 )
+from retuner.session.recorded_session import rows_by_loop
 from retuner.session.running import Run, nothing, real_time_speed
-from retuner.session.session import NobodyLooks, Session
+from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
 
@@ -69,6 +75,8 @@ class RunOptions:
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
     pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="On a terminal: what decisions weighed.")] = False
+    serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
     as_json: Json = False
 
 
@@ -93,9 +101,9 @@ def run(options: RunOptions) -> int:
         _look_at_benches(options.config, config)
     speed = real_time_speed(options.speed, simulated=config.simulated)
     folder = options.out or Path(config.output.directory)
-    unit = "" if config.several else config.loops[0].loop.pv_unit
-    screen = RunScreen(screen_console(stderr=options.as_json), unit, quiet=options.as_json)
+    screen = LiveScreen(screen_console(stderr=options.as_json), quiet=options.as_json, detail=options.verbose)
     require_writer(config.output.trend)
+    require_page(wanted=options.serve)
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
@@ -156,23 +164,23 @@ class _Job:
         return f"{counted(len(self.config.loops), 'loop')}" if self.config.several else f"{first.loop.name}: {mode}"
 
 
-def _run(job: _Job, ledger: Ledger, screen: RunScreen) -> int:
+def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
     """The run itself, the comparison run and what is left behind, also after Ctrl-C."""
     _open_session(job, ledger)
-    several = job.config.several
+    watching = Watching(screen, job.config, job.folder)
     job_run = Run(
         job.config,
         _keeper(ledger, screen, job.config.output.ledger_mb_warn),
         mode=job.mode,
         log=job.folder / BUS_LOG,
-        observer=_Shown(screen, several=several),
+        observer=watching,
         folder=job.folder,
         before=job.fresh.moved,
     )
     screen.begin(job.title)
-    session, interrupted = _play(job, job_run)
+    session, interrupted = _served(job, job_run, watching, screen)
     compare = job.config.simulated and job.options.compare and not interrupted
-    again = Run(job.config, nothing, mode=Mode.OFF, observer=_Progress(screen, several=several))
+    again = Run(job.config, nothing, mode=Mode.OFF, observer=OnScreen(screen, job.config))
     fixed = _unless_stopped(again, screen) if compare else None
     with unstoppable():
         _close(job, ledger, session, interrupted=interrupted)
@@ -251,7 +259,7 @@ class LedgerSize:
             )
 
 
-def _keeper(ledger: Ledger, screen: RunScreen, most_mb: float) -> Recorder:
+def _keeper(ledger: Ledger, screen: LiveScreen, most_mb: float) -> Recorder:
     """What keeps a run's rows. most_mb : size of the ledger past which that is told."""
     size = LedgerSize(ledger, most_mb, screen.say)
 
@@ -262,34 +270,13 @@ def _keeper(ledger: Ledger, screen: RunScreen, most_mb: float) -> Recorder:
     return keep
 
 
-class _Progress(NobodyLooks):
-    """Shows how far a run is."""
-
-    def __init__(self, screen: RunScreen, *, several: bool) -> None:
-        self._screen, self._several = screen, several
-
-    def sampled(self, loop: LoopSession, sample: LoopSample) -> None:
-        """See Observer."""
-        region = loop.table.regions.names[loop.retuner.region or 0]
-        where = f"{loop.name} {region}" if self._several else region
-        self._screen.sample(sample, loop.scenario.progress, where)
-
-
-class _Shown(_Progress):
-    """Shows a run to whoever sits at the screen; a line names its loop where there are several."""
-
-    def recorded(self, loop: LoopSession | None, kind: str, t_s: float, body: Mapping[str, object]) -> None:
-        """See Observer."""
-        name = loop.name if loop is not None and self._several else ""
-        if kind == "decision" and loop is not None:
-            self._screen.decision(loop.decisions[-1], name)
-        elif kind in TOLD:
-            whose = f"{name}: " * bool(name)
-            self._screen.say(f"{t_s:8,.0f} s {whose}{kind}: {told_values(body, TOLD[kind])}")
-
-    def said(self, text: str) -> None:
-        """See Observer."""
-        self._screen.say(text)
+def _served(job: _Job, job_run: Run, watching: Watching, screen: LiveScreen) -> tuple[Session, bool]:
+    """The run to its end, with its page beside it where that is wanted."""
+    with served_beside(job.folder, screen.say, wanted=job.options.serve):
+        try:
+            return _play(job, job_run)
+        finally:
+            watching.close()
 
 
 def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:
@@ -302,7 +289,7 @@ def _play(job: _Job, job_run: Run) -> tuple[Session, bool]:
         return job_run.session, True
 
 
-def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
+def _unless_stopped(comparison: Run, screen: LiveScreen) -> Session | None:
     """The comparison run, or None when the user stops it: the run that counts is over then, and is kept."""
     screen.begin("the same run with fixed gains")
     try:
@@ -311,29 +298,8 @@ def _unless_stopped(comparison: Run, screen: RunScreen) -> Session | None:
         return None
 
 
-TOLD = {
-    "refused": ("region", "reason"),
-    "link": ("state", "reason"),
-    "restart": ("epoch",),
-    "lost": ("count",),
-    "command": ("command", "reason"),
-    "worker": ("reason",),
-    "unknown": ("reason",),
-    "foreign": ("gains",),
-    "dropped": ("reason",),
-    "bus": ("fault", "times"),
-    "variable": ("name", "reason"),
-    "abort": ("reason",),
-    "restored": ("regions",),
-    "lockout": ("region", "undos"),
-    "unrestored": ("regions", "reason"),
-    "order": ("order", "by", "accepted", "reason"),
-}
-"""Rows beside decisions that a person at the screen should see, and which of their values."""
-
-
 def _leave(
-    job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: RunScreen, *, interrupted: bool
+    job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: LiveScreen, *, interrupted: bool
 ) -> None:
     """Write everything that the run leaves, and show the result."""
     left = [
@@ -378,6 +344,7 @@ def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: Loop
         facts=_facts(job, ledger, trend.name, i) | ({"not restored": loop.left_open} if loop.left_open else {}),
         stopped=config.scenario is not None and not loop.scenario.finished,
         advice=[one.sentence for one in advice_of(loop)],
+        ms_limit=config.adaptation.ms_nominal,
     )
     write_whole(folder / REPORT, render(data))
     return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder))
@@ -400,7 +367,7 @@ def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
 
 
 def _show(
-    job: _Job, ledger: Ledger, session: Session, left: Sequence[_Left], screen: RunScreen, *, interrupted: bool
+    job: _Job, ledger: Ledger, session: Session, left: Sequence[_Left], screen: LiveScreen, *, interrupted: bool
 ) -> None:
     """The result as a file, and for whoever asked for it."""
     folder, several = job.folder, job.config.several
@@ -411,13 +378,32 @@ def _show(
     if job.options.as_json:
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
+    screen.pause()
     for one in left:
-        screen.table(scores_table(one.scores, one.unit, one.loop.name if several else ""))
+        name = one.loop.name if several else ""
+        screen.table(scores_table(one.scores, one.unit, name), partial(narrow_scores, one.scores, one.unit, name))
     decisions = sum(len(loop.decisions) for loop in session.loops)
     changes = sum(len(loop.commits) for loop in session.loops)
     done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
     screen.say(f"{done}; report: {folder / REPORT}")
     screen.say(f"ledger head {ledger.head()}")
+    _tell_what_next(job, ledger, left, screen)
+
+
+def _tell_what_next(job: _Job, ledger: Ledger, left: Sequence[_Left], screen: LiveScreen) -> None:
+    """What a person can do now."""
+    several = job.config.several
+    about = rows_by_loop(ledger.rows(), job.config.names)
+    for one in left:
+        loop, name = one.loop, one.loop.name
+        names = loop.table.regions.names
+        locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
+        gains = job.folder / one.report.parent / GAINS if loop.commits else None
+        approval_s = job.config.loops[job.config.names.index(name)].adaptation.approval_s
+        for told in what_next(job.folder, about[name], approval_s, locked, gains, name if several else ""):
+            screen.say(told.why)
+            if told.command:
+                screen.command(f"  {told.command}")
 
 
 def advice_of(loop: LoopSession) -> tuple[RegionAdvice, ...]:

@@ -194,14 +194,15 @@ class BoilerPlantConfig(Section):
         return BoilerSettings(**self.model_dump(exclude={"kind", "start_c"}))
 
 
+PlantConfig = Annotated[OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig, Field(discriminator="kind")]
 CONFIRM_SAMPLES = 60
 """Samples of the trial time where none is given: the session has all the time to confirm, and a dead one does not."""
 
 
 class DeviceConfig(Section):
-    """[device]: the virtual controller. Leave the section out when a real one hangs on the bus."""
+    """[device] with kind = "virtual": our own virtual controller. Leave the section out for a real one."""
 
-    kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the only one so far")
+    kind: Literal["virtual"] = setting("Which device", unit="-", default="virtual", source="the native protocol")
     confirm_within_s: float | None = setting(
         "Time within which a new set must be confirmed, or the confirmed one runs again; 0 for any time; absent: "
         f"{CONFIRM_SAMPLES} samples",
@@ -212,9 +213,7 @@ class DeviceConfig(Section):
         source="twice what a lost link and the probation take",
     )
     seed: int = setting("Seed of the measurement noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
-    plant: Annotated[OvenPlantConfig | LinearPlantConfig | BoilerPlantConfig, Field(discriminator="kind")] = setting(
-        "The simulated plant behind the virtual device", unit="-", source="the user"
-    )
+    plant: PlantConfig = setting("The simulated plant behind the virtual device", unit="-", source="the user")
 
 
 class StepConfig(Section):

@@ -65,6 +65,19 @@ def signal_problems(config: Config) -> Iterator[Problem]:
             yield Problem(("schedule", "axis", i, key), f": {error}")
 
 
+def device_problems(config: Config) -> Iterator[Problem]:
+    """What is wrong with the description of a foreign device, and with the mapping onto it."""
+    if config.foreign_device is None:
+        return
+    from retuner.config.described import held_table  # noqa: PLC0415
+    from retuner.drivers.profiles.access import ProfileError  # noqa: PLC0415  python-can, as above
+
+    try:
+        held_table(config)
+    except ProfileError as error:
+        yield Problem(("device", *error.key), f": {error}")
+
+
 LARGEST_FILE = 1 << 20  # bytes; a configuration of 64 regions and a thousand steps has a tenth of it
 PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
@@ -187,7 +200,7 @@ def with_signals(session: SessionConfig, text: str) -> SessionConfig:
     UnusableError
         With every signal that is not there.
     """
-    return _with(session, text, signal_problems)
+    return _with(session, text, signal_problems, device_problems)
 
 
 def usable_here(session: SessionConfig, text: str) -> SessionConfig:
@@ -198,7 +211,7 @@ def usable_here(session: SessionConfig, text: str) -> SessionConfig:
     UnusableError
         With everything that is not.
     """
-    return _with(session, text, signal_problems, bus_problems)
+    return _with(session, text, signal_problems, device_problems, bus_problems)
 
 
 def _with(session: SessionConfig, text: str, *looks: Callable[[Config], Iterable[Problem]]) -> SessionConfig:

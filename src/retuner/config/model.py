@@ -1,11 +1,14 @@
 """The whole configuration, schema 1, and what must hold between its sections."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Tag
 
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import CONFIRM_SAMPLES, BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
+from retuner.config.foreign import CanOpenDeviceConfig, DbcDeviceConfig
 from retuner.config.schedule import AxisConfig, ScheduleConfig
 from retuner.config.setting import Problem, Section, setting
 from retuner.drivers.controller.firmware_settings import SAMPLES_MAX
@@ -69,6 +72,20 @@ CONFIRM_ROOM = 10
 """Samples that a confirmation may take beside the probation: the write's own read-back, and repeated frames."""
 
 
+def _kind(device: object) -> str:
+    """Which device a section is of; without a word about it, our own virtual one."""
+    kind = device.get("kind", "virtual") if isinstance(device, Mapping) else getattr(device, "kind", "virtual")
+    return kind if isinstance(kind, str) else "virtual"
+
+
+AnyDevice = Annotated[
+    Annotated[DeviceConfig, Tag("virtual")]
+    | Annotated[DbcDeviceConfig, Tag("dbc")]
+    | Annotated[CanOpenDeviceConfig, Tag("canopen")],
+    Discriminator(_kind),
+]
+
+
 class Config(Section):
     """One loop, its schedule, and how it is watched and retuned."""
 
@@ -81,13 +98,26 @@ class Config(Section):
         "What the retuner may do", unit="-", default=AdaptationConfig(), source="advise only"
     )
     bus: BusConfig = setting("The CAN bus", unit="-", default=BusConfig(), source="virtual")
-    device: DeviceConfig | None = setting(
-        "The virtual device; absent: a real controller hangs on the bus", unit="-", default=None, source="the user"
+    device: AnyDevice | None = setting(
+        "The device; absent: a controller of the native protocol hangs on the bus",
+        unit="-",
+        default=None,
+        source="the user",
     )
     scenario: ScenarioConfig | None = setting(
         "What happens in a run; absent: watch until stopped", unit="-", default=None, source="the user"
     )
     output: OutputConfig = setting("What a run leaves behind", unit="-", default=OutputConfig(), source="runs/latest")
+
+    @property
+    def own_device(self) -> DeviceConfig | None:
+        """The virtual device of the native protocol, if it is one."""
+        return self.device if isinstance(self.device, DeviceConfig) else None
+
+    @property
+    def foreign_device(self) -> DbcDeviceConfig | CanOpenDeviceConfig | None:
+        """The controller that is not ours, if it is one."""
+        return self.device if isinstance(self.device, DbcDeviceConfig | CanOpenDeviceConfig) else None
 
     def limits_of(self, axis: AxisConfig) -> tuple[str, float, float]:
         """Unit and ends of an axis' variable."""
@@ -186,9 +216,9 @@ class Config(Section):
     @property
     def confirm_within_s(self) -> float:
         """Trial time of the virtual device's firmware, s; 0: none."""
-        if self.device is None:
+        if self.own_device is None:
             return 0.0
-        given = self.device.confirm_within_s
+        given = self.own_device.confirm_within_s
         least = max(CONFIRM_SAMPLES, 2 * (self.bus.probation_samples + CONFIRM_ROOM))
         return given if given is not None else min(least, SAMPLES_MAX) * self.loop.sample_time_s
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from retuner.adaptive.indexes.glossary import GLOSSARY, Entry
 
 MARGINS = {
-    "ms": Entry("sensitivity peak Ms", "ratio", "at most 1.8", "Astrom & Hagglund 2006"),
+    "ms": Entry("sensitivity peak Ms", "ratio", "at most 1.75", "Astrom & Hagglund 2006"),
     "gm": Entry("gain margin", "ratio", "at least 2; SIMC has 3", ""),
     "pm_deg": Entry("phase margin", "deg", "at least 45; SIMC has 61", ""),
     "ki_ratio": Entry("SIMC's integral gain over the one in force", "ratio", "well above 1: slow", "Skogestad 2003"),
@@ -23,6 +23,8 @@ HYPOTHESES = {
     "stand_travel": Entry("travel of co while pv stands", "co ranges", "from 1 a valve, or a load that drifts", ""),
     "stand_dwell": Entry("longest stand of pv", "tau_I", "from 10 no loop does it", ""),
     "stands": Entry("stands of pv", "count", "", ""),
+    "slips_left": Entry("left with a valve that slips at its own times", "noise", "", ""),
+    "valve_turns": Entry("turns of the sticking valve", "count", "below 4 no band is shown", ""),
     "slips": Entry("steps of pv from level to level", "count", "", ""),
     "slips_agreed": Entry("steps to where co had gone", "count", "", ""),
     "slip_jump": Entry("jump of the valve when it slips", "co", "", "Kano et al. 2004"),

@@ -13,12 +13,15 @@ th,td{text-align:left;padding:.35em .6em;border-bottom:1px solid #ddd;vertical-a
 th{background:#f4f6f8} td.n,th.n{text-align:right;white-space:nowrap} .good{color:#1a7f37} .bad{color:#b42318}
 .twins{display:flex;flex-wrap:wrap;gap:1em} .twins img{flex:1 1 340px;max-width:560px} tr.commit td{background:#fff8e6}
 table.pairs th{width:1%;min-width:11em} code{background:#f4f6f8;padding:0 .25em;overflow-wrap:anywhere}
-.columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(430px,1fr));gap:0 2.2em;align-items:start}
+.columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(430px,100%),1fr));gap:0 2.2em;align-items:start}
 .columns section{min-width:0} article td.long{overflow-wrap:anywhere} .good,.bad{white-space:nowrap}
 .badge{display:inline-block;border:1.5px solid;border-radius:1em;padding:0 .7em;font-size:.85em;font-weight:600}
 details.page{border:1px solid #ddd;border-radius:.4em;margin:.5em 0;padding:.3em .9em}
 details.page[open]{padding-bottom:1.2em} details.page>summary{cursor:pointer} svg{display:block;margin:.4em 0}
 pre{background:#f4f6f8;padding:.5em .8em;margin:.4em 0;white-space:pre-wrap;font-size:.88em}
+.small{font-size:.85em}
+@media (max-width:620px){body{margin:.6em auto;padding:0 .6em} table{display:block;overflow-x:auto;font-size:.85em}
+table.pairs th{min-width:7em} details.page{padding:.3em .4em} h1{font-size:1.3em} .twins img{flex:1 1 100%}}
 @page{margin:11mm}
 @media print{body{max-width:none;margin:0;padding:0;font-size:8pt;line-height:1.35} th,td{padding:.18em .5em}
 details.page{break-before:page;border:0} svg,table,pre{break-inside:avoid} h2,h3{break-after:avoid}
@@ -42,7 +45,8 @@ def escaped(text: object) -> str:
 
 def document(title: str, body: str) -> str:
     """A whole page; body is HTML."""
-    head = f'<meta charset="utf-8"><title>{escaped(title)}</title><style>{STYLE}</style>'
+    screen = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    head = f'<meta charset="utf-8">{screen}<title>{escaped(title)}</title><style>{STYLE}</style>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'
 
 

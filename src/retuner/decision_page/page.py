@@ -19,12 +19,10 @@ from retuner.decision_page.outcome import judgement_section, later_section, prom
 from retuner.decision_page.response_drawing import response_svg
 from retuner.decision_page.robustness_drawing import new_name, old_name, robustness_svg
 from retuner.decision_page.row_values import finite, gains_of, number, numbers, part, parts, words
-from retuner.decision_page.text import DONE, footing, headline, margin_rows, parameters, structure
+from retuner.decision_page.text import DONE, footing, headline, margin_rows, ms_limit, parameters, structure
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
 
-MS_LIMIT = 1.8
-"""Design limit of Ms, for the circle where the document names none (Astrom & Hagglund 2006: 1.4 to 2)."""
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
 BASES = {
     "model": "from the process as known",
@@ -78,16 +76,6 @@ def badge(view: DecisionView) -> str:
     """What became of it, in a word or two and a colour."""
     colour = COLOURS.get(view.action, COLOURS["none"])
     return f'<span class="badge" style="color:{colour}">{escaped(DONE.get(view.action, view.action))}</span>'
-
-
-def ms_limit(view: DecisionView) -> float:
-    """The limit of the nominal Ms that the guard held it to."""
-    limits = [
-        number(check, "limit")
-        for check in parts(view.verdict, "checks")
-        if words(check, "name").startswith("ms_nominal")
-    ]
-    return next((limit for limit in limits if limit and limit > 1), MS_LIMIT)
 
 
 def _place(view: DecisionView) -> str:

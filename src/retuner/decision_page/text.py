@@ -2,12 +2,13 @@
 
 import math
 
+from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.explain import process_text, settings_text
-from retuner.decision_page.row_values import number, part, words
+from retuner.decision_page.row_values import number, part, parts, words
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
 
@@ -28,6 +29,8 @@ DONE = {
 """What became of a decision."""
 WITHOUT_MODEL = {"pattern", "slow_oscillation"}
 """What a proposal rests on that needs no model."""
+MS_LIMIT = GuardSettings().ms_nominal
+"""Limit of the nominal Ms where a document names none."""
 SAME = 1e-3
 """Numbers closer than this share are one to a reader."""
 WHOLE_STEP = 0.999
@@ -155,6 +158,16 @@ def _spread(value: float, std: float | None) -> str:
     return "" if std is None else f" +- {std:.2g} ({abs(std / value):.1%})"
 
 
+def ms_limit(view: DecisionView) -> float:
+    """The limit of the nominal Ms that the guard held it to."""
+    limits = [
+        number(check, "limit")
+        for check in parts(view.verdict, "checks")
+        if words(check, "name").startswith("ms_nominal")
+    ]
+    return next((limit for limit in limits if limit and limit > 1), MS_LIMIT)
+
+
 def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
     """Name, before, after, worst of the models still allowed (where there are any), what is usual."""
     if view.process is None or view.before is None:
@@ -165,7 +178,7 @@ def margin_rows(view: DecisionView) -> list[tuple[str, ...]]:
         columns += [found[0], *([max(found, key=lambda one: one.ms)] if view.allowed else [])]
     rows = []
     for label, name, unit, usual in (
-        ("Ms", "ms", "", "at most 1.8"),
+        ("Ms", "ms", "", f"at most {ms_limit(view):.3g}"),
         ("gain margin", "gm", "", "at least 2"),
         ("phase margin", "pm_deg", " deg", "at least 45 deg"),
         ("delay margin", "delay_margin_s", " s", f"more than theta, {view.process.theta_s:.3g} s"),

@@ -247,7 +247,7 @@ def _asked_for(found: Findings, question: Question) -> tuple[str, TuneResult | N
         return rule, None
     name = f"{rule} from {question.method}"
     if question.method == FIT and rule == "simc" and kind in {None, "pi"} and found.fit is not None:
-        return name, found.fit.settings
+        return name, found.fit.aim or found.fit.settings
     return name, tune(model, rule, kind=kind)
 
 

@@ -35,6 +35,7 @@ from retuner.drivers.device import (
     WriteFailed,
 )
 from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.errors import LedgerError
 from retuner.experiment.limits import Following, cannot_begin, out_of_band, out_of_time
 from retuner.experiment.target import Helm, OldState, Target, target
@@ -62,7 +63,7 @@ def restore_patience_s(sample_time_s: float, silent_s: float) -> float:
 class Bench(NamedTuple):
     """device : the controller, to be polled after each turn. turn : lets time pass; the time in s."""
 
-    device: CanDevice
+    device: CanDevice | ForeignDevice
     turn: Callable[[], float]
 
 

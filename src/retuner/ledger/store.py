@@ -53,6 +53,14 @@ class LedgerReader:
         except READING_ERRORS as error:
             raise LedgerError(f"{self.path}: cannot be read: {error}") from None
 
+    def rows_after(self, seq: int, most: int) -> list[Row]:
+        """At most so many rows after this one, in order, as they stand in the file; the file is let go of at once."""
+        query = "SELECT seq, clock_s, kind, body, previous, hash FROM ledger WHERE seq > ? ORDER BY seq LIMIT ?"
+        try:
+            return [Row(*columns) for columns in self._connection.execute(query, (seq, most)).fetchall()]
+        except READING_ERRORS as error:
+            raise LedgerError(f"{self.path}: cannot be read: {error}") from None
+
     def head(self) -> str:
         """Hash of the last row, 64 hexadecimal digits; zeros for an empty ledger."""
         return self._head()[1]
@@ -172,6 +180,12 @@ class Ledger(LedgerReader):
                 return
 
     def close(self) -> None:
-        """Close the file and let another process write; more than once does no harm."""
+        """Close the file and let another process write; more than once does no harm.
+
+        SQLite empties the WAL into the file when the last one closes it. A reader may stay, so it is done here: the
+        file by itself has every row, and nobody is waited for.
+        """
+        with contextlib.suppress(sqlite3.Error):
+            self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
         super().close()
         self._lock.close()

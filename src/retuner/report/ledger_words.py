@@ -117,7 +117,9 @@ def _order(body: Document) -> Words:
     """What a person wanted, and whether it was taken."""
     kind, digest, note = words(body, "order"), words(body, "digest"), words(body, "note")
     decision = int(number(body, "decision") or 0)
-    about = digest[:8] if digest else f"decision {decision}" if decision else words(body, "file")
+    about = words(body, "mode") or (
+        digest[:8] if digest else f"decision {decision}" if decision else words(body, "file")
+    )
     proposal = part(body, "proposal")
     new = _settings(proposal, "after") or _settings(body, "gains")
     verdict = "taken" if body.get("accepted") is True else f"refused: {words(body, 'reason')}"

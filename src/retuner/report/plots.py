@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +14,14 @@ from retuner.schedule.regions import Regions
 BANDS = ("#e8f1fb", "#fdf3e3", "#fbe9e7", "#e9f5ec", "#f1ebf8", "#fdf9d8", "#e3f4f4", "#f3ece4", "#fbe6f1")
 PV, SP, FIXED, MARK = "#1f5fa8", "#333333", "#d08a3c", "#c0392b"
 DPI = 110
+
+
+class Mark(NamedTuple):
+    """A change of gains, or the way back, at t_s; number : of its decision, 0 where none is known."""
+
+    t_s: float
+    number: int
+    undone: bool
 
 
 def _png(figure: Figure) -> bytes:
@@ -52,10 +61,10 @@ def time_axis(t_s: np.ndarray) -> tuple[np.ndarray, str]:
     return t_s - t_s[0], "seconds"
 
 
-def trend_png(
-    run: Columns, fixed: Columns | None, commits: list[float], regions: Regions, unit: str, undone: Sequence[float] = ()
-) -> bytes:
-    """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone)."""
+def trend_png(run: Columns, fixed: Columns | None, marks: Sequence[Mark], regions: Regions, unit: str) -> bytes:
+    """Process value, setpoint and output over the whole run; red marks for changes of gains (dotted: undone), each with
+    the number of its decision.
+    """
     top, bottom, *further = _panels("x2" in run and len(regions.axes) > 1)
     x, x_unit = time_axis(run["t"])
     for axes, axis in zip(further, regions.axes[1:], strict=False):
@@ -70,10 +79,7 @@ def trend_png(
     top.plot(x, run["sp"], color=SP, lw=0.9, ls="--", label="sp")
     bottom.plot(x, run["co"], color=PV, lw=0.5)
     scale = (run["t"][-1] - run["t"][0]) / max(float(x[-1]), 1e-12)
-    for times, style, name in ((commits, "-", "gains changed"), (undone, ":", "change taken back")):
-        for i, t_s in enumerate(times):
-            for axes in (top, bottom, *further):
-                axes.axvline((t_s - run["t"][0]) / scale, color=MARK, lw=1.1, ls=style, label=None if i else name)
+    _marks((top, bottom, *further), marks, float(run["t"][0]), scale)
     top.set_ylabel(f"pv, sp [{unit}]")
     bottom.set_ylabel("co [%]")
     (bottom, *further)[-1].set_xlabel(f"time [{x_unit}]")
@@ -86,6 +92,20 @@ def trend_png(
     return _png(figure)
 
 
+def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale: float) -> None:
+    """A line through all panels for each mark, its decision's number beside it in the first one."""
+    labelled: set[bool] = set()
+    for mark in marks:
+        at = (mark.t_s - start_s) / scale
+        style, name = (":", "change taken back") if mark.undone else ("-", "gains changed")
+        for axes in panels:
+            axes.axvline(at, color=MARK, lw=1.1, ls=style, label=None if mark.undone in labelled else name)
+            labelled.add(mark.undone)
+        if mark.number:
+            place = panels[0].get_xaxis_transform()
+            panels[0].text(at, 0.015, f" {mark.number}", transform=place, color=MARK, fontsize=8, va="bottom")
+
+
 def _panels(with_second: bool) -> tuple[Axes, ...]:
     """The panels of a trend from the top: pv and sp, co, and the second scheduling variable where there is one."""
     heights = (2.4, 1.0, 0.7) if with_second else (2.4, 1.0)
@@ -93,17 +113,26 @@ def _panels(with_second: bool) -> tuple[Axes, ...]:
     return tuple(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
 
 
-def twin_png(run: Columns, twin: Twin, name: str, unit: str) -> bytes:
-    """The same setpoint step before and after learning, on one time axis."""
+def twin_png(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: str, *, commissioned: bool) -> bytes:
+    """The same setpoint step with the commissioned gains and with the final ones, on one time axis.
+
+    fixed : the same run with the commissioned gains, where there is one: then the same step of it is drawn; else the
+    first such step of this run, and commissioned says whether it still ran on those gains.
+    """
     figure = Figure(figsize=(6.3, 4.4))
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     length = min(twin.first[1] - twin.first[0], twin.last[1] - twin.last[0])
-    for (start, _), colour, label in ((twin.first, FIXED, "first"), (twin.last, PV, "last")):
+    first = "first time, with the commissioned gains" if commissioned else "first time, already retuned"
+    before = (run, twin.first[0], first)
+    if fixed is not None and len(fixed["t"]) >= twin.last[1]:
+        before = (fixed, twin.last[0], "with the commissioned gains")
+    after = (run, twin.last[0], "with the final gains")
+    for (columns, start, label), colour in ((before, FIXED), (after, PV)):
         lead = min(start, length // 20)
         part = slice(start - lead, start + length)
-        t = run["t"][part] - run["t"][start]
-        top.plot(t, run["pv"][part], color=colour, lw=1.4, label=f"{label} time")
-        bottom.plot(t, run["co"][part], color=colour, lw=0.9)
+        t = columns["t"][part] - columns["t"][start]
+        top.plot(t, columns["pv"][part], color=colour, lw=1.4, label=label)
+        bottom.plot(t, columns["co"][part], color=colour, lw=0.9)
     start, _ = twin.last
     lead = min(start, length // 20)
     part = slice(start - lead, start + length)

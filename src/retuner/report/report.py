@@ -7,6 +7,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from retuner.adaptive.supervision.decision import Decision
 from retuner.decision_page.decision_view import DecisionView, view_of, what_came_of, worth_pages
 from retuner.decision_page.explain import (
@@ -21,12 +23,15 @@ from retuner.decision_page.explain import (
 from retuner.decision_page.html import OPEN_TARGET, escaped, image, paragraph, table
 from retuner.decision_page.html import document as html_document
 from retuner.decision_page.page import article
-from retuner.decision_page.row_values import Document, number, words
-from retuner.report.plots import trend_png, twin_png
+from retuner.decision_page.row_values import Document, number, part, words
+from retuner.decision_page.text import MS_LIMIT
+from retuner.report.plots import Mark, trend_png, twin_png
 from retuner.report.region_overview import overview
-from retuner.report.scores import Columns, RegionScore, twin_steps
+from retuner.report.scores import Columns, RegionScore, Twin, twin_steps
 from retuner.schedule.table import GainTable
 
+SAME_GAINS = 1e-4
+"""Relative difference up to which gains of a trend are those of the table (the wire rounds them)."""
 MOST_PAGES = 40
 """Decisions with a page of their own, the newest ones: about 130 kB and a quarter of a second each."""
 
@@ -38,7 +43,7 @@ class ReportData:
     run, fixed : trends by column (fixed: the same run without retuning, or None). commits : times of changes.
     events : times of setpoint and load steps, s. facts : provenance, name to value, shown at the end.
     decisions : of the run, or their documents out of a ledger. stopped : the run did not have its whole length.
-    advice : sentences that propose to split or merge regions.
+    advice : sentences that propose to split or merge regions. ms_limit : of the guard, on the process as known.
     """
 
     loop: str
@@ -54,6 +59,7 @@ class ReportData:
     facts: dict[str, str] = field(default_factory=dict)
     stopped: bool = False
     advice: Sequence[str] = ()
+    ms_limit: float = MS_LIMIT
 
 
 def render(data: ReportData) -> str:
@@ -67,11 +73,11 @@ def render(data: ReportData) -> str:
         f"<h1>{escaped(data.loop)}: retuning report</h1>",
         paragraph(_lead(data, documents), "lead"),
         "<h2>Regions</h2>",
-        _scores_table(data),
+        _scores_table(data, documents),
         overview(data.after, documents, data.advice),
         "<h2>The whole run</h2>",
         image(
-            trend_png(data.run, data.fixed, data.commits, data.after.regions, data.unit, _undone(documents)),
+            trend_png(data.run, data.fixed, marks_of(data, documents), data.after.regions, data.unit),
             "Trend with region bands",
         ),
         _twins(data),
@@ -95,6 +101,17 @@ def _undone(documents: Sequence[Document]) -> list[float]:
     return [number(one, "t_s") or 0.0 for one in documents if words(one, "action") == "restore"]
 
 
+def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
+    """Changes and ways back by their decisions' numbers; a change of which no decision is known has none."""
+    found = []
+    for one in documents:
+        action, t_s = words(one, "action"), number(one, "t_s") or 0.0
+        if action in {"commit", "restore"}:
+            found.append(Mark(t_s, int(number(one, "number") or 0), undone=action == "restore"))
+    decided = any(not mark.undone for mark in found)
+    return found if decided else [*found, *(Mark(t_s, 0, undone=False) for t_s in data.commits)]
+
+
 def _lead(data: ReportData, documents: Sequence[Document]) -> str:
     """The result in a few sentences."""
     hours = float(data.run["t"][-1] - data.run["t"][0]) / 3600
@@ -112,7 +129,8 @@ def _lead(data: ReportData, documents: Sequence[Document]) -> str:
     worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
     if worst is not None:
         stable = f"is at most {worst:.2f}" if math.isfinite(worst) else "is not finite: the loop is UNSTABLE"
-        parts.append(f"Ms of the final gains on the true process {stable}.")
+        over = f", over the limit of {data.ms_limit:g} (see the red cells)" if data.ms_limit < worst < math.inf else ""
+        parts.append(f"Ms of the final gains on the true process {stable}{over}.")
     saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
     if saved:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
@@ -131,7 +149,8 @@ def ms_text(ms: float | None) -> str:
     return "-" if ms is None else "unstable" if ms == float("inf") else f"{ms:.2f}"
 
 
-def _scores_table(data: ReportData) -> str:
+def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
+    """Each region before and after; Ms over the limit is red, with the reason."""
     unit = escaped(data.unit)
     heads = (
         "region",
@@ -151,28 +170,64 @@ def _scores_table(data: ReportData) -> str:
             (
                 *map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
                 ms_text(s.ms_before),
-                ms_text(s.ms_after),
+                _ms_cell(s, data.ms_limit, documents),
                 "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
                 f'<span class="{mark}">{s.iae:,.0f}</span>',
             )
         )
     note = (
-        '<p class="muted">Settings in series form unless marked. Ms is the peak of the sensitivity on the true '
-        "process, the largest over the operating points visited; 1.8 is the limit.</p>"
+        "Settings in series form unless marked. Ms is the peak of the sensitivity on the true process, the largest "
+        f"over the operating points visited; the limit is {data.ms_limit:g} ([adaptation] ms_nominal)."
     )
-    return table(heads, rows) + note
+    return table(heads, rows) + paragraph(note, "muted")
+
+
+def _ms_cell(score: RegionScore, limit: float, documents: Sequence[Document]) -> str:
+    """Ms of the final gains; over the limit in red, with the reason why nothing brought it below."""
+    text = ms_text(score.ms_after)
+    if score.ms_after is None or score.ms_after <= limit:
+        return text
+    why = why_over(score, documents)
+    return f'<b class="bad">{text}, over {limit:g}</b><br><span class="small">{escaped(why)}</span>'
+
+
+def why_over(score: RegionScore, documents: Sequence[Document]) -> str:
+    """Why a region ends with Ms over its limit, as far as its decisions tell."""
+    own = [one for one in documents if words(one, "region") == score.region]
+    if not own:
+        return "no response of this region was recognised: nothing is known of its process"
+    newest = own[-1]
+    told = f"decision {int(number(newest, 'number') or 0)}: {words(newest, 'reason')}"
+    known = number(part(part(newest, "verdict"), "ms"), "nominal" if score.changes else "before")
+    seen = f"; on the process as known it was {known:.2f}" if known is not None else ""
+    changed = any(words(one, "action") == "commit" for one in own)
+    return f"{'the newest ' if changed else 'nothing was changed; the newest '}{told}{seen}"
 
 
 def _twins(data: ReportData) -> str:
     """The same step before and after, per region."""
     names = data.after.regions.names
-    images = [
-        image(twin_png(data.run, twin, names[twin.region], data.unit), f"{names[twin.region]} before and after")
-        for twin in twin_steps(data.run, data.events)
-    ]
+    images = []
+    for twin in twin_steps(data.run, data.events):
+        name = names[twin.region]
+        drawn = twin_png(data.run, data.fixed, twin, name, data.unit, commissioned=as_commissioned(data, twin))
+        images.append(image(drawn, f"{name}: with the commissioned gains and with the final ones"))
     if not images:
         return ""
-    return f'<h2>The same step, first and last time</h2><div class="twins">{"".join(images)}</div>'
+    told = "" if data.fixed is not None else paragraph("There was no run with fixed gains to compare with.", "muted")
+    return f'<h2>The same step, before and after</h2>{told}<div class="twins">{"".join(images)}</div>'
+
+
+def as_commissioned(data: ReportData, twin: Twin) -> bool:
+    """Whether the first of two equal steps ran on the commissioned gains to its end."""
+    before = data.before.gains_of(twin.region)
+    if "kp" not in data.run:
+        return False
+    part_ = slice(*twin.first)
+    return all(
+        np.allclose(data.run[name][part_], value, rtol=SAME_GAINS, atol=0.0)
+        for name, value in (("kp", before.kp), ("ki", before.ki))
+    )
 
 
 def _decisions_table(documents: Sequence[Document], paged: set[int]) -> str:

@@ -1,7 +1,7 @@
 """From the configuration to the objects of the rooms, each made in one place."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,18 +16,38 @@ from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
 from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
+from retuner.config.described import (
+    advice_only,
+    dbc_file,
+    eds_file,
+    foreign_settings,
+    held_table,
+    make_access,
+    mapping_of,
+    node_of,
+    vendor_units,
+)
+from retuner.config.foreign import UNPROVED_ORDER, DbcDeviceConfig
 from retuner.config.loading import signal_source
+from retuner.decisions.order_of_writes import OrderOfWrites
 from retuner.drivers.bus.bus import LinkSettings
-from retuner.drivers.controller.virtual_device import VirtualDeviceSettings
+from retuner.drivers.bus.link_settings import FramePort
+from retuner.drivers.controller.device_process import BusDevice
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.dbc.virtual_device import VirtualDbcDevice
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
+from retuner.drivers.host.connection import CanDevice
 from retuner.drivers.host.key_file import read_key
 from retuner.drivers.plants.boiler_plant import BoilerPlant
 from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.plants.oven_plant import OvenPlant
 from retuner.drivers.plants.plant import Plant
+from retuner.drivers.profiles.bench_loop import BenchLoop
+from retuner.drivers.profiles.foreign_device import ForeignDevice
 from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.errors import UserError
+from retuner.ledger import Recorder
 from retuner.schedule.table import GainTable
 
 REGION_ROOM = 4.0
@@ -53,8 +73,9 @@ def locks(names: Sequence[str]) -> Locks:
 
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
-    """The retuner's settings; mode overrides the configured one."""
+    """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
     a, loop = config.adaptation, config.loop
+    mode = _permitted(config, mode)
     trial = TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
@@ -82,7 +103,15 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         ),
         admission=AdmissionSettings(**a.admission.model_dump()),
         without_model=without_model_settings(config),
+        units=vendor_units(config),
     )
+
+
+def _permitted(config: Config, mode: Mode | None) -> Mode | None:
+    """The mode given for the run, or less where nothing may be written to the device."""
+    if not advice_only(config):
+        return mode
+    return min(mode or Mode(config.adaptation.mode), Mode.ADVISE, key=list(Mode).index)
 
 
 def region_modes(config: Config, mode: Mode | None = None) -> tuple[Mode | None, ...]:
@@ -102,7 +131,7 @@ def without_model_settings(config: Config) -> WithoutModelSettings:
 
 def make_retuner(config: Config, mode: Mode | None = None) -> Retuner:
     """A retuner that knows nothing yet, on the table as commissioned."""
-    return Retuner(config.gain_table(), retuner_settings(config, mode))
+    return Retuner(held_table(config), retuner_settings(config, mode))
 
 
 def make_plant(config: Config) -> Plant:
@@ -119,6 +148,11 @@ def make_plant(config: Config) -> Plant:
             "--interface and --channel of the bus that the controller hangs on"
         )
     plant, seed = config.device.plant, config.device.seed
+    if plant is None:
+        raise UserError(
+            "[device] has no plant, so it is a real one: give --interface and --channel of the bus that it hangs on, "
+            "or a [device.plant] for a virtual one"
+        )
     if isinstance(plant, OvenPlantConfig):
         return OvenPlant(plant.settings(), plant.start_c, seed)
     if isinstance(plant, BoilerPlantConfig):
@@ -220,3 +254,63 @@ def device_settings(config: Config, speed: float = 1.0) -> CanDeviceSettings:
         key=commit_key(config),
         owner=standard.owner if config.bus.interface == "virtual" else fresh_owner(),
     )
+
+
+# Which device a configuration means: the one place where the host's side of it, and a virtual one, are made.
+
+
+def make_device(
+    config: Config, link: FramePort, speed: float = 1.0, *, after_s: float | None = None, owner: int | None = None
+) -> CanDevice | ForeignDevice:
+    """The host's side of the configured device on an open link.
+
+    speed : of the far side's clock. after_s : time of the newest sample of an earlier session. owner : number in the
+    lease, where there is one; absent: as configured.
+
+    Raises
+    ------
+    ProfileError
+        A foreign device's description cannot be used.
+    """
+    foreign = config.foreign_device
+    if foreign is None:
+        settings = device_settings(config, speed)
+        return CanDevice(link, settings if owner is None else replace(settings, owner=owner), after_s)
+    access = make_access(config, foreign)
+    return ForeignDevice(
+        link, access, foreign_settings(config, foreign, access, schedule_inputs(config), speed, after_s)
+    )
+
+
+def make_far_side(config: Config, epoch: int = 1) -> BusDevice:
+    """The virtual device that the configuration describes.
+
+    Raises
+    ------
+    UserError
+        The configuration has no plant for it.
+    ProfileError
+        A foreign device's description cannot be used.
+    """
+    foreign = config.foreign_device
+    if foreign is None:
+        return VirtualDevice(virtual_device_settings(config), make_plant(config), epoch=epoch)
+    loop = BenchLoop(virtual_device_settings(config), make_plant(config))
+    mapping = mapping_of(config, foreign)
+    if isinstance(foreign, DbcDeviceConfig):
+        return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, node_of(config, foreign))
+    from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode  # noqa: PLC0415  an extra
+
+    return VirtualCanOpenNode(eds_file(config, foreign), mapping, loop)
+
+
+def prove_order(
+    config: Config, device: CanDevice | ForeignDevice, retuner: Retuner, record: Recorder, now: Callable[[], float]
+) -> None:
+    """Have a device that takes a set in several messages ask the retuner for their order. now : time of the newest
+    sample.
+    """
+    foreign, units = config.foreign_device, retuner.settings.units
+    if foreign is not None and units is not None and isinstance(device, ForeignDevice):
+        accepted = UNPROVED_ORDER in foreign.accept
+        device.choose_way = OrderOfWrites(retuner, units, record, now, unproved=accepted)

@@ -9,11 +9,13 @@ Loops on one bus share its link (shared_link.py), so each frame is read once, ho
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+
+import can
 
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
@@ -23,10 +25,8 @@ from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.bus.shared_link import LinkPort, LinkShare
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
-from retuner.drivers.controller.virtual_device import VirtualDevice
-from retuner.drivers.host.connection import CanDevice
 from retuner.experiment.runner import Bench
-from retuner.session.assembly import device_settings, link_settings, make_plant, virtual_device_settings
+from retuner.session.assembly import link_settings, make_device, make_far_side
 from retuner.session.outputs import log_of_bus
 from retuner.stopping import unstoppable
 
@@ -68,7 +68,28 @@ def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> Host
     if len(loops) == 1:
         return HostBus(link, loops, (link,))
     share = LinkShare(link)
-    return HostBus(link, loops, tuple(share.port(config.loops[i].bus.node) for i in loops))
+    foreign = [config.loops[i].foreign_device is not None for i in loops]
+    ports = (
+        share.whole() if is_foreign else share.port(config.loops[i].bus.node)
+        for i, is_foreign in zip(loops, foreign, strict=True)
+    )
+    return HostBus(link, loops, tuple(ports))
+
+
+class BenchLink(CanLink):
+    """The host's end of a bench in simulated time, on which a foreign controller answers at once, as firmware does.
+
+    Our own controller is asked and answers from sample to sample, and loses nothing by it; one that must be asked for
+    each value would never be heard in its own sample.
+    """
+
+    answering: Sequence[DeviceOnBus] = ()
+
+    def receive_all(self, limit: int = 10_000) -> list[can.Message]:
+        """What has arrived, answers to what was just asked among it."""
+        for device in self.answering:
+            device.answer()
+        return super().receive_all(limit)
 
 
 class VirtualBench(NamedTuple):
@@ -117,15 +138,23 @@ def virtual_bench(
         for bus, loops in zip(settings, config.buses, strict=True):
             far = _share(stack.enter_context(CanLink(bus, clock)), config, loops)
             for i, port in zip(loops, far.ports, strict=True):
-                one = config.loops[i]
-                devices[i] = DeviceOnBus(VirtualDevice(virtual_device_settings(one), make_plant(one)), port)
+                devices[i] = DeviceOnBus(make_far_side(config.loops[i]), port)
         periods_s = [one.loop.sample_time_s for one in config.loops]
         turn = _Turns(clock, [devices[i] for i in range(len(periods_s))], periods_s).turn
         if first is not None:
             with opened(config, settings, clock, before(log)) as buses:
+                _answer_at_once(config, buses, devices)
                 first(VirtualBench(buses, clock, turn))
         with opened(config, settings, clock, log) as buses:
+            _answer_at_once(config, buses, devices)
             yield VirtualBench(buses, clock, turn)
+
+
+def _answer_at_once(config: SessionConfig, buses: HostBuses, devices: Mapping[int, DeviceOnBus]) -> None:
+    """Have the foreign devices of a bench answer when they are asked."""
+    for bus in buses.buses:
+        if isinstance(bus.link, BenchLink):
+            bus.link.answering = [devices[i] for i in bus.loops if config.loops[i].foreign_device is not None]
 
 
 @contextmanager
@@ -144,9 +173,7 @@ def far_ends(
         for loops in config.buses:
             link = stack.enter_context(CanLink(_settings(config, loops, speed), clock))
             for i, port in zip(loops, _share(link, config, loops).ports, strict=True):
-                one = config.loops[i]
-                machine = VirtualDevice(virtual_device_settings(one), make_plant(one), epoch=epoch())
-                devices[i] = DeviceOnBus(machine, port)
+                devices[i] = DeviceOnBus(make_far_side(config.loops[i], epoch()), port)
         yield [devices[i] for i in range(len(config.loops))]
 
 
@@ -168,7 +195,7 @@ def opened(
     """
     with ExitStack() as stack:
         links = [
-            stack.enter_context(CanLink(one, clock, log_of_bus(log, number) if log else None))
+            stack.enter_context(BenchLink(one, clock, log_of_bus(log, number) if log else None))
             for number, one in enumerate(settings)
         ]
         yield HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
@@ -207,7 +234,7 @@ def simulated(config: Config, log: Path | None = None) -> Iterator[Bench]:
                 bench.turn()
             return bench.clock.now_s()
 
-        yield Bench(CanDevice(bench.buses.port(0), device_settings(config)), turn)
+        yield Bench(make_device(config, bench.buses.port(0)), turn)
 
 
 @contextmanager
@@ -221,7 +248,7 @@ def live(config: Config, speed: float, log: Path | None = None) -> Iterator[Benc
     """
     clock = MonotonicClock(speed)
     with CanLink(link_settings(config, speed), clock, log) as link:
-        device = CanDevice(link, device_settings(config, speed))
+        device = make_device(config, link, speed)
 
         def turn() -> float:
             link.wait_until(clock.now_s() + config.loop.sample_time_s / POLLS_PER_SAMPLE)

@@ -348,7 +348,7 @@ class GainWriter:
         if table.lookup != Lookup.INTERPOLATED:
             return wanted
         new = table.with_gains(wanted.region, wanted.gains)
-        return replace(wanted, gains=new.at(wanted.region, *self.retuner.scheduled))
+        return replace(wanted, gains=self.retuner.settings.held(new.at(wanted.region, *self.retuner.scheduled)))
 
     def _drop(self, reason: str) -> None:
         """A decision that waited for the wire is not written."""
@@ -392,8 +392,8 @@ class GainWriter:
 
     def _in_table(self) -> PidGains | None:
         """What the table says should run here and now."""
-        region = self.retuner.region
-        return None if region is None else self.retuner.table.at(region, *self.retuner.scheduled)
+        region, retuner = self.retuner.region, self.retuner
+        return None if region is None else retuner.settings.held(retuner.table.at(region, *retuner.scheduled))
 
     @property
     def _tolerance(self) -> float:

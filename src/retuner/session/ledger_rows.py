@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from retuner.adaptive.signals.sample import Window
-from retuner.adaptive.supervision.decision import Decision, gains_dict
-from retuner.adaptive.supervision.operator_orders import accept, approve, revert, unlock
+from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
+from retuner.adaptive.supervision.operator_orders import accept, approve, revert, set_mode, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pretune import pretune
@@ -19,6 +19,7 @@ from retuner.drivers.device import (
     CommandFailed,
     DeviceConflict,
     DeviceRestarted,
+    DeviceStopped,
     Event,
     ForeignHost,
     LeaseChanged,
@@ -32,7 +33,7 @@ from retuner.drivers.device import (
 )
 from retuner.schedule.gains import PidGains
 
-HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, VariableChanged)
+HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, DeviceStopped, VariableChanged)
 """Events after which no decision is written for a while."""
 
 
@@ -56,8 +57,8 @@ def trouble(event: Event) -> tuple[str, dict[str, object]]:
             return "conflict", {"node": event.node}
         case SamplesLost():
             return "lost", {"count": event.count}  # "samples" is the place of every row
-        case CommandFailed():
-            return "command", {"command": event.command, "reason": event.reason}
+        case CommandFailed() | DeviceStopped():
+            return "stopped" if isinstance(event, DeviceStopped) else "command", asdict(event)
         case _:
             raise TypeError(f"{type(event).__name__} is not an event that a session records")
 
@@ -71,6 +72,8 @@ def abort_cause(event: Event) -> TrialEvent | None:
             return TrialEvent.LINK_LOST
         case DeviceRestarted():
             return TrialEvent.RESTARTED
+        case DeviceStopped():
+            return TrialEvent.DEVICE_STOPPED
         case Reverted():
             return TrialEvent.DEVICE_REVERTED
         case LeaseChanged():
@@ -132,6 +135,10 @@ def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
 
 def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | None:
     """What a person ordered."""
+    if body["order"] == "mode":
+        return set_mode(
+            retuner, retuner.table.index(str(body["region"])) if body["region"] else None, Mode(body["mode"])
+        )
     region = retuner.table.index(str(body["region"]))
     match body["order"]:
         case "approve" if body["proposal"] is not None:
@@ -140,6 +147,8 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
             accept(retuner, region, t_s)
         case "revert":
             return revert(retuner, region, gains_of(body["gains"]), t_s)
+        case "reject" if body["tried"]:
+            return retuner.taken_back(region)
         case "unlock":
             unlock(retuner, region, t_s)
         case _:

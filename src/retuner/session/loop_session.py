@@ -148,6 +148,11 @@ class LoopSession:
         return self.machine.phase in {SessionPhase.SETTLED, SessionPhase.LEFT_OPEN}
 
     @property
+    def seen(self) -> bool:
+        """Whether a sample has come."""
+        return self.samples > 0
+
+    @property
     def ending(self) -> bool:
         """Whether the end has begun, and something may still be open."""
         return self.machine.phase in {SessionPhase.ENDING, SessionPhase.FAILING}

@@ -46,7 +46,7 @@ class Shown:
     """proposals : by hash. newest : hash of the newest proposal, by region. changes : by number of the decision.
     tried : region by hash of the decision that changed it. waiting : hash of the change that has passed and waits for
     a person, by region. in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row,
-    s. approved : hashes that were taken already. files : names of order files that it has dealt with.
+    s. approved, rejected : hashes that were taken already. files : names of order files that it has dealt with.
     """
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
@@ -57,6 +57,7 @@ class Shown:
     in_force: dict[str, PidGains] = field(default_factory=dict)
     last_s: float = 0.0
     approved: set[str] = field(default_factory=set)
+    rejected: set[str] = field(default_factory=set)
     files: set[str] = field(default_factory=set)
 
     def standing(self, proposal: Proposal, expires_after_s: float) -> ProposalStanding:
@@ -73,7 +74,8 @@ class Shown:
         return [
             p
             for p in self.proposals.values()
-            if p.digest not in self.approved and self.standing(p, expires_after_s) is ProposalStanding.OPEN
+            if p.digest not in self.approved | self.rejected
+            and self.standing(p, expires_after_s) is ProposalStanding.OPEN
         ]
 
 
@@ -82,9 +84,9 @@ def superseded(successor: str) -> str:
     return f"a newer proposal of its region supersedes it: {successor[:SHORT]}" if successor else ""
 
 
-def shown(rows: Iterable[Row]) -> Shown:
-    """Read it off the rows of a ledger."""
-    found = Shown()
+def shown(rows: Iterable[Row], found: Shown | None = None) -> Shown:
+    """Read it off the rows of a ledger; found : what was read off the rows before them, which is changed."""
+    found = found or Shown()
     for row in rows:
         found.last_s = max(found.last_s, row.clock_s)
         body = row.body
@@ -111,7 +113,8 @@ def _order(found: Shown, body: Mapping[str, Any]) -> None:
     """One order that was dealt with."""
     found.files.add(str(body.get("file")))
     if body.get("accepted") is True:
-        found.approved.add(str(body.get("digest")))
+        taken = found.rejected if body.get("order") == OrderKind.REJECT else found.approved
+        taken.add(str(body.get("digest")))
         if found.waiting.get(str(body.get("region"))) == body.get("digest"):
             del found.waiting[str(body["region"])]
 
@@ -190,6 +193,7 @@ class OrderDesk:
         self._before = before
         self._queue: deque[tuple[Found, Before | None]] = deque()
         self._waiting: list[Waiting] = []
+        self._rejected: set[str] = set()
 
     def take(self, t_s: float) -> tuple[Decision, ...]:
         """Take in the next order, one a turn, since each may want a write; the decision that follows, if one does."""
@@ -214,7 +218,8 @@ class OrderDesk:
             return None
         meant, reason = self._meant(found.order, before)
         body |= {**found.order.to_dict(), **meant}
-        reason = reason or self._closed(str(body["region"]))
+        if found.order.kind is not OrderKind.MODE:
+            reason = reason or self._closed(str(body["region"]))
         past_s = before.shown.last_s if before else 0.0
         order = Waiting(str(body["region"]), {**body, "accepted": not reason, "reason": reason}, past_s)
         if reason or self._is_here(order) or not (body.get("proposal") or body.get("gains")):
@@ -234,10 +239,13 @@ class OrderDesk:
             reason = (
                 str(standing)
                 if standing is not ProposalStanding.OPEN
-                else self._superseded(Proposal.from_dict(proposal))
+                else self._closed(order.region) or self._superseded(Proposal.from_dict(proposal))
             )
+            reason = "it was rejected" if body["digest"] in self._rejected else reason
             if reason:
                 body |= {"accepted": False, "reason": reason}
+        if body["accepted"] and body.get("order") == OrderKind.REJECT:
+            self._rejected.add(str(body["digest"]))
         self._record("order", t_s, body)
         return feed(self._retuner, "order", body, t_s)
 
@@ -252,6 +260,11 @@ class OrderDesk:
             return {}, before.trouble
         if order.kind is OrderKind.APPROVE:
             return self._approved(order.digest, before)
+        if order.kind is OrderKind.REJECT:
+            return self._not_wanted(order.digest, before)
+        if order.kind is OrderKind.MODE:
+            past = "it was meant for the session before this one" if before is not None else ""
+            return {}, past or (self._no_such(order.region) if order.region else "")
         if order.kind is OrderKind.REVERT:
             change = self._change(order.decision, before)
             if change is None:
@@ -278,10 +291,24 @@ class OrderDesk:
         if decision is None:
             return {"proposal": None}, f"no proposal {digest[:8]} in this session"
         proposal = Proposal.of(decision)
+        if digest in self._rejected:
+            return {"region": decision.region, "proposal": None}, "it was rejected"
         if proposal is None:
             reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
             return {"region": decision.region, "proposal": None}, reason
         return {"region": proposal.region, "proposal": proposal.to_dict()}, self._superseded(proposal)
+
+    def _not_wanted(self, digest: str, before: Before | None) -> tuple[dict[str, object], str]:
+        """A proposal that is closed, or a change that waits for a person and is taken back."""
+        if before is not None:
+            return {}, "" if digest in before.shown.proposals else f"no proposal {digest[:SHORT]} in that session"
+        decision = next((d for d in self._decisions if d.gains_after is not None and d.digest() == digest), None)
+        if decision is None:
+            return {}, f"no proposal {digest[:SHORT]} in this session"
+        if Proposal.of(decision) is not None:
+            return {"region": decision.region, "tried": False}, ""
+        reason = self._not_at(decision.region, TrialPhase.WAITING) or self._not_tried(decision)
+        return {"region": decision.region, "tried": True}, reason
 
     def _superseded(self, proposal: Proposal) -> str:
         """Why a proposal may not be taken up any more, empty unless this session has made a newer one of its region."""
@@ -303,7 +330,13 @@ class OrderDesk:
     def _closed(self, region: str) -> str:
         """Why nothing may be ordered for a region, empty when it may."""
         names = self._retuner.table.regions.names
-        if region not in names:
-            return f"there is no region {region or 'without a name'}; there are {', '.join(names)}"
+        if missing := self._no_such(region):
+            return missing
         off = self._retuner.settings.mode_of(names.index(region)) == Mode.OFF
         return f"region {region} is off: nothing is written there" if off else ""
+
+    def _no_such(self, region: str) -> str:
+        """That there is no such region, empty when there is."""
+        names = self._retuner.table.regions.names
+        known = region in names
+        return "" if known else f"there is no region {region or 'without a name'}; there are {', '.join(names)}"

@@ -1,7 +1,8 @@
 """What people want done, as files in a session's folder: orders/NAME.json, written whole, taken once.
 
     approve : write a proposal, named by its hash          revert : back to the gains before a decision, in its region
-    unlock  : let a locked-out region change again
+    unlock  : let a locked-out region change again         reject : no to a proposal, or to what was tried and waits
+    mode    : what may be done from now on, in a region or (without one) in all; off takes back what is on trial
 
 A running session looks for them at its samples; without one, the next session into the same folder finds them. A taken
 file is moved to orders/taken/, one that is no order to orders/refused/: nothing that lies there can be taken again, and
@@ -44,6 +45,13 @@ class OrderKind(StrEnum):
     APPROVE = "approve"
     REVERT = "revert"
     UNLOCK = "unlock"
+    REJECT = "reject"
+    MODE = "mode"
+
+
+HASHED = (OrderKind.APPROVE, OrderKind.REJECT)
+"""Orders that name a decision by its hash."""
+MODES = ("off", "advise", "trial", "auto")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +59,8 @@ class Order:
     """One order.
 
     by : who. at : when, UTC, as 2030-01-31T12:00:00Z. note : why, may be empty. digest : of the decision that is
-    approved. decision : number of the one that is undone with all after it in its region. region : that is unlocked.
+    approved or rejected. decision : number of the one that is undone with all after it in its region. region : that is
+    unlocked, or gets another mode (empty: all). mode : off, advise, trial or auto.
 
     Raises
     ------
@@ -66,6 +75,7 @@ class Order:
     digest: str = ""
     decision: int = 0
     region: str = ""
+    mode: str = ""
 
     def __post_init__(self) -> None:
         for name, text in (("by", self.by), ("note", self.note), ("region", self.region)):
@@ -75,8 +85,10 @@ class Order:
             raise ValueError("by is empty: an order names who gives it")
         if not MOMENT.fullmatch(self.at):
             raise ValueError("at must be a moment in UTC, as 2030-01-31T12:00:00Z")
-        if self.kind is OrderKind.APPROVE and not HASH.fullmatch(self.digest):
+        if self.kind in HASHED and not HASH.fullmatch(self.digest):
             raise ValueError("digest must be the 64 hexadecimal digits of the proposal's hash")
+        if (self.mode in MODES) != (self.kind is OrderKind.MODE) or (self.mode and self.mode not in MODES):
+            raise ValueError(f"mode must be one of {', '.join(MODES)} in an order of a mode, and empty in any other")
         if not (self.kind is OrderKind.REVERT) <= self.decision <= MOST_DECISIONS:
             raise ValueError("decision must be the number of a decision, 1 or more")
         if self.kind is OrderKind.UNLOCK and not self.region:
@@ -92,6 +104,7 @@ class Order:
             "digest": self.digest,
             "decision": self.decision,
             "region": self.region,
+            **({"mode": self.mode} if self.mode else {}),
         }
 
     @classmethod
@@ -104,6 +117,8 @@ class Order:
             A field is missing, unknown, or no value of its kind.
         """
         known = {"order": str, "by": str, "at": str, "note": str, "digest": str, "decision": int, "region": str}
+        if body.get("order") == OrderKind.MODE:
+            known["mode"] = str
         if set(body) != set(known):
             raise ValueError(f"fields must be {', '.join(known)}")
         for name, kind in known.items():
@@ -119,6 +134,7 @@ class Order:
             body["digest"],
             body["decision"],
             body["region"],
+            body.get("mode", ""),
         )
 
 

@@ -1,6 +1,6 @@
 """What a run leaves in its folder: config.toml (as it was run), ledger.sqlite, bus.blf, trend, gains.toml,
-summary.json and report.html; on a real bus memory.json (memory_file.py); and orders/, into which people's orders to it
-are put (orders.py).
+summary.json and report.html; live-1.bin, where it can be watched from outside; on a real bus memory.json
+(memory_file.py); and orders/, into which people's orders to it are put (orders.py).
 
 A session of several loops has a folder for each of them in loops/, with the loop's trend, gains, report, memory and
 orders. Configuration, ledger, bus logs, summary and a report that leads to theirs stand in the session's own folder.
@@ -29,6 +29,7 @@ LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, TREND, CONFIG = (
 )
 MEMORY, MEMORY_BEFORE, MEMORY_START = "memory.json", "memory-before.json", "memory-start.json"
 ORDERS = "orders"
+LIVE = "live"
 LOOPS = "loops"
 LOG_NAME = re.compile(r"(?:pretune-)?bus(?:_[0-9]+)?(?:-[0-9]+)?\.blf")
 """Logs of buses and their parts."""
@@ -43,6 +44,16 @@ def loop_folder(session: Path, loop: str) -> Path:
 def log_of_bus(log: Path, number: int) -> Path:
     """The log of a session's bus, from that of its first one: bus.blf, bus_2.blf, ... number : of the bus, from 0."""
     return log.with_name(f"{log.stem}_{number + 1}{log.suffix}") if number else log
+
+
+def live_file(folder: Path, number: int) -> Path:
+    """Where a session's loop of this number, from 1, can be watched from outside (live_view/live_file.py)."""
+    return folder / f"{LIVE}-{number}.bin"
+
+
+def is_live_file(path: Path) -> bool:
+    """Whether a file has such a name."""
+    return path.name.startswith(f"{LIVE}-") and path.suffix == ".bin"
 
 
 class FreshFolder(NamedTuple):
@@ -90,7 +101,8 @@ def give_back(fresh: FreshFolder) -> None:
         lock = WriterLock(fresh.path / LEDGER)
         try:
             for path in fresh.path.iterdir():
-                if LOG_NAME.fullmatch(path.name) or path.name in OURS or path.name.startswith(f"{LEDGER}-"):
+                ours = path.name in OURS or LOG_NAME.fullmatch(path.name) or is_live_file(path)
+                if ours or path.name.startswith(f"{LEDGER}-"):
                     path.unlink()
             if (fresh.path / LOOPS).is_dir():
                 _clear_loops(fresh.path / LOOPS)

@@ -7,7 +7,6 @@ bench.py says what the places are like; here the session is put together there, 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,10 +19,9 @@ from retuner.decisions.shared_workers import DecisionWorkers
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
-from retuner.drivers.host.connection import CanDevice
 from retuner.errors import LedgerError, UserError
 from retuner.ledger import Recorder, Row
-from retuner.session.assembly import device_settings, make_retuner, retuner_settings
+from retuner.session.assembly import device_settings, make_device, make_retuner, prove_order, retuner_settings
 from retuner.session.bench import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
 from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
@@ -110,13 +108,13 @@ class _Loop:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
         remembered, why_not = self._recalled() if remember else (None, "")
-        device = CanDevice(
-            port, device_settings(self.config, speed), remembered.last_s if remembered is not None else None
-        )
+        after_s = remembered.last_s if remembered is not None else None
+        device = make_device(self.config, port, speed, after_s=after_s)
         retuner = remembered.retuner if remembered is not None else make_retuner(self.config, self._run.mode)
         player = ScenarioPlayer(self.config.scenario)
         session = LoopSession(device, retuner, player, self.record, self._sampled, decider)
         self.session = self.record.loop = session
+        prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -132,8 +130,7 @@ class _Loop:
         if self.pretuning is None:
             return
         settings = device_settings(self.config, speed)
-        settings = replace(settings, owner=settings.owner % OWNERS + 1)  # its lease is counted by itself
-        device = CanDevice(port, settings)
+        device = make_device(self.config, port, speed, owner=settings.owner % OWNERS + 1)  # its lease counts by itself
 
         def turned() -> float:
             turn()

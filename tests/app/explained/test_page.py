@@ -198,7 +198,7 @@ def test_one_line_says_the_same_in_short() -> None:
 
 def test_the_circle_is_the_guards_limit() -> None:
     assert ms_limit(view()) == 1.75
-    assert ms_limit(view(changed(verdict={"checks": [{"name": "ms_nominal", "limit": 0.5}]}))) == 1.8
+    assert ms_limit(view(changed(verdict={"checks": [{"name": "ms_nominal", "limit": 0.5}]}))) == 1.75
 
 
 ODD = st.one_of(

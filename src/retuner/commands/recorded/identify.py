@@ -8,13 +8,24 @@ from typing import Annotated
 
 import typer
 
-from retuner.api import Identification, identify_record
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.signals.sample import Window
+from retuner.api import (
+    NO_STRETCH,
+    Identification,
+    RegionIdentification,
+    diagnose_record,
+    identify_by_region,
+    identify_record,
+)
 from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
 from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
-from retuner.errors import user_input
+from retuner.errors import UserError, user_input
 from retuner.files import write_whole
+from retuner.schedule.gains import PidGains
 from retuner.tuning import tuning_lines
 
 app = typer.Typer(add_completion=False)
@@ -24,7 +35,9 @@ app = typer.Typer(add_completion=False)
 class IdentifyOptions(RecordOptions):
     """Find the process behind a record: model, standard deviations, and the settings that follow."""
 
-    open_loop: Annotated[bool, typer.Option("--open-loop", help="A step in manual that begins at rest.")] = False
+    open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
+    region_by: Annotated[str, typer.Option(help="A model for each region of pv, sp or co; needs --bounds.")] = ""
+    bounds: Annotated[str, typer.Option(help="Borders of the regions, increasing: 20,40,60.")] = ""
 
 
 @app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
@@ -42,20 +55,73 @@ def identify(options: IdentifyOptions) -> int:
     recording = read.recording
     require_excitation(recording)
     require_length(recording)
+    if options.region_by or options.bounds:
+        return _by_region(recording, read.assumed, gains, options)
     with user_input(recording.source):
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )
+        other = None if found.settings is None else _otherwise(recording.window(), gains, options)
     if options.plot is not None:
         write_whole(options.plot, _picture(recording, found, options))
     tell_assumed(read.assumed, options)
     if options.as_json:
-        sys.stdout.write(
-            json.dumps({**found.to_dict(), "assumed": [a.what for a in read.assumed]}, indent=2, allow_nan=False) + "\n"
-        )
+        said = {"diagnosis": None if other is None else other.to_dict(), "assumed": [a.what for a in read.assumed]}
+        sys.stdout.write(json.dumps(found.to_dict() | said, indent=2, allow_nan=False) + "\n")
     else:
-        sys.stdout.write("\n".join(described(found)) + "\n")
+        sys.stdout.write("\n".join([*described(found), *_contradiction(other)]) + "\n")
     return 0 if found.estimate.identifiable else 1
+
+
+def _by_region(
+    recording: Recording, assumed: tuple[Assumption, ...], gains: PidGains | None, options: IdentifyOptions
+) -> int:
+    """Identify and show each region by itself; the exit status: 0, or 1 when one of them is not known."""
+    window = recording.window()
+    signals = {"pv": window.pv, "sp": window.sp, "co": window.co}
+    if options.region_by not in signals or options.plot is not None:
+        raise UserError(
+            f"--region-by {options.region_by or 'nothing'}: give pv, sp or co, with --bounds, without --plot"
+        )
+    limits = {"co_min": options.co_min, "co_max": options.co_max}
+    with user_input(f"{recording.source}, --bounds {options.bounds}"):
+        bounds = [float(text) for text in options.bounds.split(",")]
+        by = signals[options.region_by]
+        found = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)
+    tell_assumed(assumed, options)
+    if options.as_json:
+        document = {"regions": [region.to_dict() for region in found], "assumed": [a.what for a in assumed]}
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    else:
+        sys.stdout.write("\n".join(line for region in found for line in _region_lines(region, options)) + "\n")
+    return 0 if all(region.found is not None and region.found.estimate.identifiable for region in found) else 1
+
+
+def _region_lines(region: RegionIdentification, options: IdentifyOptions) -> list[str]:
+    """One region in lines."""
+    title = f"{options.region_by} {region.low:g} to {region.high:g}, {region.samples} samples: "
+    if region.found is None:
+        return [f"{title}NOT identifiable: {NO_STRETCH}"]
+    first, *lines = described(region.found)
+    return [title + first, *lines]
+
+
+def _otherwise(window: Window, gains: PidGains | None, options: IdentifyOptions) -> Diagnosis | None:
+    """What diagnose says of the same record, where it does not call it a matter of tuning."""
+    if options.open_loop:
+        return None
+    told = diagnose_record(window, gains=gains, co_min=options.co_min, co_max=options.co_max).diagnosis
+    return None if told.cause in {Cause.OK, *TUNING_CAUSES} else told
+
+
+def _contradiction(other: Diagnosis | None) -> list[str]:
+    """That diagnosis sees more in the record than a process, so that nobody takes the settings for a cure."""
+    if other is None:
+        return []
+    return [
+        f"but retuner diagnose says {str(other.cause).replace('_', ' ').upper()} of this record: {other.reason}",
+        "  settings cure only what is tuning: clear this up first",
+    ]
 
 
 def process_lines(found: Identification) -> list[str]:
@@ -77,7 +143,10 @@ def described(found: Identification) -> list[str]:
     if estimate.load_times_s:
         lines.append("  load steps at " + ", ".join(f"{t:.4g} s" for t in estimate.load_times_s))
     if found.settings is not None:
-        lines += ["settings that follow:", *tuning_lines(found.settings)]
+        title = "settings that follow:" if found.aim is None else f"settings for a first step ({found.step_reason}):"
+        lines += [title, *tuning_lines(found.settings)]
+    if found.aim is not None:
+        lines += ["the aim behind it, for after the next record:", *tuning_lines(found.aim)]
     if found.margins_in_force is not None:
         m = found.margins_in_force
         lines.append(

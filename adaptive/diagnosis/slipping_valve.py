@@ -1,0 +1,392 @@
+"""A valve that sticks over another band at every stop: slips at free times, each towards where co has gone.
+
+    at rest     the valve stands, y constant, however far co goes
+    slip        at row t_i it comes loose and goes most of the way to co, the same share of it every time:
+                    y_i = (1 - r) u(t_i) + r y_(i-1),      r = f_d / f_s = (S_i - J_i) / (S_i + J_i)
+    going on    it follows co at that distance until co stops or turns
+
+Kano's and He's valves (rival_fits.py) are special cases: there t_i is when co has gone a fixed band. Here t_i is free
+and costs a parameter, so the band S_i = |u(t_i) - y_(i-1)| 2 / (1 + r) may differ from stop to stop, and where a record
+holds a dozen slips their times are looked for one by one. A slip away from co is impossible, and its size is not free:
+that sets it apart from load steps, which cost more and may do anything.
+
+Where the slips are is first seen from pv alone: as steps through two lags, co left out of it altogether, found one by
+one (orthogonal least squares, Chen, Billings & Luo 1989) and refined together with the lags; and from co, which a slip
+turns round. Then the law takes the place of free sizes, and times, share and process are refined in turn until nothing
+helps.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.diagnosis.rival_fits import WHITE
+from retuner.adaptive.fit.dynamics import Dynamics
+from retuner.adaptive.fit.misfit import LOAD_COST, USEFUL, Misfit
+from retuner.adaptive.fit.refine import refine
+from retuner.adaptive.fit.structure import SLOPE, THETA
+from retuner.adaptive.identification.candidate import MODEL_ERROR, Candidate, Seen, judged
+from retuner.adaptive.identification.loads import improved
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+Rows = npt.NDArray[np.int64]
+
+MOST_SLIPS = 24
+"""More slips than this in one record are a regular cycle, or noise."""
+TURN_SHARE = 0.08
+"""co turns where it goes back by this share of its range, and by four times its noise."""
+TURN_NOISE = 4.0
+SECOND_DIFFERENCE_TO_SIGMA = 1.65
+"""Median of the absolute second differences of white noise, over its standard deviation."""
+LAGS_PER_PERIOD = (0.03, 0.1, 0.3, 1.0, 10.0)
+THETAS_PER_PERIOD = (0.01, 0.05, 0.12, 0.22)
+"""Dynamics tried with the turns of co, as shares of the period that they make."""
+LATE = (0.0, 0.5, 1.0, 2.0)
+"""How long after a slip co turns, in units of the dead time and a tenth of the lag."""
+STEP_ROWS = 400
+"""Rows on which the steps are looked for at first."""
+LAGS = tuple(np.geomspace(0.5, 280.0, 9).tolist())
+"""Lags tried there, in rows."""
+SECOND_SHARES = (0.0, 0.2)
+"""Second lags tried, as shares of the sum of both."""
+THETAS = (0.3, 1.0, 2.0, 3.5, 6.0, 10.0, 16.0, 25.0, 40.0)
+"""Dead times tried, in samples."""
+SHARES = (0.0, 0.3, 0.6)
+"""r tried at first."""
+FINE_SHARES = (-0.15, -0.05, -0.02, 0.02, 0.05, 0.15)
+"""Steps of r."""
+HIGHEST_SHARE, LOWEST_SHARE = 0.98, -0.3
+STARTS = tuple(i / 4 for i in range(-4, 5))
+"""Places where the valve may stand first, in units of the usual distance that makes it slip."""
+MOVES = (-16, -6, -2, -1, 1, 2, 6, 16)
+"""Rows by which a slip is moved."""
+TRIED = 40
+"""Rows at which one more slip is tried."""
+ROUNDS = 5
+"""Rounds of moving, adding and refining at the most."""
+FEWEST_SLIPS = 3
+"""Fewer tell no law."""
+UNIQUE = 1e-6
+"""A step of which less than this share is not explained by the others is no further one."""
+ENOUGH = 1.0
+"""A round must lower the criterion by this."""
+SLIP_COST = 2
+"""A slip counts as so many unknowns: its time, and one for having been looked for everywhere."""
+OWN_UNKNOWNS = 2
+"""r, and where the valve stands first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slips:
+    """When a valve slips, and how far. rows : of the slips, ascending. share : r above. first : y before them all."""
+
+    rows: tuple[int, ...]
+    share: float
+    first: float
+
+
+@dataclass(frozen=True, slots=True)
+class Slipping:
+    """A slipping valve that explains a record. criterion : with the slips counted in; fit's own does not know of them.
+
+    travel : of co while the valve stands, in units of co's range. bands : |u - y| before every slip, units of co.
+    """
+
+    slips: Slips
+    fit: Candidate
+    criterion: float
+    travel: float
+    bands: tuple[float, ...]
+
+
+class Co:
+    """The recorded co, and how long it keeps going from every row."""
+
+    def __init__(self, u: FloatArray) -> None:
+        self.u = u
+        self._stops = {way: _stops(way * np.diff(u)) for way in (1, -1)}
+
+    def position(self, slips: Slips) -> FloatArray:
+        """Where the valve is, shape (n,)."""
+        u, y = self.u, slips.first
+        out = np.full(len(u), y)
+        for at, until in zip(slips.rows, (*slips.rows, len(u))[1:], strict=True):
+            apart = float(u[at]) - y
+            stop = min(int(self._stops[1 if apart > 0 else -1][at]), until)
+            out[at:stop] = u[at:stop] - slips.share * apart
+            y = float(out[stop - 1])
+            out[stop:until] = y
+        return out
+
+    def turns(self) -> list[int]:
+        """Rows at which it turns round, and then goes back by more than its noise and a share of its range."""
+        u = self.u
+        noise = float(np.median(np.abs(np.diff(u, 2)))) / SECOND_DIFFERENCE_TO_SIGMA
+        least = max(TURN_SHARE * float(np.ptp(u)), TURN_NOISE * noise)
+        found: list[int] = []
+        high = low = 0
+        way = 0
+        for i, value in enumerate(u.tolist()):
+            high, low = (i if value > u[high] else high), (i if value < u[low] else low)
+            if way >= 0 and u[high] - value > least:
+                found.append(high)
+                way, low = -1, i
+            elif way <= 0 and value - u[low] > least:
+                found.append(low)
+                way, high = 1, i
+        return [row for row in found if row]
+
+    def bands(self, slips: Slips) -> FloatArray:
+        """How far co was from the valve when it slipped."""
+        rows = np.array(slips.rows, dtype=np.int64)
+        before = self.position(slips)[np.maximum(rows - 1, 0)]
+        return np.abs(self.u[rows] - before)
+
+
+def _stops(rises: FloatArray) -> Rows:
+    """For every row, the first one after it at which co no longer goes that way."""
+    n = len(rises) + 1
+    still = np.append(np.flatnonzero(rises <= 0) + 1, n)
+    return np.asarray(still[np.searchsorted(still, np.arange(n), side="right")] if n else still, dtype=np.int64)
+
+
+def slipping(linear: Candidate, most_loads: int) -> Slipping | None:
+    """The best explanation by a slipping valve, load steps beside it; None where pv does not consist of steps.
+
+    linear : the explanation by the loop itself.
+    """
+    record = linear.fit.misfit.record
+    misfit = replace(
+        linear.fit.misfit, type=ProcessType.FOPDT, loads=0, sigma=record.noise_std, ar=(), ramp=False, rounded=False,
+        harmonics=0, most_order=WHITE,
+    )  # fmt: skip
+    co, found = Co(record.co), []
+    steps = as_steps(misfit)
+    if steps is not None:
+        found.append(min(_from_steps(replace(misfit, type=steps.type), co, steps), key=_cost, default=None))
+    turns = co.turns()
+    if FEWEST_SLIPS <= len(turns) <= MOST_SLIPS:
+        found.append(min(_from_turns(misfit, co, turns), key=_cost, default=None))
+    settled = [_settled(start, co) for start in found if start is not None]
+    best = min(settled, key=lambda s: s.criterion, default=None)
+    return None if best is None else _with_loads(best, most_loads)
+
+
+def _with_loads(at: Slipping, most: int) -> Slipping:
+    """The same with load steps, where they pay."""
+    fit = improved(at.fit, most, Seen([at.fit]))
+    return replace(at, fit=fit, criterion=at.criterion + fit.criterion - at.fit.criterion)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a search begins. left : sum of squares there. x : parameters of the process."""
+
+    left: float
+    misfit: Misfit
+    slips: Slips
+    x: FloatArray
+
+
+def _cost(start: Start) -> float:
+    return start.left
+
+
+def _from_turns(misfit: Misfit, co: Co, turns: Sequence[int]) -> Iterator[Start]:
+    """Slips a fixed time before every turn of co, for lags, dead times and shares on a grid."""
+    dt = misfit.record.sample_time_s
+    period_s = 2 * dt * (turns[-1] - turns[0]) / (len(turns) - 1)
+    for lag in (max(part * period_s, dt) for part in LAGS_PER_PERIOD):
+        for theta in (max(part * period_s, dt / 2) for part in THETAS_PER_PERIOD):
+            for late in sorted({round(part * (theta + 0.1 * lag) / dt) for part in LATE}):
+                rows = tuple(sorted({max(turn - late, 1) for turn in turns}))
+                yield from _with_shares(misfit, co, rows, np.log([1.0, theta, lag]))
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSteps:
+    """pv as steps through one lag or two.
+
+    type : of the process. x : its parameters, gain and dead time without meaning. times_s : of the steps, dead time
+    included.
+    """
+
+    type: ProcessType
+    x: FloatArray
+    times_s: FloatArray
+
+
+def as_steps(misfit: Misfit) -> FreeSteps | None:
+    """The best description of pv by steps of a process that co does not move."""
+    record = misfit.record
+    n = -(-len(record.pv) // STEP_ROWS)
+    pv = record.pv[: len(record.pv) // n * n].reshape(-1, n).mean(axis=1)
+    dt = n * record.sample_time_s
+    found = [(*_greedy(pv, lag, second), lag, second) for lag in LAGS for second in SECOND_SHARES]
+    _, rows, lag, second = min(found, key=lambda f: f[0])
+    if len(rows) < FEWEST_SLIPS:
+        return None
+    type_ = ProcessType.SOPDT if second else ProcessType.FOPDT
+    x = [0.0, math.log(dt), math.log(lag * dt)] + ([math.log(second * lag * dt)] if second else [])
+    free = replace(misfit, type=type_, loads=len(rows), co=np.zeros(len(record.pv)))
+    fit = refine(free, np.array(x + [(row + 0.5) * dt for row in sorted(rows)]))
+    return FreeSteps(type_, fit.x, np.sort(fit.p[len(fit.x) :]))
+
+
+def _greedy(pv: FloatArray, lag: float, second: float) -> tuple[float, list[int]]:
+    """Rows of the steps that pay, and the criterion. lag : in rows. second : share of it that is a second lag."""
+    n = len(pv)
+    dynamics, rows = Dynamics(second * lag, 1 / lag), np.arange(n)
+    middle = np.asarray(rows + 0.5, dtype=np.float64)
+    rise = dynamics.step(middle)
+    since = rows[:, None] - rows[None, 1:]
+    steps = np.where(since >= 0, rise[np.maximum(since, 0)], 0.0)
+    basis, _ = np.linalg.qr(np.stack([np.ones(n), rise, dynamics.impulse(middle)][: 3 if second else 2], axis=1))
+    left = pv - basis @ (basis.T @ pv)
+    whole = np.einsum("ij,ij->j", steps, steps)
+    along, free = left @ steps, whole - np.sum((basis.T @ steps) ** 2, axis=0)
+    found: list[int] = []
+    best, kept = n * math.log(float(left @ left) / n), 0
+    while len(found) < MOST_SLIPS:
+        usable = free > UNIQUE * whole
+        j = int(np.argmax(np.where(usable, along**2 / np.where(usable, free, 1.0), 0.0)))
+        new = steps[:, j] - basis @ (basis.T @ steps[:, j])
+        if not usable[j] or not float(new @ new) > 0:
+            break
+        new /= np.linalg.norm(new)
+        basis, taken, told = np.column_stack([basis, new]), float(new @ left), new @ steps
+        left, along, free = left - taken * new, along - taken * told, free - told**2
+        found.append(j)
+        now = n * math.log(max(float(left @ left), 1e-300) / n) + LOAD_COST * len(found) * math.log(n)
+        if now < best:
+            best, kept = now, len(found)
+    return best, found[:kept]
+
+
+def _from_steps(misfit: Misfit, co: Co, steps: FreeSteps) -> Iterator[Start]:
+    """Slips a dead time before every step of pv, for dead times and shares on a grid."""
+    dt, n = misfit.record.sample_time_s, len(misfit.record.pv)
+    for theta in (dt * rows for rows in THETAS):
+        rows = np.unique(np.clip(np.round((steps.times_s - theta) / dt), 1, n - 1).astype(int))
+        x = steps.x.copy()
+        x[SLOPE], x[THETA] = 0.0, math.log(theta)
+        yield from _with_shares(misfit, co, tuple(rows.tolist()), x)
+
+
+def _with_shares(misfit: Misfit, co: Co, rows: tuple[int, ...], x: FloatArray) -> Iterator[Start]:
+    """The same slips with every share."""
+    y, q = misfit.record.pv, _basis(misfit, x)
+    free = y - q @ (q.T @ y)
+    for share in SHARES:
+        slips = Slips(rows, share, float(co.u[0]))
+        gain, left = _projected(free, q, replace(misfit, co=co.position(slips)).moved(x))
+        if gain > 0:
+            yield Start(left, misfit, slips, np.concatenate([[math.log(gain)], x[1:]]))
+
+
+def _basis(misfit: Misfit, x: FloatArray) -> FloatArray:
+    """Orthonormal basis of what is not the valve: bias and start."""
+    columns, _ = misfit.columns(x)
+    q, r = np.linalg.qr(columns)
+    size = np.abs(np.diag(r))
+    return np.asarray(q[:, size > USEFUL * np.max(size)], dtype=np.float64)
+
+
+def _projected(free: FloatArray, q: FloatArray, moved: FloatArray) -> tuple[float, float]:
+    """Gain of what the valve moves, and what it leaves. free : pv outside the basis q."""
+    column = moved - q @ (q.T @ moved)
+    size, whole = float(column @ column), float(free @ free)
+    if not size > 1e-12 * float(moved @ moved):
+        return 0.0, whole
+    gain = float(column @ free) / size
+    return gain, whole - gain * gain * size
+
+
+class Trial:
+    """Slips tried with the process held: what they leave, price of the slips included."""
+
+    def __init__(self, fit: Candidate, co: Co) -> None:
+        self._misfit, self._p, self._co = fit.fit.misfit, fit.fit.p, co
+        self._q = _basis(self._misfit, self._p)
+        y = self._misfit.record.pv
+        self._free = y - self._q @ (self._q.T @ y)
+        self._error = (MODEL_ERROR * self._misfit.record.pv_range) ** 2
+
+    def cost(self, slips: Slips) -> float:
+        """The criterion, up to a constant."""
+        gain, left = _projected(self._free, self._q, replace(self._misfit, co=self._co.position(slips)).moved(self._p))
+        n = len(self._free)
+        if gain <= 0:
+            return math.inf
+        return n * math.log(max(left, 0.0) / n + self._error) + SLIP_COST * len(slips.rows) * math.log(n)
+
+    def best(self, at: Slips, found: Iterator[Slips]) -> Slips:
+        """The best of them, or what there was."""
+        cost = self.cost(at)
+        for slips in found:
+            tried = self.cost(slips)
+            if tried < cost - 1e-9:
+                at, cost = slips, tried
+        return at
+
+
+def _settled(start: Start, co: Co) -> Slipping:
+    """Slips and process refined in turn, until neither helps."""
+    best = _explained(start.misfit, co, start.slips, start.x)
+    for _ in range(ROUNDS):
+        trial = Trial(best.fit, co)
+        slips = _varied(trial, best.slips, co)
+        after = _explained(best.fit.fit.misfit, co, slips, best.fit.fit.p)
+        if after.criterion > best.criterion - ENOUGH:
+            break
+        best = after
+    return best
+
+
+def _varied(trial: Trial, at: Slips, co: Co) -> Slips:
+    """Shares, starts and times in turn, then a slip less and one more where they pay."""
+    typical = float(np.median(co.bands(at))) if at.rows else 0.0
+    shares = [at.share + step for step in FINE_SHARES if LOWEST_SHARE <= at.share + step <= HIGHEST_SHARE]
+    at = trial.best(at, (replace(at, share=share) for share in shares))
+    at = trial.best(at, (replace(at, first=float(co.u[0]) + part * typical) for part in STARTS))
+    for i in range(len(at.rows)):
+        at = trial.best(at, _moved(at, i, len(co.u)))
+    for row in at.rows:
+        at = trial.best(at, iter([replace(at, rows=tuple(r for r in at.rows if r != row))]))
+    while len(at.rows) < MOST_SLIPS:
+        more = trial.best(at, _with_one_more(at, len(co.u)))
+        if more is at:
+            return at
+        at = more
+    return at
+
+
+def _moved(at: Slips, which: int, n: int) -> Iterator[Slips]:
+    """One slip earlier or later, between its neighbours."""
+    low = at.rows[which - 1] if which else 0
+    high = at.rows[which + 1] if which + 1 < len(at.rows) else n
+    for move in MOVES:
+        row = at.rows[which] + move
+        if low < row < high:
+            yield replace(at, rows=(*at.rows[:which], row, *at.rows[which + 1 :]))
+
+
+def _with_one_more(at: Slips, n: int) -> Iterator[Slips]:
+    """One slip more."""
+    for row in np.linspace(1, n - 1, TRIED).astype(int).tolist():
+        if row not in at.rows:
+            yield replace(at, rows=tuple(sorted((*at.rows, row))))
+
+
+def _explained(misfit: Misfit, co: Co, slips: Slips, p: FloatArray) -> Slipping:
+    """The process refined for given slips."""
+    position = co.position(slips)
+    found = judged(refine(replace(misfit, co=position), p))
+    price = (OWN_UNKNOWNS + SLIP_COST * len(slips.rows)) * math.log(len(position))
+    stands = np.diff(position) == 0
+    travel = float(np.sum(np.abs(np.diff(co.u))[stands])) / (misfit.record.co_range or 1.0)
+    return Slipping(slips, found, found.criterion + price, travel, tuple(co.bands(slips).tolist()))

@@ -1,0 +1,67 @@
+"""Settings from the bound that a record does give: a lag whose dead time is too short to be seen.
+
+A process sampled too coarsely shows its gain and its lag, and of its dead time only that it is shorter than the
+sampling interval. That is a bound. With the dead time at the bound the settings are robust on whatever lies below it,
+and slower than they need be: how much is known only by sampling faster.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.structure import THETA
+from retuner.adaptive.identification.estimate import LogModel, ModelEstimate, gain_spread
+from retuner.adaptive.identification.identify import (
+    FEWEST_SAMPLES_IN_THETA,
+    WANTED_SAMPLES_IN_THETA,
+    FitSettings,
+    unexplained,
+)
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.signals.sample import Window
+
+LEAST_LAG = 0.5
+"""Sampling intervals in a lag that shows itself; a shorter one is no more known than the dead time, and where there is
+none at all (an integrating process) the gain would rest on the bound alone."""
+
+
+def bounded(window: Window, estimate: ModelEstimate, settings: FitSettings) -> ModelEstimate:
+    """The estimate with a dead time of one sampling interval, where that is all that it lacks; else as it is."""
+    dt, model = window.sample_time_s, estimate.log.model()
+    limit = FEWEST_SAMPLES_IN_THETA * dt
+    short = without_second_lag(model)
+    if estimate.identifiable or short.theta_s >= limit or short.tau1_s < LEAST_LAG * dt:
+        return estimate
+    if estimate.is_contested(settings.apart_limit) or estimate.explained < settings.explained_limit:
+        return estimate
+    explained_std = float(np.std(window.pv)) * math.sqrt(estimate.explained)
+    if unexplained(estimate.residual_std, explained_std, Record.of(window), settings):
+        return estimate
+    log = _at_bound(estimate.log, limit)
+    around = tuple(Plausible(_late(p.model, limit), p.excess) for p in estimate.plausible)
+    if max(log.gain_uncertainty(dt), gain_spread(around, dt)) > settings.gain_std_limit:
+        return estimate
+    reason = (
+        f"{log.type} with a dead time too short to be seen: it counts as the sampling interval of {dt:.3g} s, which is "
+        f"its bound; quicker settings need at least {WANTED_SAMPLES_IN_THETA} samples in it"
+    )
+    best = replace(estimate.best, log=log)
+    alternatives = (best, *estimate.alternatives[1:])
+    return replace(estimate, identifiable=True, reason=reason, alternatives=alternatives, plausible=around)
+
+
+def _late(model: ProcessModel, limit_s: float) -> ProcessModel:
+    """The model with an effective dead time of at least the limit."""
+    return replace(model, theta_s=model.theta_s + max(limit_s - without_second_lag(model).theta_s, 0.0))
+
+
+def _at_bound(log: LogModel, limit_s: float) -> LogModel:
+    """The estimate with its dead time at the bound, which is no estimate and has no spread of its own."""
+    x, p = log.x.copy(), log.p.copy()
+    x[THETA] = math.log(_late(log.model(), limit_s).theta_s)
+    p[THETA, :] = p[:, THETA] = 0.0
+    return replace(log, x=x, p=p)

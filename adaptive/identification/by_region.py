@@ -1,0 +1,96 @@
+"""A record cut at borders of a signal, and a model for each region that it passes through.
+
+A level whose gain rises with the level, a heat exchanger over its flow: one model for the whole record is wrong
+everywhere. What lies within two borders without a break is a stretch. The stretches of a region are joined, not
+averaged: each is fitted with what the others have shown as its prior (the iterated extended Kalman update, Bell &
+Cathey 1993), the one in which co and pv move most first.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.identification.estimate import ModelEstimate
+from retuner.adaptive.identification.identify import FitSettings, identify_window
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+FEWEST_SAMPLES = 40
+"""A shorter stretch shows no dynamics beside its start and its noise."""
+CROSSED = 3.0
+"""A border is crossed when the signal is beyond it by so many standard deviations of its noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionRecord:
+    """What a record holds of one region. low, high : its borders, infinite at the ends. stretches : of the record."""
+
+    low: float
+    high: float
+    stretches: tuple[Window, ...]
+
+
+def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[RegionRecord, ...]:
+    """The record cut at borders, the lowest region first.
+
+    Parameters
+    ----------
+    window : the record. by : the signal that the borders are of, shape (n,). bounds : the borders, increasing.
+
+    Raises
+    ------
+    ValueError
+        No border, one that is not finite, or they do not increase.
+    """
+    edges = np.asarray(bounds, dtype=np.float64)
+    if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0):
+        raise ValueError(f"borders {', '.join(f'{b:g}' for b in bounds) or 'none'}: give finite ones that increase")
+    at = _places(by, edges, CROSSED * noise_sigma(by))
+    cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(at)]
+    ends = [-math.inf, *edges.tolist(), math.inf]
+    stretches: list[list[Window]] = [[] for _ in ends[1:]]
+    for first, end in pairwise(cuts):
+        if end - first >= FEWEST_SAMPLES:
+            stretches[at[first]].append(_part(window, first, end))
+    return tuple(RegionRecord(ends[i], ends[i + 1], tuple(found)) for i, found in enumerate(stretches))
+
+
+def identify_region(record: RegionRecord, sign: int | None, settings: FitSettings) -> ModelEstimate | None:
+    """The process in one region; None where no stretch of it moves.
+
+    sign : of the process gain, where it is known.
+    """
+    moving = [w for w in record.stretches if np.ptp(w.pv) > 0 and np.ptp(w.co) > 0]
+    found: ModelEstimate | None = None
+    for window in sorted(moving, key=_excitation, reverse=True):
+        priors = None if found is None else {a.log.type: a.log for a in found.alternatives}
+        found = identify_window(window, sign, priors, settings)
+        sign = found.log.sign
+    return found
+
+
+def _excitation(window: Window) -> float:
+    """Travel of pv over its noise."""
+    record = Record.of(window)
+    return record.pv_range / record.noise_std
+
+
+def _places(by: FloatArray, edges: FloatArray, margin: float) -> list[int]:
+    """The region of every sample; noise at a border changes none."""
+    now = int(np.searchsorted(edges, by[0], side="right"))
+    found = []
+    for value in by.tolist():
+        above = int(np.searchsorted(edges, value - margin, side="right"))
+        below = int(np.searchsorted(edges, value + margin, side="right"))
+        now = max(now, above) if above > now else min(now, below)
+        found.append(now)
+    return found
+
+
+def _part(window: Window, first: int, end: int) -> Window:
+    """Rows of a record."""
+    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)))

@@ -1,0 +1,263 @@
+"""A CANopen node: gains and setpoint by SDO with their acknowledges, telemetry by the PDOs that its EDS has in force.
+
+What no PDO carries is read by SDO, sample by sample. A boot-up, a stop by NMT and an emergency are the node's own word.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import can
+from canopen.emcy import EmcyError
+from canopen.objectdictionary import ObjectDictionaryError, datatypes
+
+from retuner.drivers.canopen.eds_file import TPDO, EdsFile, Key, PdoEntry, Variable, holds, text_of
+from retuner.drivers.canopen.sdo_queue import SdoQueue
+from retuner.drivers.profiles.access import (
+    Acknowledged,
+    Alive,
+    Denied,
+    Heard,
+    ProfileError,
+    Runs,
+    Started,
+    Stopped,
+    Told,
+)
+from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, States
+from retuner.schedule.vendor_units import VendorGain, VendorUnits
+
+NMT, HEARTBEAT, EMERGENCY = 0x000, 0x700, 0x080
+START = 0x01
+BOOTED, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+WRITTEN = "write "
+
+
+class NodeSettings(NamedTuple):
+    """What the host does beside. start : NMT start of a node found pre-operational. heartbeat_s : period of its own
+    heartbeat as node own_node, 0 for none. reply_s : how long an SDO answer is awaited, s.
+    """
+
+    start: bool = True
+    heartbeat_s: float = 0.0
+    own_node: int = 127
+    reply_s: float = 0.3
+
+
+class _Place(NamedTuple):
+    """An object and its conversion: ours = scale x its + offset."""
+
+    variable: Variable
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+class _Watch(NamedTuple):
+    """A state object. source : who tells; "" for the mode."""
+
+    states: States
+    source: str
+
+
+class CanOpenAccess:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    file : the objects. mapping : what is what. settings : see there.
+
+    Raises
+    ------
+    ProfileError
+        An object is not there, or cannot be what it is said to be.
+    """
+
+    acknowledges = reads_back = True
+
+    def __init__(self, file: EdsFile, mapping: DeviceMapping, settings: NodeSettings | None = None) -> None:
+        self._file, self._settings = file, settings or NodeSettings()
+        self._sdo = SdoQueue(file.node, self._settings.reply_s)
+        self._read: dict[str, _Place] = {}
+        self._written: dict[str, _Place] = {}
+        self._watched: dict[str, _Watch] = {}
+        self._queue: list[can.Message] = []
+        self._beat_s = float("-inf")
+        self.damaged = 0
+        self._listen(mapping)
+        self.units = self._take_gains(mapping)
+        self._pdos = dict(self._by_pdo())
+        carried = {name for entries in self._pdos.values() for name, _ in entries}
+        self.on_request = frozenset(name for name in self._read if name not in carried) - set(self.units.names)
+        self.telemetry = frozenset({"pv", "co", "sp", "mode"} & self._read.keys())
+
+    def _place(self, at: object, key: Key, *, written: bool = False, read: bool = True) -> _Place:
+        assert isinstance(at, ObjectOf)
+        return _Place(self._file.variable(at.object, key, written=written, read=read), at.scale, at.offset)
+
+    def _listen(self, mapping: DeviceMapping) -> None:
+        """Telemetry, states and the setpoint."""
+        self._read["pv"] = self._place(mapping.pv, ("pv",))
+        self._read["co"] = self._place(mapping.co, ("co",))
+        if mapping.sp is not None:
+            self._read["sp"] = self._place(mapping.sp, ("sp",))
+        if mapping.mode is not None:
+            self._watch("mode", mapping.mode, "", ("mode",))
+        for i, states in enumerate(mapping.stops):
+            self._watch(f"stop {i}", states, f"stop {i}", ("stop", i))
+        if mapping.setpoint is not None:
+            self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",), written=True, read=False)
+
+    def _watch(self, name: str, states: States, source: str, key: Key) -> None:
+        """Note a state object."""
+        self._read[name] = self._place(states.at, key)
+        self._watched[name] = _Watch(states, source)
+
+    def _take_gains(self, mapping: DeviceMapping) -> VendorUnits:
+        """The gains, each an SDO of its own."""
+        gains = [self._gain(gain, i) for i, gain in enumerate(mapping.gains)]
+        try:
+            return VendorUnits(tuple(gains), mapping.pv_span, mapping.co_span, mapping.series)
+        except ValueError as error:
+            raise ProfileError(str(error), ("gains",)) from None
+
+    def _gain(self, gain: GainAt, message: int) -> VendorGain:
+        """One gain, read back where it is written."""
+        key: Key = ("gains", str(gain.quantity))
+        place = self._place(gain.at, key, written=True)
+        self._read[gain.quantity] = self._written[gain.quantity] = _Place(place.variable)
+        try:
+            return VendorGain(gain.quantity, gain.scale, holds(place.variable), message, gain.off)
+        except ValueError as error:
+            raise ProfileError(f"object {text_of(place.variable)}: {error}", key) from None
+
+    def _by_pdo(self) -> Iterable[tuple[int, list[tuple[str, PdoEntry]]]]:
+        """Which of the numbers come by which PDO."""
+        wanted: dict[tuple[int, int], list[str]] = {}
+        for name, place in self._read.items():
+            if name not in self.units.names:
+                wanted.setdefault((place.variable.index, place.variable.subindex), []).append(name)
+        for cob, entries in self._file.pdos(TPDO):
+            found = [
+                (name, entry)
+                for entry in entries
+                for name in wanted.get((entry.variable.index, entry.variable.subindex), [])
+            ]
+            if found:
+                yield cob, found
+
+    def take(self, message: can.Message) -> Sequence[Told]:
+        """What a frame tells: see Access."""
+        if message.is_remote_frame or message.is_error_frame or message.is_extended_id:
+            return ()
+        node, cob = self._file.node, message.arbitration_id
+        if cob == 0x580 + node:
+            return self._answered(message)
+        if cob in self._pdos:
+            return self._from_pdo(bytes(message.data), self._pdos[cob])
+        if cob == HEARTBEAT + node and message.data:
+            return self._on_state(message.data[0] & 0x7F)
+        if cob == EMERGENCY + node and len(message.data) == 8:
+            return self._on_emergency(bytes(message.data))
+        return ()
+
+    def _answered(self, message: can.Message) -> Sequence[Told]:
+        """An answer by SDO."""
+        answer = self._sdo.take(message)
+        if answer is None:
+            return (Alive(),)
+        name = answer.transfer.name
+        if answer.refused:
+            where = text_of(answer.transfer.variable)
+            return (Alive(), Denied(name.removeprefix(WRITTEN), f"object {where}: {answer.refused}"))
+        if answer.data is None:
+            return (Alive(), Acknowledged(name.removeprefix(WRITTEN)))
+        return (Alive(), *self._number(name, answer.transfer.variable, answer.data))
+
+    def _from_pdo(self, data: bytes, entries: Sequence[tuple[str, PdoEntry]]) -> Sequence[Told]:
+        """The numbers of a PDO; one that is too short tells nothing."""
+        whole = int.from_bytes(data, "little")
+        told: list[Told] = [Alive()]
+        for name, entry in entries:
+            if entry.first + entry.bits > 8 * len(data) or entry.bits % 8:
+                self.damaged += 1
+                return ()
+            part = whole >> entry.first & ((1 << entry.bits) - 1)
+            told += self._number(name, entry.variable, part.to_bytes(entry.bits // 8, "little"))
+        return sorted(told, key=lambda one: isinstance(one, Heard) and one.name in {"pv", "co"})  # states first
+
+    def _number(self, name: str, variable: Variable, data: bytes) -> Sequence[Told]:
+        """One number, or what a state tells."""
+        try:
+            value = variable.decode_raw(data)
+        except (ObjectDictionaryError, ValueError):
+            value = None
+        if not isinstance(value, int | float) or not abs(value) < float("inf"):
+            self.damaged += 1
+            return ()
+        watch = self._watched.get(name)
+        if watch is None:
+            place = self._read[name]
+            return (Heard(name, place.scale * float(value) + place.offset),)
+        expected = watch.states.holds(value)
+        if not watch.source:
+            return (Heard("mode", float(expected)),)
+        if expected:
+            return (Runs(watch.source),)
+        reason = watch.states.reason or f"object {text_of(variable)} = {int(value):#x}"
+        return (Stopped(reason, watch.source),)
+
+    def _on_state(self, state: int) -> Sequence[Told]:
+        """A heartbeat."""
+        if state == BOOTED:
+            return (Alive(), Started())
+        if state == PRE_OPERATIONAL and self._settings.start:
+            self._queue.append(_frame(NMT, bytes([START, self._file.node])))
+        if state == STOPPED:
+            return (Alive(), Stopped("the node was stopped (NMT)", "nmt"))
+        return (Alive(), Runs("nmt")) if state == OPERATIONAL else (Alive(),)
+
+    def _on_emergency(self, data: bytes) -> Sequence[Told]:
+        """An emergency object; error code 0 says that it is over."""
+        code, register = int.from_bytes(data[:2], "little"), data[2]
+        if not code:
+            return (Alive(), Runs("emergency"))
+        described = EmcyError(code, register, data[3:], 0.0).get_desc()
+        words = f", {described.lower()}" if described else ""
+        return (Alive(), Stopped(f"emergency {code:#06x}{words}", "emergency"))
+
+    def ask(self, names: Iterable[str]) -> None:
+        """Have numbers read."""
+        for name in names:
+            self._sdo.ask(name, self._read[name].variable)
+
+    def put(self, numbers: Mapping[str, float]) -> None:
+        """Have numbers written: see Access."""
+        for name, number in numbers.items():
+            place = self._written.get(name)
+            if place is None:
+                raise ValueError(f"the mapping says nothing of {name}")
+            variable = place.variable
+            try:
+                value = holds(variable).nearest((number - place.offset) / place.scale)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+            raw = value if variable.data_type in datatypes.FLOAT_TYPES else round(value)
+            self._sdo.ask(WRITTEN + name, variable, variable.encode_raw(raw))
+
+    def due(self, now_s: float) -> Sequence[can.Message]:
+        """What is to be sent."""
+        queue, self._queue = self._queue, []
+        beat = self._settings.heartbeat_s
+        if beat and now_s >= self._beat_s + beat:
+            self._beat_s = now_s
+            queue.append(_frame(HEARTBEAT + self._settings.own_node, bytes([OPERATIONAL])))
+        return [*queue, *self._sdo.due(now_s)]
+
+    def forget(self) -> None:
+        """Give up what is under way."""
+        self._sdo.forget()
+        self._queue.clear()
+
+
+def _frame(cob: int, data: bytes) -> can.Message:
+    """A frame."""
+    return can.Message(arbitration_id=cob, is_extended_id=False, data=data)

@@ -1,0 +1,216 @@
+"""An EDS (or DCF), and the objects that a mapping names in it: found, or told in one line with the key that is wrong.
+
+The object dictionary, its data types and the words for aborts and emergencies are those of the package `canopen`.
+"""
+
+import configparser
+import contextlib
+import io
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from retuner.drivers.profiles.access import ProfileError
+from retuner.schedule.vendor_units import SINGLE_MAX, Holds
+
+try:
+    import canopen
+    from canopen.objectdictionary import datatypes
+except ImportError as missing:
+    raise ProfileError(
+        'CANopen devices need the package canopen; install it with: pip install "retuner[canopen]"', ("kind",)
+    ) from missing
+
+Key = tuple[str | int, ...]
+Variable = canopen.objectdictionary.ODVariable
+Dictionary = canopen.objectdictionary.ObjectDictionary
+LARGEST = 16 << 20  # bytes
+EXPEDITED = 4  # bytes of a number in one SDO frame
+TPDO, RPDO = (0x1800, 0x1A00), (0x1400, 0x1600)
+PDOS = 512
+DISABLED = 1 << 31  # bit of a PDO's COB-ID
+PARSING_ERRORS = (
+    configparser.Error,
+    canopen.ObjectDictionaryError,
+    ValueError,
+    LookupError,
+    TypeError,
+    ArithmeticError,
+    AttributeError,
+    OSError,
+    RecursionError,
+    AssertionError,
+)
+SHOWN = 120
+
+logging.getLogger("canopen").addHandler(logging.NullHandler())
+
+
+class PdoEntry(NamedTuple):
+    """A mapped object: where it lies in the frame, in bits."""
+
+    variable: Variable
+    first: int
+    bits: int
+
+
+def read_eds(path: Path, node: int) -> Dictionary:
+    """The object dictionary of an EDS file, for this node.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read, or is no EDS.
+    """
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(LARGEST + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ProfileError(f"{path}: cannot be read: {reason}; give the device's EDS file", ("eds",)) from None
+    if len(raw) > LARGEST:
+        raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it an EDS?", ("eds",))
+    text = io.StringIO(raw.decode("latin-1"))
+    text.name = f"{path.stem}.eds"
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            dictionary = canopen.import_od(text, node)
+    except PARSING_ERRORS as error:
+        told = " ".join(str(error).split())[:SHOWN]
+        raise ProfileError(f"{path}: is no usable EDS: {told or type(error).__name__}", ("eds",)) from None
+    if not len(dictionary):
+        raise ProfileError(f"{path}: describes no object; is it an EDS?", ("eds",))
+    return dictionary
+
+
+class EdsFile:
+    """The objects of a node.
+
+    source : name of the file. node : number of the node, 1 to 127.
+
+    Raises
+    ------
+    ProfileError
+        No such node number.
+    """
+
+    def __init__(self, dictionary: Dictionary, source: str, node: int) -> None:
+        if not 1 <= node <= 127:
+            raise ProfileError(f"node = {node}: CANopen nodes are 1 to 127", ("node",))
+        self.dictionary, self.source, self.node = dictionary, source, node
+
+    def variable(self, name: str, key: Key, *, written: bool = False, read: bool = True) -> Variable:
+        """An object by "6130", "6130:1" or its name in the EDS.
+
+        Raises
+        ------
+        ProfileError
+            There is none, it is no number that fits into one frame, or it cannot be read or written as it must be.
+        """
+        found = self._found(name, (*key, "object"))
+        where = f"{self.source}: object {text_of(found)} ({found.name})"
+        numeric = found.data_type in datatypes.NUMBER_TYPES
+        if not numeric or len(found) > 8 * EXPEDITED:
+            raise ProfileError(f"{where} is no number of at most {EXPEDITED} bytes", (*key, "object"))
+        if written and not found.writable:
+            raise ProfileError(f"{where} cannot be written ({found.access_type})", (*key, "object"))
+        if read and not found.readable:
+            raise ProfileError(f"{where} cannot be read ({found.access_type})", (*key, "object"))
+        return found
+
+    def _found(self, name: str, key: Key) -> Variable:
+        """The variable of this name."""
+        index, _, sub = name.partition(":")
+        try:
+            number: int | str = int(index, 16)
+        except ValueError:
+            number = name
+        try:
+            entry = self.dictionary[number]
+        except KeyError:
+            raise ProfileError(f"{self.source}: no object {name!r}; {self._there(number)}", key) from None
+        if isinstance(entry, Variable):
+            return entry
+        if not sub:
+            subs = ", ".join(f"{i} ({entry[i].name})" for i in list(entry)[1:9])
+            raise ProfileError(f"{self.source}: object {index} has parts; name one: {index}:{subs}", key)
+        count, part = self._value(entry, 0), _part(sub)
+        invented = count is not None and part > count
+        found: Variable | None = None if invented else entry.get(part)  # the package invents parts of arrays
+        if found is None:
+            there = ", ".join(str(i) for i in entry)
+            raise ProfileError(f"{self.source}: object {index} has no part {sub!r}; there is {there}", key)
+        return found
+
+    def _there(self, number: int | str) -> str:
+        """What could have been meant."""
+        known = sorted(entry.index for entry in self.dictionary.values())
+        if isinstance(number, int):
+            known.sort(key=lambda index: abs(index - number))
+        return "there is " + ", ".join(f"{index:04X}" for index in sorted(known[:6]))
+
+    def pdos(self, kind: tuple[int, int]) -> Iterator[tuple[int, list[PdoEntry]]]:
+        """COB-ID and content of each PDO that the EDS has in force; kind : TPDO or RPDO."""
+        for i in range(PDOS):
+            if kind[0] + i not in self.dictionary or kind[1] + i not in self.dictionary:
+                continue
+            communication, mapping = self.dictionary[kind[0] + i], self.dictionary[kind[1] + i]
+            cob, count = self._value(communication, 1), self._value(mapping, 0)
+            if cob is None or cob & DISABLED or not count:
+                continue
+            entries = list(self._entries(mapping, count))
+            if entries:
+                yield cob & 0x7FF, entries
+
+    def _entries(self, mapping: Any, count: int) -> Iterator[PdoEntry]:  # noqa: ANN401  as _value
+        """What a PDO carries; objects that the EDS does not know are passed over with their bits."""
+        first = 0
+        for sub in range(1, min(count, 64) + 1):
+            entry = self._value(mapping, sub)
+            if not entry:
+                return
+            index, part, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+            variable = self.dictionary.get_variable(index, part)
+            if variable is not None:
+                yield PdoEntry(variable, first, bits)
+            first += bits
+
+    def _value(self, record: Any, sub: int) -> int | None:  # noqa: ANN401  record, array or variable of the package
+        """The value that the file gives a part: a DCF's parameter value, else the default."""
+        try:
+            part = record[sub]
+        except (KeyError, TypeError):
+            return None
+        value = part.value if part.value is not None else part.default
+        return value if isinstance(value, int) else None
+
+
+def _part(sub: str) -> int:
+    """A sub-index as people write it, decimal or 0x; one that nothing has for what is no number."""
+    try:
+        return int(sub, 16 if sub.lower().startswith("0x") else 10)
+    except ValueError:
+        return 256
+
+
+def text_of(variable: Variable) -> str:
+    """An object as people write it."""
+    return f"{variable.index:04X}:{variable.subindex}"
+
+
+def holds(variable: Variable) -> Holds:
+    """The numbers that an object can hold, by its type and its limits."""
+    kind = variable.data_type
+    if kind in datatypes.FLOAT_TYPES:
+        low, high = -SINGLE_MAX, SINGLE_MAX
+        step = 0.0
+    else:
+        bits = len(variable)
+        signed = kind in datatypes.SIGNED_TYPES
+        low, high = (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1) if signed else (0.0, 2.0**bits - 1)
+        step = 1.0
+    least, most = variable.min, variable.max
+    if isinstance(least, int | float) and isinstance(most, int | float) and least < most:
+        low, high = max(low, float(least)), min(high, float(most))
+    return Holds(low, high, step, 0.0, single=kind in datatypes.FLOAT_TYPES)

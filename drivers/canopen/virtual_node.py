@@ -1,0 +1,176 @@
+"""A CANopen node in software, for benches: the package's own LocalNode, with a loop behind the objects of a mapping.
+
+Object dictionary, SDO server, NMT and PDOs are `canopen`'s; so a host that is understood here is understood by code
+that shares nothing with it.
+"""
+
+from contextlib import suppress
+from typing import Any
+
+import can
+import canopen
+
+from retuner.drivers.canopen.access import CanOpenAccess
+from retuner.drivers.canopen.eds_file import EdsFile, Variable, holds
+from retuner.drivers.profiles.bench_loop import BenchLoop, load_of
+from retuner.drivers.profiles.mapping import DeviceMapping, ObjectOf, States
+from retuner.schedule.vendor_units import VendorUnits
+
+HEARTBEAT = 0x700
+OPERATIONAL, PRE_OPERATIONAL = 5, 127
+BEAT_SAMPLES = 5
+
+
+class _OffLine(canopen.Network):
+    """A network without a bus and without threads: what is sent is kept, what comes is handed in."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent: list[can.Message] = []
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Keep a frame."""
+        self.sent.append(
+            can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=remote, data=bytes(data))
+        )
+
+
+class VirtualCanOpenNode:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    file, mapping : as CanOpenAccess. loop : law and plant.
+    """
+
+    def __init__(self, file: EdsFile, mapping: DeviceMapping, loop: BenchLoop) -> None:
+        self.loop, self.sample_time_s = loop, loop.settings.sample_time_s
+        self.units: VendorUnits = CanOpenAccess(file, mapping).units
+        self._file, self._mapping = file, mapping
+        self._network = _OffLine()
+        self.node: Any = canopen.LocalNode(file.node, file.dictionary)
+        self.node.associate_network(self._network)
+        self.refused = self._samples = 0
+        self.emergency_code = 0
+        self._beats = False
+        self._begin()
+
+    def _begin(self) -> None:
+        """State after power-on: gains as the loop has them, boot-up sent, then operational or waiting for the start."""
+        numbers = self.units.numbers(self.loop.settings.gains)
+        for gain in self._mapping.gains:
+            self._put(gain.at, numbers[gain.quantity])
+        self.numbers = dict(numbers)
+        self.loop.take_gains(self.units.of(numbers))
+        if self._mapping.setpoint is not None:
+            self._put(self._mapping.setpoint, self.loop.sp)
+        self._publish()
+        self.node.add_write_callback(self._on_write)
+        self.node.tpdo.read(from_od=True)
+        self._network.send_message(HEARTBEAT + self._file.node, b"\0")
+        self.node.nmt.state = "PRE-OPERATIONAL"
+
+    def _variable(self, at: object) -> tuple[Variable, ObjectOf]:
+        """An object of the mapping."""
+        assert isinstance(at, ObjectOf)
+        return self._file.variable(at.object, (), read=False), at
+
+    def _put(self, at: object, ours: float) -> None:
+        """Put a number into its object."""
+        variable, place = self._variable(at)
+        there = holds(variable)
+        value = there.nearest(min(max((ours - place.offset) / place.scale, there.low), there.high))
+        raw = variable.encode_raw(value if there.single else round(value))
+        self.node.set_data(variable.index, variable.subindex, raw)
+
+    def _publish(self) -> None:
+        """The loop's numbers into their objects."""
+        loop, mapping = self.loop, self._mapping
+        self._put(mapping.pv, loop.pv)
+        self._put(mapping.co, loop.co)
+        if mapping.sp is not None:
+            self._put(mapping.sp, loop.sp)
+        told: dict[tuple[int, int], int] = {}
+        for states in (*mapping.stops, *([mapping.mode] if mapping.mode else [])):
+            variable, _ = self._variable(states.at)
+            told[variable.index, variable.subindex] = told.get((variable.index, variable.subindex), 0) | _good(states)
+        for (index, sub), value in told.items():
+            told_by = self._file.dictionary.get_variable(index, sub)
+            assert told_by is not None
+            self.node.set_data(index, sub, told_by.encode_raw(value))
+
+    def step(self, dt_s: float | None = None) -> list[can.Message]:
+        """One controller sample: PDOs while operational, a heartbeat now and then."""
+        self.loop.step(self.sample_time_s if dt_s is None else dt_s)
+        self._publish()
+        self._samples += 1
+        operational = self.node.nmt.state == "OPERATIONAL"
+        if self._samples % BEAT_SAMPLES == 1:
+            state = OPERATIONAL if operational else PRE_OPERATIONAL
+            self._network.send_message(HEARTBEAT + self._file.node, bytes([state]))
+        if operational:
+            self._transmit()
+        return self._taken()
+
+    def _transmit(self) -> None:
+        """The PDOs that are in force."""
+        for pdo in self.node.tpdo.values():
+            if not pdo.enabled or not len(pdo):
+                continue
+            for variable in pdo:
+                with suppress(canopen.SdoAbortedError):  # nothing is known of an object that the loop has not
+                    variable.set_data(self.node.get_data(variable.index, variable.subindex))
+            pdo.transmit()
+
+    def receive(self, message: can.Message) -> list[can.Message]:
+        """Take a frame; the frames that answer it. Anything whatsoever may come."""
+        load = load_of(self._file.node, message)
+        if load is not None:
+            self.loop.load = load
+        elif not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
+            self._hand_in(message)
+        return self._taken()
+
+    def _hand_in(self, message: can.Message) -> None:
+        """A frame to the package."""
+        try:
+            self._network.notify(message.arbitration_id, bytearray(message.data), message.timestamp)
+        except (ValueError, LookupError, TypeError, IndexError, OSError):  # a damaged frame
+            self.refused += 1
+
+    def emergency(self, code: int) -> list[can.Message]:
+        """Tell of an error, or with code 0 that it is over."""
+        self._network.send_message(0x80 + self._file.node, code.to_bytes(2, "little") + bytes(6))
+        return self._taken()
+
+    def _taken(self) -> list[can.Message]:
+        """What the package has sent."""
+        sent, self._network.sent = self._network.sent, []
+        return sent
+
+    def _on_write(self, index: int, subindex: int, od: Variable, data: bytes) -> None:
+        """The host has written an object."""
+        value = od.decode_raw(bytes(data))
+        for gain in self._mapping.gains:
+            variable, _ = self._variable(gain.at)
+            if (variable.index, variable.subindex) == (index, subindex):
+                self._take_gain(str(gain.quantity), float(value))
+        if self._mapping.setpoint is not None:
+            variable, place = self._variable(self._mapping.setpoint)
+            if (variable.index, variable.subindex) == (index, subindex):
+                self.loop.sp = place.scale * float(value) + place.offset
+
+    def _take_gain(self, name: str, number: float) -> None:
+        """Run with another number, if that makes a controller."""
+        new = {**self.numbers, name: number}
+        try:
+            self.loop.take_gains(self.units.of(new))
+        except ValueError as error:
+            self.refused += 1
+            raise canopen.SdoAbortedError(0x06090030) from error
+        self.numbers = new
+
+
+def _good(states: States) -> int:
+    """A value of a state object that is as it should be."""
+    return states.expected[0]

@@ -1,0 +1,257 @@
+"""Speaking to a device frame by frame, as an examiner does: everything that may be said, and all that comes back."""
+
+import secrets
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+import can
+
+from retuner.drivers.protocol.authentication import code_frames, commit_code
+from retuner.drivers.protocol.checksum import commit_crc, lease_stamp, set_crc
+from retuner.drivers.protocol.codec import Codec, Refused
+from retuner.drivers.protocol.frames import (
+    OWNER_TAG,
+    TOKENS,
+    Ack,
+    Challenge,
+    Commit,
+    DeviceFrame,
+    Flags,
+    Frame,
+    Heartbeat,
+    Identity,
+    Item,
+    Kind,
+    Lease,
+    Page,
+    PageEnd,
+    PageItem,
+    Read,
+    Reason,
+    Stage,
+    Status,
+    TelemetryPv,
+)
+from retuner.schedule.gains import PidGains
+
+SEQUENCES, COUNTERS = 1 << 16, 1 << 8
+LEASE_SAMPLES = 2000
+UNKNOWN = PidGains(1.0, 0.0)  # before the device has said what it runs
+NO_FLAGS = Flags(0)
+Answer = TypeVar("Answer", bound=DeviceFrame)
+
+
+class Counterpart(Protocol):
+    """Where the device is: in the same thread, or on a bus."""
+
+    def send(self, message: can.Message) -> None:
+        """Put a frame on the bus."""
+        ...
+
+    def heard(self) -> list[can.Message]:
+        """What has come since the last call, the answers to what was sent among it."""
+        ...
+
+    def sample(self) -> list[can.Message]:
+        """One more controller sample passes; what has come."""
+        ...
+
+    def restart(self) -> bool:
+        """Switch the device off and on; False when nobody can."""
+        ...
+
+
+class NoAnswerError(Exception):
+    """The device does not say what an examination needs to go on; the message tells what was asked."""
+
+
+class PageSeen(NamedTuple):
+    """A page as it came: its gains by item, and its end."""
+
+    items: dict[int, PageItem]
+    end: PageEnd
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The gains that are there, in the order of their items."""
+        return tuple(self.items[item].value for item in sorted(self.items))
+
+
+@dataclass
+class Known:
+    """What the examiner knows of the device: its boot epoch, sample counter, and running set."""
+
+    epoch: int = 0
+    sample: int = 0
+    seq: int = 0
+    gains: PidGains = UNKNOWN
+    latest: int = 0
+    flags: Flags = NO_FLAGS
+    refused: int = 0
+    owner: int = 0
+
+
+class Conversation:
+    """One examiner with one device.
+
+    Parameters
+    ----------
+    far : where the device is. node : its number. key : the secret for commits; None for none.
+    """
+
+    def __init__(self, far: Counterpart, node: int, key: bytes | None = None) -> None:
+        self.far, self.node, self.key = far, node, key
+        self.codec = Codec(node)
+        self.known = Known()
+        self.owner = OWNER_TAG * secrets.randbelow(1000) + 9
+        self._counter = secrets.randbelow(COUNTERS)
+        self._token = secrets.randbelow(TOKENS)
+        self._pv: deque[TelemetryPv] = deque(maxlen=16)
+
+    # what is said
+
+    def decoded(self, messages: Sequence[can.Message]) -> list[Frame]:
+        """The device's frames among these; its heartbeats keep what is known up to date."""
+        frames = [frame for frame in map(self.codec.decode, messages) if not isinstance(frame, Refused)]
+        for frame in frames:
+            if isinstance(frame, Heartbeat):
+                self.known.epoch, self.known.sample = frame.epoch, frame.sample
+                self.known.flags = Flags(frame.flags)
+            elif isinstance(frame, Status):
+                self.known.latest, self.known.refused, self.known.owner = frame.latest, frame.refused, frame.owner
+            elif isinstance(frame, TelemetryPv):
+                self._pv.append(frame)
+        return frames
+
+    def last_before(self, counter: int) -> TelemetryPv | None:
+        """The first half of the sample before this one, if it has come."""
+        return next((half for half in self._pv if half.counter == (counter - 1) % COUNTERS), None)
+
+    def raw(self, message: can.Message) -> list[Frame]:
+        """Send bytes; what comes back."""
+        self.far.send(message)
+        return self.decoded(self.far.heard())
+
+    def say(self, *frames: Frame) -> list[Frame]:
+        """Send frames; what comes back."""
+        for frame in frames:
+            self.far.send(self.codec.encode(frame))
+        return self.decoded(self.far.heard())
+
+    def samples(self, count: int = 1) -> list[Frame]:
+        """So many controller samples pass; what comes meanwhile."""
+        frames: list[Frame] = []
+        for _ in range(count):
+            frames += self.decoded(self.far.sample())
+            self.known.sample += 1
+        return frames
+
+    def ack(self, kind: Kind, *frames: Frame) -> Ack | None:
+        """The first acknowledge of this kind that comes back."""
+        return first_ack(self.say(*frames), kind)
+
+    def reason(self, kind: Kind, *frames: Frame) -> Reason | None:
+        """What it says; None for nothing."""
+        found = self.ack(kind, *frames)
+        return None if found is None else Reason(found.reason)
+
+    # what is asked
+
+    def one(self, wanted: type[Answer], page: int) -> Answer:
+        """The answer to a question.
+
+        Raises
+        ------
+        NoAnswerError
+            There is none.
+        """
+        found = [frame for frame in self.say(Read(page, self.token())) if isinstance(frame, wanted)]
+        if not found:
+            raise NoAnswerError(f"no {wanted.__name__} after READ of page {Page(page).name.lower()}")
+        return found[-1]
+
+    def look(self) -> None:
+        """Ask who is there and what runs; NoAnswerError when it is not told."""
+        self.one(Identity, Page.IDENTITY)
+        page = self.page(Page.RUNNING)
+        try:
+            self.known.seq, self.known.gains = page.end.seq, PidGains(*page.values)
+        except (TypeError, ValueError):
+            raise NoAnswerError("READ of the running page gives no complete set") from None
+
+    def page(self, page: Page, token: int | None = None) -> PageSeen:
+        """A page; NoAnswerError without its end."""
+        frames = self.say(Read(page, self.token() if token is None else token))
+        ends = [frame for frame in frames if isinstance(frame, PageEnd)]
+        if not ends:
+            raise NoAnswerError(f"no PAGE after READ of page {page.name.lower()}")
+        return PageSeen({frame.item: frame for frame in frames if isinstance(frame, PageItem)}, ends[-1])
+
+    def token(self) -> int:
+        """A new one."""
+        self._token = (self._token + 1) % TOKENS
+        return self._token
+
+    def counter(self, ahead: int = 1) -> int:
+        """The next counter of a command."""
+        self._counter = (self._counter + ahead) % COUNTERS
+        return self._counter
+
+    # sets and leases
+
+    def lease(self, samples: int = LEASE_SAMPLES, owner: int | None = None) -> Lease:
+        """A request for the lease with a right stamp and a new counter."""
+        stamp = lease_stamp(self.known.epoch, self.known.sample)
+        return Lease(owner or self.owner, stamp, samples, self.counter())
+
+    def own(self) -> None:
+        """Take the lease, whatever counters were used before; NoAnswerError when it is not given."""
+        for _ in range(3):
+            self.one(Identity, Page.IDENTITY)
+            if self.reason(Kind.LEASE, self.lease()) is Reason.OK:
+                return
+            self.counter(100)
+        raise NoAnswerError("the lease is not given; is another host there?")
+
+    def fresh_seq(self) -> int:
+        """A number newer than all that the device has seen."""
+        self.one(Identity, Page.IDENTITY)
+        return (self.known.latest + 1) % SEQUENCES
+
+    def stage(self, seq: int, gains: PidGains) -> list[Frame]:
+        """The frames that stage a set."""
+        values = zip(Item, (gains.kp, gains.ki, gains.kd), strict=True)
+        return [Stage(item, self.owner % OWNER_TAG, value, seq) for item, value in values]
+
+    def commit(self, seq: int, gains: PidGains, *, base: int | None = None, **wrong: int) -> Commit:
+        """The commit of a set; base and what the CRC covers (epoch, node, owner) may be made wrong."""
+        on = self.known.seq if base is None else base
+        node, epoch = wrong.get("node", self.node), wrong.get("epoch", self.known.epoch)
+        return Commit(seq, on, commit_crc(set_crc(node, epoch, seq, gains), on, wrong.get("owner", self.owner)))
+
+    def codes(self, seq: int, gains: PidGains, key: bytes | None = None) -> list[Frame]:
+        """The code of a commit, over the device's present challenge; nothing without a key."""
+        if self.key is None:
+            return []
+        nonce = self.one(Challenge, Page.CHALLENGE).nonce
+        known = self.known
+        return [
+            *code_frames(
+                commit_code(key or self.key, self.node, known.epoch, nonce, self.owner, seq, known.seq, gains), seq
+            )
+        ]
+
+    def write(self, gains: PidGains) -> tuple[int, list[Frame]]:
+        """Stage and commit a set, and let two samples pass; its number, and what came."""
+        seq = self.fresh_seq()
+        frames = self.say(*self.stage(seq, gains), *self.codes(seq, gains), self.commit(seq, gains))
+        frames += self.samples(2)
+        self.look()
+        return seq, frames
+
+
+def first_ack(frames: Sequence[Frame], kind: Kind) -> Ack | None:
+    """The first acknowledge of a kind."""
+    return next((frame for frame in frames if isinstance(frame, Ack) and frame.kind == kind), None)

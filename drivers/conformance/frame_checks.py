@@ -1,0 +1,289 @@
+"""The chapters of docs/protocol.md on frames, samples, connecting, the lease and commands, each as an examination."""
+
+import math
+import struct
+from itertools import pairwise
+
+import can
+
+from retuner.adaptive.signals.sample import LoopMode
+from retuner.drivers.conformance.conversation import Conversation
+from retuner.drivers.conformance.examination import Examination
+from retuner.drivers.protocol.checksum import frame_crc, lease_stamp, page_crc, sample_crc, set_crc
+from retuner.drivers.protocol.codec import COMMAND_BITS, schema
+from retuner.drivers.protocol.frames import (
+    EPOCH_TAG,
+    OWNER_TAG,
+    PAGE_TAG,
+    PROTOCOL_VERSION,
+    RUNNING_TAG,
+    Ack,
+    Confirm,
+    Flags,
+    Frame,
+    Heartbeat,
+    Identity,
+    Kind,
+    Lease,
+    Mode,
+    Page,
+    PageEnd,
+    PageItem,
+    Read,
+    Reason,
+    Setpoint,
+    Stage,
+    Status,
+    Store,
+    TelemetryPv,
+    TelemetrySp,
+)
+
+READ, STAGE = 2, 4
+HEARTBEATS_MAX = 100  # samples between two heartbeats at most
+SHORT_LEASE = 4  # samples
+OTHER = 77  # another host
+
+
+def connecting(found: Examination) -> None:
+    """Who it is, and what it says about its sets."""
+    talk = found.talk
+    frames = talk.say(Read(Page.IDENTITY, 1))
+    told = [type(f) for f in frames if isinstance(f, Identity | Heartbeat | Status)]
+    found.expect(
+        "READ of the identity is answered by",
+        told[:3] and [t.__name__ for t in told[:3]],
+        ["Identity", "Heartbeat", "Status"],
+    )
+    identity = talk.one(Identity, Page.IDENTITY)
+    found.expect("protocol version", identity.protocol, PROTOCOL_VERSION)
+    found.expect("layout hash", hex(identity.schema), hex(schema()))
+    _read_back(found, Page.RUNNING)
+    _read_back(found, Page.STORED)
+    first, second = talk.page(Page.RUNNING, 3).end.crc, talk.page(Page.RUNNING, 3 + PAGE_TAG).end.crc
+    found.holds("the CRC of PAGE is the same for two tokens: it must cover all 16 bits of the token", first != second)
+
+
+def _read_back(found: Examination, page: Page) -> None:
+    """A complete page: its items, the token's low bits in all of them, and the CRC."""
+    talk, token = found.talk, found.talk.token()
+    seen, known = talk.page(page, token), talk.known
+    name = f"READ of the {page.name.lower()} page"
+    found.expect(f"{name}: its items", sorted(seen.items), [0, 1, 2])
+    found.expect(f"{name}: complete", seen.end.complete, 1)
+    parts: list[PageItem | PageEnd] = [*seen.items.values(), seen.end]
+    found.expect(f"{name}: token", {part.token for part in parts}, {token % PAGE_TAG})
+    found.expect(f"{name}: sequence numbers", len({part.seq for part in parts}), 1)
+    if page is Page.RUNNING:
+        crc = page_crc(set_crc(talk.node, known.epoch, seen.end.seq, known.gains), token)
+        found.expect(f"{name}: CRC", hex(seen.end.crc), hex(crc))
+
+
+def frames(found: Examination) -> None:
+    """What is no frame of this protocol is counted, and has no other effect."""
+    talk = found.talk
+    good = talk.codec.encode(Read(Page.IDENTITY, 5))
+    id_, data = good.arbitration_id, bytes(good.data)
+    owned = talk.owner % OWNER_TAG << 2
+    bad = {
+        "a READ with a wrong checksum": can.Message(arbitration_id=id_, is_extended_id=False, data=flipped(data)),
+        "a READ that is too short": can.Message(arbitration_id=id_, is_extended_id=False, data=data[:-1]),
+        "a READ that is too long": can.Message(arbitration_id=id_, is_extended_id=False, data=data + b"\0"),
+        "a READ of page 5": sealed(talk.node, READ, b"\x05\x00\x00"),
+        "a STAGE of item 3": sealed(talk.node, STAGE, struct.pack("<BfH", owned | 3, 1.0, talk.fresh_seq())),
+        "a STAGE of NaN": sealed(talk.node, STAGE, struct.pack("<BfH", owned, math.nan, talk.fresh_seq())),
+        "a STAGE of infinity": sealed(talk.node, STAGE, struct.pack("<BfH", owned, math.inf, talk.fresh_seq())),
+        "a READ as an extended frame": can.Message(arbitration_id=id_, is_extended_id=True, data=data),
+        "a remote frame": can.Message(arbitration_id=id_, is_extended_id=False, is_remote_frame=True, dlc=4),
+        "an unknown command": sealed(talk.node, 0, b"\x00"),
+    }
+    for name, message in bad.items():
+        _refused(found, name, message)
+    talk.look()
+    before = talk.known.refused
+    other = talk.node % 63 + 1
+    found.expect("READ to another node", _told(talk.raw(sealed(other, READ, b"\x03\x05\x00"))), [])
+    talk.look()
+    found.expect("frames counted as refused after one to another node", talk.known.refused, before)
+
+
+def _refused(found: Examination, name: str, message: can.Message) -> None:
+    """A frame that must only be counted."""
+    talk = found.talk
+    talk.look()
+    before, latest = talk.known.refused, talk.known.latest
+    found.expect(f"{name} is answered by", _told(talk.raw(message)), [])
+    talk.look()
+    extended = message.is_extended_id or message.is_remote_frame  # a filter may keep them from the firmware
+    counts = {(before + 1) % 256} | ({before} if extended else set())
+    found.holds(f"{name}: the count of refused frames in STATUS did not grow by one", talk.known.refused in counts)
+    found.expect(f"{name}: newest number seen", talk.known.latest, latest)
+
+
+def _told(frames_: list[Frame]) -> list[str]:
+    """Answers among frames: what is not said by itself."""
+    return [type(f).__name__ for f in frames_ if isinstance(f, Identity | PageItem | PageEnd | Ack)]
+
+
+def flipped(data: bytes) -> bytes:
+    """The same with one bit of the last byte changed."""
+    return data[:-1] + bytes([data[-1] ^ 1])
+
+
+def sealed(node: int, command: int, payload: bytes) -> can.Message:
+    """Any bytes as a command with the right checksum."""
+    id_ = node << COMMAND_BITS | command
+    return can.Message(arbitration_id=id_, is_extended_id=False, data=payload + bytes([frame_crc(id_, payload)]))
+
+
+def samples(found: Examination) -> None:
+    """Telemetry: two halves, one counter, one CRC; heartbeats with the whole counter."""
+    talk = found.talk
+    told = talk.samples(12)
+    pairs = [(a, b) for a, b in pairwise(halves(told)) if isinstance(a, TelemetryPv) and isinstance(b, TelemetrySp)]
+    if not found.holds("fewer than ten samples of two halves came in twelve samples", len(pairs) >= 10):
+        return
+    for pv, sp in pairs:
+        found.expect("counters of the halves of a sample", pv.counter, sp.counter)
+        found.expect("CRC-16 of a sample", hex(sp.crc), hex(sample_crc(talk.node, pv, sp)))
+    steps = {(b.counter - a.counter) % 256 for (a, _), (b, _) in pairwise(pairs)}
+    found.expect("the counter goes from sample to sample by", steps, {1})
+    found.expect("low bits of the running number in telemetry", pairs[-1][1].running, talk.known.seq % RUNNING_TAG)
+    _heartbeats(found, told)
+
+
+def halves(frames_: list[Frame]) -> list[TelemetryPv | TelemetrySp]:
+    """The telemetry among frames."""
+    return [frame for frame in frames_ if isinstance(frame, TelemetryPv | TelemetrySp)]
+
+
+def _heartbeats(found: Examination, told: list[Frame]) -> None:
+    """A life sign often enough, with the counter of the telemetry."""
+    talk, waited = found.talk, 0
+    while not any(isinstance(frame, Heartbeat) for frame in told) and waited < HEARTBEATS_MAX:
+        told += talk.samples(10)
+        waited += 10
+    if not found.holds(f"no HEARTBEAT in {HEARTBEATS_MAX} samples", any(isinstance(f, Heartbeat) for f in told)):
+        return
+    at = next(i for i, frame in enumerate(told) if isinstance(frame, Heartbeat))
+    beat = told[at]
+    before = [frame for frame in told[:at] if isinstance(frame, TelemetrySp)]
+    if before and isinstance(beat, Heartbeat):
+        ahead = (beat.sample - before[-1].counter) % 256
+        found.holds("the counter in HEARTBEAT is not that of the sample before it", ahead <= 1)
+
+
+def leases(found: Examination) -> None:
+    """One host commands: who has no lease is told so, and a lease ends."""
+    talk = found.talk
+    talk.ack(Kind.LEASE, talk.lease(samples=0))
+    seq = talk.fresh_seq()
+    found.expect("STATUS without a lease: owner", talk.known.owner, 0)
+    found.holds("HEARTBEAT says that the lease is taken when it is not", not talk.known.flags & Flags.OWNED)
+    for name, kind, frame in _commands(found, seq, talk.owner):
+        found.expect(f"{name} without a lease", talk.reason(kind, frame), Reason.NOT_OWNER)
+    answer = talk.ack(Kind.LEASE, talk.lease())
+    if not found.holds("LEASE is not answered", answer is not None) or answer is None:
+        return
+    found.expect("LEASE of a free device", Reason(answer.reason), Reason.OK)
+    found.expect("the ACK of LEASE carries as seq the owner, and", answer.seq, talk.owner)
+    found.expect("the ACK of LEASE carries as latest the owner in force, and", answer.latest, talk.owner)
+    found.expect("the ACK's low bits of the epoch", answer.epoch, talk.known.epoch % EPOCH_TAG)
+    talk.look()
+    found.expect("STATUS: owner", talk.known.owner, talk.owner)
+    found.holds("HEARTBEAT does not say that the lease is taken", talk.known.flags & Flags.OWNED)
+    for name, kind, frame in _commands(found, seq, OTHER):
+        found.expect(f"{name} of another host", talk.reason(kind, frame), Reason.NOT_OWNER)
+    refused = talk.ack(Kind.LEASE, talk.lease(owner=OTHER))
+    got = None if refused is None else (Reason(refused.reason), refused.latest)
+    found.expect("LEASE of another host", got, (Reason.NOT_OWNER, talk.owner))
+    _stale_leases(found)
+    _lease_ends(found)
+
+
+def _commands(found: Examination, seq: int, owner: int) -> list[tuple[str, Kind, Frame]]:
+    """A command of every kind by this owner."""
+    talk, running = found.talk, found.talk.known.seq
+    return [
+        ("STAGE", Kind.STAGE, Stage(0, owner % OWNER_TAG, found.first.kp, seq)),
+        ("CONFIRM", Kind.CONFIRM, Confirm(running, owner)),
+        ("STORE", Kind.STORE, Store(running, owner % 256)),
+        ("SETPOINT", Kind.SETPOINT, Setpoint(talk.counter(), 0.0, owner)),
+        ("MODE", Kind.MODE, Mode(talk.counter(), LoopMode.AUTO, 0.0, owner)),
+    ]
+
+
+def _stale_leases(found: Examination) -> None:
+    """Requests that must not count: an older counter, another time, another boot."""
+    talk = found.talk
+    talk.look()
+    known = talk.known
+    newest = talk.lease()
+    found.expect("LEASE again with a newer counter", talk.reason(Kind.LEASE, newest), Reason.OK)
+    old = Lease(newest.owner, newest.stamp, newest.samples - 1, (newest.counter - 1) % 256)
+    found.expect("LEASE with an older counter", talk.reason(Kind.LEASE, old), Reason.STALE)
+    for name, stamp in (
+        ("another epoch", lease_stamp((known.epoch + 1) % 65536, known.sample)),
+        ("640 samples later", lease_stamp(known.epoch, known.sample + 640)),
+    ):
+        request = Lease(talk.owner, stamp, 100, talk.counter())
+        found.expect(f"LEASE with the stamp of {name}", talk.reason(Kind.LEASE, request), Reason.STALE)
+
+
+def _lease_ends(found: Examination) -> None:
+    """It runs out by itself, a repeated request does not prolong it, and what was staged goes with it."""
+    talk = found.talk
+    talk.look()
+    request = talk.lease(samples=SHORT_LEASE)
+    talk.say(request, *talk.stage(talk.fresh_seq(), found.first))
+    for _ in range(SHORT_LEASE + 2):
+        talk.samples(1)
+        talk.say(request)
+    talk.look()
+    found.expect("a lease that was repeated and has run out: owner in STATUS", talk.known.owner, 0)
+    found.expect("after it: complete in the staged page", talk.page(Page.STAGED).end.complete, 0)
+    talk.own()
+
+
+def commands(found: Examination) -> None:
+    """Setpoint and mode: acted on once, told again, refused when older."""
+    talk = found.talk
+    sp = next(half.sp for half in halves(talk.samples(2)) if isinstance(half, TelemetrySp))
+    newer, older = talk.counter(), (talk.counter(0) - 3) % 256
+    first = talk.ack(Kind.SETPOINT, Setpoint(newer, sp, talk.owner))
+    if first is not None and Reason(first.reason) is Reason.STALE:
+        newer = (first.latest + 1) % 256
+        older = (newer - 3) % 256
+        first = talk.ack(Kind.SETPOINT, Setpoint(newer, sp, talk.owner))
+    got = None if first is None else (Reason(first.reason), first.seq)
+    found.expect("SETPOINT", got, (Reason.OK, newer))
+    found.expect("SETPOINT again", talk.reason(Kind.SETPOINT, Setpoint(newer, sp, talk.owner)), Reason.OK)
+    stale = talk.ack(Kind.SETPOINT, Setpoint(older, sp, talk.owner))
+    got = None if stale is None else (Reason(stale.reason), stale.latest)
+    found.expect("SETPOINT with an older counter", got, (Reason.STALE, newer))
+    _modes(found)
+
+
+def setpoint(talk: Conversation, sp: float) -> bool:
+    """Set the target, whatever counters were used before; whether the device took it."""
+    answer = talk.ack(Kind.SETPOINT, Setpoint(talk.counter(), sp, talk.owner))
+    if answer is not None and answer.reason == Reason.STALE:
+        talk.counter((answer.latest - talk.counter(0)) % 256)
+        answer = talk.ack(Kind.SETPOINT, Setpoint(talk.counter(), sp, talk.owner))
+    return answer is not None and answer.reason == Reason.OK
+
+
+def _modes(found: Examination) -> None:
+    """Manual holds co, and says so."""
+    talk = found.talk
+    co = next(half.co for half in halves(talk.samples(2)) if isinstance(half, TelemetryPv))
+    answer = talk.ack(Kind.MODE, Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
+    if answer is not None and Reason(answer.reason) is Reason.STALE:
+        talk.counter((answer.latest - talk.counter(0)) % 256)
+        answer = talk.ack(Kind.MODE, Mode(talk.counter(), LoopMode.MANUAL, co, talk.owner))
+    found.expect("MODE manual", None if answer is None else Reason(answer.reason), Reason.OK)
+    told = halves(talk.samples(3))
+    found.expect("mode in telemetry", {h.mode for h in told[-4:] if isinstance(h, TelemetrySp)}, {LoopMode.MANUAL})
+    held = max(abs(h.co - co) for h in told[-4:] if isinstance(h, TelemetryPv))
+    found.holds(f"co moved by {held:g} % in manual", held < 0.01)
+    found.expect("MODE auto", talk.reason(Kind.MODE, Mode(talk.counter(), 1, 0.0, talk.owner)), Reason.OK)

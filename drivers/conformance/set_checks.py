@@ -1,0 +1,411 @@
+"""The chapters of docs/protocol.md on gain sets: changing, trial, store, codes, restarts, each as an examination."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from retuner.adaptive.signals.sample import LoopMode
+from retuner.drivers.conformance.conversation import Conversation, first_ack
+from retuner.drivers.conformance.examination import Check, Examination, near
+from retuner.drivers.conformance.frame_checks import halves, setpoint
+from retuner.drivers.protocol.checksum import page_crc, set_crc
+from retuner.drivers.protocol.frames import (
+    PAGE_TAG,
+    RUNNING_TAG,
+    Abort,
+    Ack,
+    Auth,
+    Challenge,
+    Commit,
+    Confirm,
+    Flags,
+    Frame,
+    Identity,
+    Item,
+    Kind,
+    Mode,
+    Page,
+    Reason,
+    Stage,
+    Store,
+    TelemetryPv,
+    TelemetrySp,
+)
+from retuner.schedule.gains import PidGains
+
+LARGEST = 9e11  # nearly the largest gain that a frame can carry; no box is as wide
+FACTORS = (1.05, 0.95, 1.01, 0.99)  # of the running set: one of them is in the box
+
+
+def staging(found: Examination) -> None:
+    """A page is staged gain by gain, read back, and dropped by a newer number."""
+    talk = found.talk
+    seq = talk.fresh_seq()
+    empty = talk.page(Page.STAGED).end
+    found.expect("READ of the empty stage: complete, crc", (empty.complete, empty.crc), (0, 0))
+    frames = talk.stage(seq, found.first)
+    found.expect("STAGE is answered by", [f for f in talk.say(*frames[:2]) if isinstance(f, Ack)], [])
+    half = talk.page(Page.STAGED)
+    found.expect("a page with two gains: items, complete", (sorted(half.items), half.end.complete), ([0, 1], 0))
+    talk.say(frames[2])
+    token = talk.token()
+    whole = talk.page(Page.STAGED, token)
+    gains = found.first
+    found.expect("the staged page", whole.values, (gains.kp, gains.ki, gains.kd))
+    crc = page_crc(set_crc(talk.node, talk.known.epoch, seq, gains), token)
+    seen = (whole.end.complete, whole.end.seq, whole.end.token, hex(whole.end.crc))
+    found.expect("the end of the staged page", seen, (1, seq, token % PAGE_TAG, hex(crc)))
+    talk.look()
+    found.holds("HEARTBEAT does not say that a page is staged", talk.known.flags & Flags.STAGED)
+    newer = (seq + 1) % 65536
+    talk.say(talk.stage(newer, gains)[0])
+    found.expect("STAGE under a newer number begins a new page: its items", sorted(talk.page(Page.STAGED).items), [0])
+    found.expect("STAGE under an older number", talk.reason(Kind.STAGE, frames[0]), Reason.STALE)
+
+
+def committing(found: Examination) -> None:
+    """A good set runs from one sample on, as a whole, without a bump, and is acknowledged again."""
+    talk = found.talk
+    for factor in FACTORS:
+        gains = near(found.first, factor)
+        seq, frames = talk.write(gains)
+        answer = first_ack(frames, Kind.COMMIT)
+        if answer is not None and Reason(answer.reason) is not Reason.OUTSIDE_BOX:
+            break
+    found.expect("COMMIT", None if answer is None else Reason(answer.reason), Reason.OK)
+    found.runs("after a good COMMIT", gains)
+    found.other = talk.known.gains
+    found.expect("number of the running set", talk.known.seq, seq)
+    _one_sample(found, frames, seq)
+    base = next((f for f in frames if isinstance(f, TelemetrySp)), None)
+    if base is not None and talk.known.seq == seq:
+        again = Commit(seq, (seq - 1) % 65536, 1)
+        found.holds(
+            "a COMMIT with another crc under the running number is accepted",
+            talk.reason(Kind.COMMIT, again) is not Reason.OK,
+        )
+    _bumpless(found)
+
+
+def _one_sample(found: Examination, frames: list[Frame], seq: int) -> None:
+    """The acknowledge comes in the sample that runs the set, before its telemetry."""
+    at = next((i for i, f in enumerate(frames) if isinstance(f, Ack) and f.kind == Kind.COMMIT), None)
+    if at is None:
+        return
+    tag = seq % RUNNING_TAG
+    before = [f.running for f in frames[:at] if isinstance(f, TelemetrySp)]
+    after = [f.running for f in frames[at:] if isinstance(f, TelemetrySp)]
+    found.holds("telemetry shows the new set before its acknowledge", tag not in before)
+    found.expect("running number in the telemetry after the acknowledge", set(after), {tag})
+
+
+def _bumpless(found: Examination) -> None:
+    """In manual, co stays exactly as it is; the repeated commit gets the same answer."""
+    talk = found.talk
+    talk.say(Mode(talk.counter(), LoopMode.MANUAL, _co(talk), talk.owner))
+    before = _co(talk)
+    seq = talk.fresh_seq()
+    commit = talk.commit(seq, found.first)
+    talk.say(*talk.stage(seq, found.first), *talk.codes(seq, found.first), commit)
+    talk.samples(2)
+    moved = abs(_co(talk) - before)
+    found.holds(f"co jumped by {moved:g} % when the gains were changed in manual", moved < 0.01)
+    found.expect("the same COMMIT again", talk.reason(Kind.COMMIT, commit), Reason.OK)
+    talk.say(Mode(talk.counter(), LoopMode.AUTO, 0.0, talk.owner))
+    found.runs("after the repeated COMMIT", found.first)
+    found.confirmed()
+
+
+def swapping(found: Examination) -> None:
+    """In automatic, away from the setpoint, co goes on as the old gains would have led it."""
+    talk, first = found.talk, found.first
+    new = replace(first, kp=1.5 * first.kp) if first.kp else first
+    dt = talk.one(Identity, Page.IDENTITY).sample_time
+    sp = [half for half in halves(talk.samples(2)) if isinstance(half, TelemetrySp)][-1].sp
+    error = (-10.0 if _co(talk) > 50.0 else 10.0) / (first.kp or 1.0)
+    if new == first or not setpoint(talk, sp + error):
+        found.left_out.append("the swap in automatic: it has no kp, or takes no other setpoint")
+        return
+    talk.samples(2)
+    _, frames = talk.write(new)
+    setpoint(talk, sp)
+    told = [half for half in frames if isinstance(half, TelemetryPv | TelemetrySp | Ack)]
+    at = next((i for i, f in enumerate(told) if isinstance(f, Ack) and f.kind == Kind.COMMIT), len(told))
+    before = [half for half in told[:at] if isinstance(half, TelemetryPv)]
+    after = [half for half in told[at:] if isinstance(half, TelemetryPv)]
+    if talk.known.gains != new or not (before or after):
+        found.left_out.append("the swap in automatic: it does not take kp x 1.5")
+        return
+    _no_jump(found, after, first, new, error, dt)
+    talk.write(first)
+    found.confirmed()
+
+
+def _no_jump(
+    found: Examination, after: list[TelemetryPv], old: PidGains, new: PidGains, error: float, dt: float
+) -> None:
+    """From the sample before the swap to that of the swap co moves by what I and P do, not by the change of P."""
+    seen = found.talk.last_before(after[0].counter)
+    if seen is None:
+        found.left_out.append("the swap in automatic: the sample before it was lost")
+        return
+    led = old.ki * error * dt - old.kp * (after[0].pv - seen.pv)
+    jump = (new.kp - old.kp) * error
+    moved = after[0].co - seen.co - led
+    found.holds(f"co jumped by {moved:.3g} % in the sample of the swap", abs(moved) < 0.5 * abs(jump))
+
+
+def _co(talk: Conversation) -> float:
+    """The output of the newest sample."""
+    return [half.co for half in halves(talk.samples(2)) if isinstance(half, TelemetryPv)][-1]
+
+
+def refusing(found: Examination) -> None:
+    """Every condition of a commit that is not met has its reason, burns the number, and changes nothing."""
+    talk, good = found.talk, found.other
+    up = PidGains(good.kp * 1e4, good.ki * 1e4, good.kd * 1e4)
+    far, mixed = (Reason.RATIO, Reason.OUTSIDE_BOX), (Reason.OUTSIDE_BOX,)
+    seqs = talk.known.seq
+    _refusal(
+        found, "a wrong base", good, lambda seq: talk.commit(seq, good, base=(seqs + 9) % 65536), (Reason.WRONG_BASE,)
+    )
+    for name, wrong in (
+        ("a CRC over another node", {"node": talk.node % 63 + 1}),
+        ("a CRC over another epoch", {"epoch": (talk.known.epoch + 1) % 65536}),
+        ("a CRC over another owner", {"owner": 77}),
+    ):
+        _refusal(found, name, good, partial(talk.commit, gains=good, **wrong), (Reason.WRONG_CRC,))
+    other = replace(good, kp=good.kp * 1.001) if good.kp else replace(good, ki=good.ki * 1.001)
+    _refusal(found, "a CRC over other gains", good, lambda seq: talk.commit(seq, other), (Reason.WRONG_CRC,))
+    _refusal(found, "gains 10,000 times as large", up, lambda seq: talk.commit(seq, up), far)
+    tiny = PidGains(good.kp / 1e4, good.ki / 1e4, good.kd / 1e4)
+    _refusal(found, "gains 10,000 times as small", tiny, lambda seq: talk.commit(seq, tiny), (Reason.RATIO,))
+    _switched_on(found)
+    down = PidGains(-good.kp, -good.ki, -good.kd)
+    _refusal(found, "gains of the other sign", down, lambda seq: talk.commit(seq, down), far)
+    _raw_refusal(found, "gains that are all zero", (0.0, 0.0, 0.0), mixed)
+    _raw_refusal(found, "gains of two signs", (good.kp or 1.0, -(good.ki or 1.0), good.kd), mixed)
+    _numbers(found)
+
+
+def _switched_on(found: Examination) -> None:
+    """A gain that is off may be switched on by any ratio, so here the largest magnitude alone must hold."""
+    talk, good = found.talk, found.other
+    off = replace(good, kd=0.0)
+    if not (off.kp or off.ki):
+        found.left_out.append("the largest magnitude of a gain: this device runs kd alone")
+        return
+    talk.write(off)
+    found.confirmed()
+    huge = replace(off, kd=LARGEST * off.direction)
+    _raw_refusal(found, "a kd of 9e11", (huge.kp, huge.ki, huge.kd), (Reason.OUTSIDE_BOX,))
+    talk.write(good)
+    found.confirmed()
+
+
+def _refusal(
+    found: Examination, name: str, gains: PidGains, commit: Callable[[int], Commit], reasons: tuple[Reason, ...]
+) -> None:
+    """A commit that must not run."""
+    talk = found.talk
+    seq = talk.fresh_seq()
+    stage = talk.stage(seq, gains)
+    answer = talk.reason(Kind.COMMIT, *stage, *talk.codes(seq, gains), commit(seq))
+    _judge(found, name, stage[0], answer, reasons)
+
+
+def _raw_refusal(found: Examination, name: str, values: tuple[float, ...], reasons: tuple[Reason, ...]) -> None:
+    """The same with gains that no PidGains can hold."""
+    talk = found.talk
+    seq = talk.fresh_seq()
+    stage = [Stage(item, talk.owner % 64, values[item], seq) for item in Item]
+    answer = talk.reason(Kind.COMMIT, *stage, Commit(seq, talk.known.seq, 0))
+    _judge(found, name, stage[0], answer, reasons)
+
+
+def _judge(found: Examination, name: str, stage: Frame, answer: Reason | None, reasons: tuple[Reason, ...]) -> None:
+    """The reason is one of these, the number is burnt, nothing has changed."""
+    talk = found.talk
+    if answer not in reasons:
+        found.expect(f"COMMIT with {name}", answer, reasons[0])
+    before = talk.known.gains
+    found.expect(f"STAGE under the number of a COMMIT with {name}", talk.reason(Kind.STAGE, stage), Reason.STALE)
+    talk.samples(1)
+    found.runs(f"after a COMMIT with {name}", before)
+
+
+def _numbers(found: Examination) -> None:
+    """What is not staged, incomplete, or old."""
+    talk, good = found.talk, found.other
+    seq = talk.fresh_seq()
+    far = (seq + 5) % 65536
+    found.expect("COMMIT of what is not staged", talk.reason(Kind.COMMIT, talk.commit(far, good)), Reason.NOT_STAGED)
+    missing = talk.ack(Kind.COMMIT, *talk.stage(seq, good)[::2], talk.commit(seq, good))
+    got = None if missing is None else (Reason(missing.reason), missing.item)
+    found.expect("COMMIT of a page without ki", got, (Reason.INCOMPLETE, int(Item.KI)))
+    old = talk.commit((talk.known.seq - 1) % 65536, good)
+    found.expect("COMMIT of an old number", talk.reason(Kind.COMMIT, old), Reason.STALE)
+
+
+def fencing(found: Examination) -> None:
+    """ABORT has three answers, and what it fences off never runs."""
+    talk, good = found.talk, found.other
+    before = talk.known.gains
+    running = talk.known.seq
+    found.expect("ABORT of the running number", talk.reason(Kind.ABORT, Abort(running)), Reason.ALREADY_RUNNING)
+    seq = talk.fresh_seq()
+    commit = talk.commit(seq, good)
+    codes = talk.codes(seq, good)
+    talk.samples(1)
+    frames = talk.say(*talk.stage(seq, good), *codes, commit, Abort(seq))
+    answer = first_ack(frames, Kind.ABORT)
+    if answer is not None and Reason(answer.reason) is Reason.ALREADY_RUNNING:
+        found.left_out.append("ABORT of a commit that waits for its sample: the samples are too short to try it")
+        talk.look()
+        return
+    found.expect("ABORT of a commit that waits", None if answer is None else Reason(answer.reason), Reason.OK)
+    talk.samples(2)
+    found.runs("after the ABORT of a commit that waited", before)
+    found.expect("the fenced COMMIT, late", talk.reason(Kind.COMMIT, *codes, commit), Reason.STALE)
+    found.expect("STAGE under a fenced number", talk.reason(Kind.STAGE, talk.stage(seq, good)[0]), Reason.STALE)
+    found.expect("ABORT of an old number", talk.reason(Kind.ABORT, Abort(seq)), Reason.STALE)
+    ahead = (seq + 7) % 65536
+    found.expect("ABORT of a number to come", talk.reason(Kind.ABORT, Abort(ahead)), Reason.OK)
+    found.expect("STAGE under it", talk.reason(Kind.STAGE, talk.stage(ahead, good)[0]), Reason.STALE)
+    talk.look()
+    found.expect("newest number seen", talk.known.latest, ahead)
+
+
+def busy(found: Examination) -> None:
+    """While a commit waits for its sample nothing else is staged or committed."""
+    talk, good = found.talk, found.other
+    seq = talk.fresh_seq()
+    codes = talk.codes(seq, good)
+    talk.samples(1)
+    late = (seq + 1) % 65536
+    frames = talk.say(*talk.stage(seq, good), *codes, talk.commit(seq, good), talk.stage(late, good)[0])
+    stage, commit = first_ack(frames, Kind.STAGE), first_ack(frames, Kind.COMMIT)
+    if commit is not None:
+        found.left_out.append("STAGE while a commit waits: the samples are too short to try it")
+    else:
+        found.expect("STAGE while a commit waits", None if stage is None else Reason(stage.reason), Reason.BUSY)
+    talk.samples(2)
+    talk.look()
+    found.confirmed()
+
+
+def trial(found: Examination) -> None:
+    """A new set is on trial until it is confirmed, and is not stored before."""
+    talk = found.talk
+    gains = found.other if talk.known.gains != found.other else found.first
+    seq, _ = talk.write(gains)
+    found.holds("HEARTBEAT does not say that the new set is on trial", talk.known.flags & Flags.TRIAL)
+    tag = talk.owner % 256
+    found.expect("STORE on trial", talk.reason(Kind.STORE, Store(seq, tag)), Reason.NOT_CONFIRMED)
+    old = (seq - 1) % 65536
+    found.expect("CONFIRM of another number", talk.reason(Kind.CONFIRM, Confirm(old, talk.owner)), Reason.STALE)
+    found.expect("CONFIRM", talk.reason(Kind.CONFIRM, Confirm(seq, talk.owner)), Reason.OK)
+    found.expect("CONFIRM again", talk.reason(Kind.CONFIRM, Confirm(seq, talk.owner)), Reason.OK)
+    talk.look()
+    found.holds("HEARTBEAT says that a confirmed set is on trial", not talk.known.flags & Flags.TRIAL)
+
+
+def storing(found: Examination) -> None:
+    """What runs and is confirmed is kept, and the stored page shows it."""
+    talk = found.talk
+    found.confirmed()
+    talk.look()
+    seq, tag = talk.known.seq, talk.owner % 256
+    found.expect("STORE with a wrong key", talk.reason(Kind.STORE, Store(seq, tag, 5)), Reason.WRONG_KEY)
+    old = (seq - 1) % 65536
+    found.expect("STORE of another number", talk.reason(Kind.STORE, Store(old, tag)), Reason.STALE)
+    found.expect("STORE", talk.reason(Kind.STORE, Store(seq, tag)), Reason.OK)
+    talk.look()
+    found.holds("HEARTBEAT does not say that the running set is stored", talk.known.flags & Flags.STORED)
+    gains, stored = talk.known.gains, talk.page(Page.STORED)
+    found.expect("the stored page", (stored.end.seq, *stored.values), (seq, gains.kp, gains.ki, gains.kd))
+
+
+def codes(found: Examination) -> None:
+    """With a key no set runs without its code, and strangers' codes harm nobody."""
+    talk, good = found.talk, found.other
+    challenge = talk.one(Challenge, Page.CHALLENGE)
+    found.expect("whether a code is demanded", bool(challenge.demanded), talk.key is not None)
+    if talk.key is None:
+        return
+    found.expect("CHALLENGE asked again", talk.one(Challenge, Page.CHALLENGE).nonce, challenge.nonce)
+    seq = talk.fresh_seq()
+    without = talk.reason(Kind.COMMIT, *talk.stage(seq, good), talk.commit(seq, good))
+    found.expect("COMMIT without a code", without, Reason.NO_CODE)
+    _wrong_codes(found)
+    seq = talk.fresh_seq()
+    forged: list[Frame] = [Auth(part, seq % 16, 7) for part in (0, 1)]
+    right = talk.codes(seq, good)
+    talk.say(*talk.stage(seq, good), *forged, *right, *forged, talk.commit(seq, good))
+    talk.samples(2)
+    found.runs("after a COMMIT with the right code among forged halves", good)
+    found.confirmed()
+    renewed = talk.one(Challenge, Page.CHALLENGE).nonce
+    found.holds("CHALLENGE is the same after an accepted code", renewed != challenge.nonce)
+    talk.say(Abort(talk.fresh_seq()))
+    found.holds("CHALLENGE is the same after a fence", talk.one(Challenge, Page.CHALLENGE).nonce != renewed)
+
+
+def _wrong_codes(found: Examination) -> None:
+    """Of another key, and right by half; many of them lock nobody out."""
+    talk, good = found.talk, found.other
+    for part in (0, 1, None, None):
+        seq = talk.fresh_seq()
+        right = [
+            frame for frame in talk.codes(seq, good, b"?" * 16 if part is None else None) if isinstance(frame, Auth)
+        ]
+        sent = [frame if part in {None, frame.part} else replace(frame, mac=frame.mac ^ 1) for frame in right]
+        got = talk.reason(Kind.COMMIT, *talk.stage(seq, good), *sent, talk.commit(seq, good))
+        name = "the code of another key" if part is None else f"only half {part} of its code right"
+        found.expect(f"COMMIT with {name}", got, Reason.WRONG_CODE)
+
+
+def restarting(found: Examination) -> None:
+    """A restart takes a new epoch, and nothing of before it counts."""
+    talk, good = found.talk, found.other
+    before, stored = talk.known.epoch, talk.page(Page.STORED)
+    seq = talk.fresh_seq()
+    talk.say(*talk.stage(seq, good))
+    commit, request = talk.commit(seq, good), talk.lease()
+    if not talk.far.restart():
+        found.left_out.append("a restart: nobody switched the device off and on")
+        return
+    talk.samples(2)
+    talk.look()
+    found.holds("the epoch is the same after a restart", talk.known.epoch != before)
+    found.holds("the sample counter goes on over a restart", talk.known.sample < 1000)
+    found.expect("owner after a restart", talk.known.owner, 0)
+    found.expect(
+        "what runs after a restart", (talk.known.seq, talk.known.gains), (stored.end.seq, PidGains(*stored.values))
+    )
+    found.expect("complete in the staged page after a restart", talk.page(Page.STAGED).end.complete, 0)
+    found.expect("LEASE of before the restart", talk.reason(Kind.LEASE, request), Reason.STALE)
+    talk.own()
+    late = talk.reason(Kind.COMMIT, *talk.stage(seq, good), commit)
+    found.holds("a COMMIT of before the restart is accepted", late is not Reason.OK and late is not None)
+    talk.samples(1)
+    found.runs("after it", PidGains(*stored.values))
+
+
+def reverting(samples: int) -> Check:
+    """The check of a trial time of so many samples."""
+
+    def check(found: Examination) -> None:
+        """A set that is not confirmed in time gives way, and says so."""
+        talk = found.talk
+        before = (talk.known.seq, talk.known.gains)
+        gains = found.other if before[1] != found.other else found.first
+        seq, _ = talk.write(gains)
+        frames = talk.samples(samples + 2)
+        told = first_ack(frames, Kind.CONFIRM)
+        got = None if told is None else (told.seq, Reason(told.reason))
+        found.expect("after the trial time", got, (seq, Reason.REVERTED))
+        talk.look()
+        found.expect("what runs after the trial time", (talk.known.seq, talk.known.gains), before)
+
+    return check

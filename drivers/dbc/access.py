@@ -1,0 +1,255 @@
+"""A controller that speaks any DBC: numbers into frames and out of them, by a mapping.
+
+Every value that goes out is finite and inside what the signal can carry: cantools alone puts NaN into a gain frame
+without complaint. A message is sent with everything that it carries: what was last written of its other signals, the
+fixed values of the mapping, else the DBC's start values.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import can
+
+from retuner.drivers.dbc.dbc_file import DbcFile, Key, SignalPlace, defaults
+from retuner.drivers.dbc.frame_guard import FrameGuard, guard_of
+from retuner.drivers.profiles.access import Alive, Heard, ProfileError, Runs, Stopped, Told
+from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, SignalOf, States
+from retuner.drivers.telemetry.signal_source import DECODING_ERRORS
+from retuner.schedule.vendor_units import VendorGain, VendorUnits
+
+Slot = tuple[int, int | None]
+"""Identifier of a message and page of it: what one frame carries."""
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """A state signal at its place. stop : whether it tells of a stop, rather than of the mode."""
+
+    place: SignalPlace
+    states: States
+    stop: bool
+
+
+class DbcAccess:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    file : the messages. mapping : what is what.
+
+    Raises
+    ------
+    ProfileError
+        A signal is not there, or cannot be what it is said to be.
+    """
+
+    acknowledges = False
+
+    def __init__(self, file: DbcFile, mapping: DeviceMapping) -> None:
+        self._file, self._mapping = file, mapping
+        self._heard: dict[tuple[int, bool], list[tuple[str, SignalPlace]]] = {}
+        self._states: dict[tuple[int, bool], list[_State]] = {}
+        self._requests: dict[str, SignalPlace] = {}
+        self._written: dict[str, SignalPlace] = {}
+        self._queue: list[can.Message] = []
+        self._last: dict[Slot, dict[str, float]] = {}
+        self.damaged = 0  # frames refused for their checksum, counter or content
+        self.telemetry = frozenset(self._listen())
+        self.units = self._take_gains()
+        self.reads_back = all(gain.read is not None for gain in mapping.gains)
+        self.on_request = frozenset(self._requests) & self.telemetry
+        if mapping.setpoint is not None:
+            self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",))
+        self._guards = self._take_guards()
+
+    def _place(self, at: object, key: Key) -> SignalPlace:
+        assert isinstance(at, SignalOf)
+        return self._file.place(at.message, at.signal, key, at.scale, at.offset)
+
+    def _hear(self, name: str, at: object, key: Key) -> None:
+        """Note that a signal is heard under a name."""
+        assert isinstance(at, SignalOf)
+        place = self._place(at, key)
+        self._heard.setdefault((place.frame_id, place.layout.is_extended_frame), []).append((name, place))
+        if at.on_request:
+            self._requests[name] = place
+
+    def _listen(self) -> list[str]:
+        """Telemetry and states; the names of what is heard."""
+        mapping, names = self._mapping, ["pv", "co"]
+        self._hear("pv", mapping.pv, ("pv",))
+        self._hear("co", mapping.co, ("co",))
+        if mapping.sp is not None:
+            self._hear("sp", mapping.sp, ("sp",))
+            names.append("sp")
+        if mapping.mode is not None:
+            self._watch(mapping.mode, ("mode",), stop=False)
+            names.append("mode")
+        for i, states in enumerate(mapping.stops):
+            self._watch(states, ("stop", i), stop=True)
+        return names
+
+    def _watch(self, states: States, key: Key, *, stop: bool) -> None:
+        """Note a state signal."""
+        place = self._place(states.at, key)
+        known = self._states.setdefault((place.frame_id, place.layout.is_extended_frame), [])
+        known.append(_State(place, states, stop))
+
+    def _take_gains(self) -> VendorUnits:
+        """The gains, with what each can hold and which of them go together."""
+        slots: list[Slot] = []
+        gains = []
+        for gain in self._mapping.gains:
+            key: Key = ("gains", str(gain.quantity))
+            place = self._place(gain.at, key)
+            slot = (place.frame_id, place.page)
+            slots += [slot] if slot not in slots else []
+            gains.append(self._vendor_gain(gain, place, slots.index(slot), key))
+            self._written[str(gain.quantity)] = place
+            if gain.read is not None:
+                self._hear(str(gain.quantity), gain.read, key)
+        try:
+            return VendorUnits(tuple(gains), self._mapping.pv_span, self._mapping.co_span, self._mapping.series)
+        except ValueError as error:
+            raise ProfileError(str(error), ("gains",)) from None
+
+    def _vendor_gain(self, gain: GainAt, place: SignalPlace, message: int, key: Key) -> VendorGain:
+        """One gain; what can be told of it."""
+        try:
+            return VendorGain(gain.quantity, gain.scale, place.holds(), message, gain.off)
+        except ValueError as error:
+            raise ProfileError(f"{place.text}: {error}", key) from None
+
+    def _take_guards(self) -> dict[int, FrameGuard]:
+        """Counters and checksums by the identifier of their messages."""
+        found = {}
+        for i, protection in enumerate(self._mapping.protected):
+            layout = self._file.layout(protection.message, ("protect", i, "message"))
+            found[self._file.frame_id(layout)] = guard_of(layout, protection, self._file.source, ("protect", i))
+        return found
+
+    def take(self, message: can.Message) -> Sequence[Told]:
+        """What a frame tells: see Access."""
+        if message.is_remote_frame or message.is_error_frame:
+            return ()
+        at = (message.arbitration_id, message.is_extended_id)
+        heard, states = self._heard.get(at, []), self._states.get(at, [])
+        layout = next((place.layout for place in (*(p for _, p in heard), *(s.place for s in states))), None)
+        if layout is None:
+            return ()
+        guard = self._guards.get(message.arbitration_id)
+        if guard is not None and not guard.accepts(bytes(message.data)):
+            self.damaged += 1
+            return ()
+        try:
+            values = layout.decode(bytes(message.data), decode_choices=False, allow_truncated=False)
+        except DECODING_ERRORS:
+            self.damaged += 1
+            return ()
+        return list(self._told(values if isinstance(values, Mapping) else {}, heard, states))
+
+    def _told(
+        self,
+        values: Mapping[str, object],
+        heard: Iterable[tuple[str, SignalPlace]],
+        states: Iterable[_State],
+    ) -> Iterable[Told]:
+        """Numbers and states of one decoded frame; a number that is none is passed over."""
+        yield Alive()
+        for state in states:
+            value = _number(values.get(state.place.signal.name))
+            if value is None:
+                continue
+            expected = state.states.holds(value)
+            if not state.stop:
+                yield Heard("mode", float(expected))
+            elif expected:
+                yield Runs(state.place.text)
+            else:
+                yield Stopped(state.states.reason or f"{state.place.text} = {value:g}", state.place.text)
+        for name, place in heard:
+            value = _number(values.get(place.signal.name))
+            if value is not None:
+                yield Heard(name, place.scale * value + place.offset)
+
+    def ask(self, names: Iterable[str]) -> None:
+        """Have numbers sent that come on request only."""
+        asked = set()
+        for name in names:
+            place = self._requests.get(name)
+            if place is not None and place.frame_id not in asked:
+                asked.add(place.frame_id)
+                self._queue.append(
+                    can.Message(
+                        arbitration_id=place.frame_id,
+                        is_extended_id=place.layout.is_extended_frame,
+                        is_remote_frame=True,
+                        dlc=min(place.layout.length, 8),
+                    )
+                )
+
+    def put(self, numbers: Mapping[str, float]) -> None:
+        """Have numbers written: see Access."""
+        frames = self._noted(numbers)
+        for slot in frames:
+            place = next(place for place in self._written.values() if (place.frame_id, place.page) == slot)
+            self._queue.append(self._frame(place, slot))
+
+    def assume(self, numbers: Mapping[str, float]) -> None:
+        """Note what the controller is believed to hold, for messages that carry more than one kind of thing."""
+        self._noted(numbers)
+
+    def _noted(self, numbers: Mapping[str, float]) -> list[Slot]:
+        """Note numbers in their messages; the messages."""
+        slots: list[Slot] = []
+        for name, number in numbers.items():
+            place = self._written.get(name)
+            if place is None:
+                raise ValueError(f"the mapping says nothing of {name}")
+            value = (number - place.offset) / place.scale
+            try:
+                value = place.holds().nearest(value)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+            slot = (place.frame_id, place.page)
+            fixed = self._mapping.fixed
+            self._last.setdefault(slot, defaults(place.layout, place.page, fixed))[place.signal.name] = value
+            slots += [slot] if slot not in slots else []
+        return slots
+
+    def _frame(self, place: SignalPlace, slot: Slot) -> can.Message:
+        """The frame of a message as it stands."""
+        values = dict(self._last[slot])
+        guard = self._guards.get(place.frame_id)
+        if guard is not None:
+            guard.count(values)
+        try:
+            data = place.layout.encode(values, scaling=True, padding=False, strict=False)
+        except DECODING_ERRORS as error:
+            raise ValueError(f"message {place.layout.name}: {' '.join(str(error).split())[:160]}") from None
+        if guard is not None:
+            data = guard.sealed(data)
+        return can.Message(
+            arbitration_id=place.frame_id,
+            is_extended_id=place.layout.is_extended_frame,
+            is_fd=place.layout.is_fd,
+            data=data,
+        )
+
+    def due(self, now_s: float) -> Sequence[can.Message]:
+        """What is to be sent."""
+        del now_s
+        queue, self._queue = self._queue, []
+        return queue
+
+    def forget(self) -> None:
+        """Give up what waits."""
+        self._queue.clear()
+
+
+def _number(value: object) -> float | None:
+    """A finite number, or nothing."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)

@@ -1,0 +1,213 @@
+"""A DBC file, and the signals that a mapping names in it: found, or told in one line with the key that is wrong."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cantools.database
+from cantools.database.can.database import Database
+from cantools.database.can.message import Message as Layout
+from cantools.database.can.signal import Signal
+
+from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.protocol.codec import PARSING_ERRORS
+from retuner.schedule.vendor_units import SINGLE_MAX, Holds
+
+Key = tuple[str | int, ...]
+LARGEST = 16 << 20  # bytes
+NAMES_SHOWN = 8
+SINGLE_BITS = 32
+
+
+@dataclass(frozen=True, slots=True)
+class SignalPlace:
+    """One signal of one message, as this node sends or takes it.
+
+    scale, offset : ours = scale x the signal's + offset. frame_id : with the node in it.
+    """
+
+    layout: Layout
+    signal: Signal
+    frame_id: int
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def page(self) -> int | None:
+        """Value of the multiplexer under which it is there; None where it always is."""
+        ids = self.signal.multiplexer_ids
+        return ids[0] if ids else None
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        return f"{self.layout.name}.{self.signal.name}"
+
+    def holds(self) -> Holds:
+        """The numbers that it can carry, by the limits of its bits and, where the DBC has some, by those of the DBC."""
+        signal = self.signal
+        if signal.is_float:
+            single = signal.length == SINGLE_BITS
+            low, high, step, zero = -SINGLE_MAX, SINGLE_MAX, 0.0, 0.0
+        else:
+            single = False
+            least, most = (
+                (-(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1)
+                if signal.is_signed
+                else (0, (1 << signal.length) - 1)
+            )
+            ends = sorted(float(raw * signal.scale + signal.offset) for raw in (least, most))
+            low, high, step, zero = ends[0], ends[1], abs(float(signal.scale)), float(signal.offset)
+        if signal.minimum is not None or signal.maximum is not None:
+            told_low = float(signal.minimum) if signal.minimum is not None else low
+            told_high = float(signal.maximum) if signal.maximum is not None else high
+            if told_low < told_high:  # [0|0] says that nobody has filled it in
+                low, high = max(low, told_low), min(high, told_high)
+        return Holds(low, high, step, zero, single)
+
+
+@dataclass(frozen=True, slots=True)
+class DbcFile:
+    """The messages of a file, and how they move with the node's number.
+
+    source : name of the file. node : of the device. described : node that the DBC describes. shift : bits by which the
+    node's number is moved in the identifiers; None where they do not depend on it.
+    """
+
+    database: Database
+    source: str
+    node: int = 0
+    described: int = 0
+    shift: int | None = None
+
+    def frame_id(self, layout: Layout, key: Key = ()) -> int:
+        """Identifier of a message of this node."""
+        moved = 0 if self.shift is None else (self.node - self.described) << self.shift
+        found = layout.frame_id + moved
+        if not 0 <= found < 1 << (29 if layout.is_extended_frame else 11):
+            raise ProfileError(f"{self.source}: message {layout.name} of node {self.node} has no identifier", key)
+        return found
+
+    def layout(self, name: str, key: Key) -> Layout:
+        """A message by its name, or by its identifier where a name is not unique ("0x21", "0x18FF0021").
+
+        Raises
+        ------
+        ProfileError
+            There is none, or several of this name.
+        """
+        messages = self.database.messages
+        number = _identifier(name)
+        found = [m for m in messages if (m.frame_id == number if number is not None else m.name == name)]
+        if len(found) == 1:
+            return self._sound(found[0], key)
+        if not found:
+            raise ProfileError(f"{self.source}: no message {name!r}; {_there([m.name for m in messages], name)}", key)
+        ids = ", ".join(f"{m.frame_id:#x}" for m in found)
+        raise ProfileError(f"{self.source}: {len(found)} messages {name!r}; name one by its identifier: {ids}", key)
+
+    def _sound(self, layout: Layout, key: Key) -> Layout:
+        """The message, if its signals do not overlap or leave it."""
+        try:
+            layout.refresh(strict=True)
+        except PARSING_ERRORS as error:
+            raise ProfileError(f"{self.source}: {' '.join(str(error).split())[:200]}", key) from None
+        return layout
+
+    def place(self, message: str, signal: str, key: Key, scale: float = 1.0, offset: float = 0.0) -> SignalPlace:
+        """A signal.
+
+        Raises
+        ------
+        ProfileError
+            There is no such message or signal, or it is no number.
+        """
+        layout = self.layout(message, (*key, "message"))
+        if layout.is_container:
+            raise ProfileError(f"{self.source}: message {message!r} is a container", (*key, "message"))
+        found = [s for s in layout.signals if s.name == signal]
+        if not found:
+            names = [s.name for s in layout.signals]
+            raise ProfileError(
+                f"{self.source}: message {message!r} has no signal {signal!r}; {_there(names, signal)}",
+                (*key, "signal"),
+            )
+        if found[0].multiplexer_ids is not None and len(_selectors(layout)) > 1:
+            raise ProfileError(f"{self.source}: message {message!r} is multiplexed in more than one way", key)
+        return SignalPlace(layout, found[0], self.frame_id(layout, key), scale, offset)
+
+
+def selector(layout: Layout) -> Signal | None:
+    """The signal that says which of the multiplexed ones are there."""
+    found = _selectors(layout)
+    return found[0] if found else None
+
+
+def _selectors(layout: Layout) -> list[Signal]:
+    return [signal for signal in layout.signals if signal.is_multiplexer]
+
+
+def read_dbc_file(path: Path) -> Database:
+    """The messages of a DBC file.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read, or is no DBC.
+    """
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(LARGEST + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ProfileError(f"{path}: cannot be read: {reason}; give the device's DBC file", ("dbc",)) from None
+    if len(raw) > LARGEST:
+        raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it a DBC?", ("dbc",))
+    text = raw.decode("latin-1")  # names are ASCII; comments are Latin-1 as often as not
+    try:  # flaws of messages that nobody needs do no harm; DbcFile.layout looks at those that are needed
+        database = cantools.database.load_string(text, database_format="dbc", strict=False)
+    except PARSING_ERRORS as error:
+        raise ProfileError(f"{path}: is no usable DBC: {' '.join(str(error).split())[:200]}", ("dbc",)) from None
+    if not isinstance(database, Database) or not database.messages:
+        raise ProfileError(f"{path}: describes no message; is it a DBC?", ("dbc",))
+    return database
+
+
+def defaults(layout: Layout, page: int | None, fixed: Mapping[str, float]) -> dict[str, float]:
+    """Every signal of a message (of one page of a multiplexed one) with what it carries when nothing is said of it:
+    the fixed value, else the DBC's start value, else 0 or the end nearest to it.
+    """
+    found: dict[str, float] = {}
+    for signal in layout.signals:
+        if signal.multiplexer_ids and page not in signal.multiplexer_ids:
+            continue
+        if signal.is_multiplexer and page is not None:
+            found[signal.name] = float(page)
+            continue
+        initial = signal.initial
+        start = float(initial) if isinstance(initial, int | float) else 0.0
+        low, high = signal.minimum, signal.maximum
+        if low is not None and high is not None and low < high:
+            start = min(max(start, float(low)), float(high))
+        found[signal.name] = fixed.get(f"{layout.name}.{signal.name}", start)
+    return found
+
+
+def _identifier(name: str) -> int | None:
+    """The identifier that a name is, if it is one."""
+    try:
+        return int(name, 16) if name.lower().startswith("0x") else None
+    except ValueError:
+        return None
+
+
+def _there(names: Sequence[str], wanted: str) -> str:
+    """What could have been meant."""
+    ranked = sorted(names, key=lambda name: -_alike(name.lower(), wanted.lower()))
+    shown = ", ".join(ranked[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
+    return f"there is {shown}" if names else "there is none"
+
+
+def _alike(name: str, wanted: str) -> int:
+    """Length of the longest piece of the wanted name, from its start, that is in this one."""
+    return max((n for n in range(len(wanted) + 1) if wanted[:n] in name), default=0)

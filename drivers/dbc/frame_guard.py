@@ -1,0 +1,116 @@
+"""Counter and checksum of one message: put into what is sent, demanded of what comes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cantools.database.can.message import Message as Layout
+from cantools.database.can.signal import Signal
+
+from retuner.drivers.dbc.checksums import ALGORITHMS
+from retuner.drivers.profiles.access import ProfileError
+from retuner.drivers.profiles.mapping import Protection
+
+ID_BYTES = 2
+
+
+@dataclass(slots=True)
+class FrameGuard:
+    """One message at work. Counts up from 0; a frame whose counter has not moved is old, and refused.
+
+    counter : its signal, None for none. place, width : first byte and bytes of the checksum. big : byte order.
+    """
+
+    counter: Signal | None
+    place: int
+    width: int
+    big: bool
+    algorithm: Callable[[bytes], int] | None
+    data_id: bytes
+    _next: int = 0
+    _seen: int | None = None
+
+    def count(self, values: dict[str, float]) -> None:
+        """Put the next count into the values of a frame."""
+        if self.counter is not None:
+            values[self.counter.name] = float(self._next * float(self.counter.scale) + float(self.counter.offset))
+            self._next = (self._next + 1) % (1 << self.counter.length)
+
+    def sealed(self, data: bytes) -> bytes:
+        """The frame with its checksum."""
+        if self.algorithm is None:
+            return data
+        sum_ = self.algorithm(self._covered(data)).to_bytes(self.width, "big" if self.big else "little")
+        return data[: self.place] + sum_ + data[self.place + self.width :]
+
+    def accepts(self, data: bytes) -> bool:
+        """Whether a frame is whole and newer than the last one."""
+        if self.algorithm is not None and (len(data) < self.place + self.width or self.sealed(data) != data):
+            return False
+        if self.counter is None:
+            return True
+        count = _bits(data, self.counter)
+        new = count is not None and count != self._seen
+        self._seen = count if count is not None else self._seen
+        return new
+
+    def _covered(self, data: bytes) -> bytes:
+        """The bytes that the checksum is over."""
+        return data[: self.place] + data[self.place + self.width :] + self.data_id
+
+
+def guard_of(layout: Layout, protection: Protection, source: str, key: tuple[str | int, ...]) -> FrameGuard:
+    """The guard of a message.
+
+    Raises
+    ------
+    ProfileError
+        No such signal or algorithm, or a checksum that is no whole byte of its width.
+    """
+    counter = _signal(layout, protection.counter, source, (*key, "counter"))
+    checksum = _signal(layout, protection.checksum, source, (*key, "checksum"))
+    data_id = b"" if protection.data_id is None else protection.data_id.to_bytes(ID_BYTES, "little")
+    if checksum is None:
+        return FrameGuard(counter, 0, 0, big=False, algorithm=None, data_id=data_id)
+    algorithm = ALGORITHMS.get(protection.algorithm)
+    if algorithm is None:
+        known = ", ".join(ALGORITHMS)
+        raise ProfileError(
+            f"{source}: {layout.name}: no algorithm {protection.algorithm!r}; there is {known}", (*key, "algorithm")
+        )
+    bits, big = checksum.length, checksum.byte_order == "big_endian"
+    first = checksum.start - 7 if big else checksum.start
+    wanted = 16 if "16" in protection.algorithm else 8
+    if bits != wanted or first % 8:
+        raise ProfileError(
+            f"{source}: {layout.name}.{checksum.name} has {bits} bits from bit {checksum.start}; "
+            f"{protection.algorithm} needs {wanted} that begin with a byte",
+            (*key, "checksum"),
+        )
+    return FrameGuard(counter, first // 8, bits // 8, big, algorithm, data_id)
+
+
+def _signal(layout: Layout, name: str, source: str, key: tuple[str | int, ...]) -> Signal | None:
+    """A signal of a message by its name; None for no name."""
+    if not name:
+        return None
+    found = [signal for signal in layout.signals if signal.name == name]
+    if not found:
+        names = ", ".join(signal.name for signal in layout.signals)
+        raise ProfileError(f"{source}: message {layout.name!r} has no signal {name!r}; there is {names}", key)
+    return found[0]
+
+
+def _bits(data: bytes, signal: Signal) -> int | None:
+    """The raw value of an unsigned signal; None when the frame is too short."""
+    value = 0
+    place = signal.start
+    for i in range(signal.length):
+        if place // 8 >= len(data):
+            return None
+        bit = data[place // 8] >> (place % 8) & 1
+        value = value << 1 | bit if signal.byte_order == "big_endian" else value | bit << i
+        if signal.byte_order == "big_endian":
+            place = place - 1 if place % 8 else place + 15
+        else:
+            place += 1
+    return value

@@ -1,0 +1,423 @@
+"""A controller that is not ours, as a device: samples by arrival, gains by its own messages, its own word heard.
+
+It promises less than the native protocol, and what it promises depends on the controller: see docs/devices.md. What is
+the same: everything happens in poll(), nothing blocks, gains in force are those that were read back (or, where the user
+has accepted it, those that were sent), and a write that goes wrong is taken back and told.
+"""
+
+import math
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.drivers.bus.link_settings import FramePort
+from retuner.drivers.device import (
+    CommandDone,
+    CommandFailed,
+    DeviceMismatchError,
+    DeviceRestarted,
+    DeviceSilentError,
+    DeviceStopped,
+    Event,
+    LinkChanged,
+    LinkState,
+    RunningChanged,
+    RunningSet,
+    SamplesLost,
+    WriteDone,
+    WriteFailed,
+    WriteRefusedError,
+    WriteUnknown,
+)
+from retuner.drivers.host.connection import Contact
+from retuner.drivers.profiles.access import Access, Acknowledged, Denied, Heard, Runs, Started, Stopped, Told
+from retuner.drivers.profiles.bench_loop import load_frame
+from retuner.drivers.profiles.foreign_settings import ForeignSettings
+from retuner.drivers.profiles.gain_course import GainCourse
+from retuner.drivers.profiles.sample_grid import SampleGrid
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
+from retuner.drivers.telemetry.signal_values import SignalTap
+from retuner.schedule.axis import CAN
+from retuner.schedule.gains import PidGains
+
+Numbers = Mapping[str, float]
+ChooseWay = Callable[[Numbers, Numbers, bool], tuple[int, ...]]
+"""Old and new numbers, and whether it is the way back: the messages in their order; WriteRefusedError when none is."""
+SEQUENCES = 1 << 16
+AT_LIMIT = 1e-6
+"""Share of the output's range within which it counts as standing at the limit."""
+TOGETHER = 0.5
+"""Samples within which values of one sample come."""
+
+ROUNDS = 16
+"""Questions and answers in one poll, where the answer comes at once."""
+
+
+def any_way(old: Numbers, new: Numbers, back: bool) -> tuple[int, ...]:
+    """Nobody proves anything here: only what is one message, or the way back, may be written."""
+    del old, new
+    if back:
+        return ()
+    raise WriteRefusedError("the set takes several messages, and nobody has proved the sets between")
+
+
+class Value(NamedTuple):
+    """A number, and when it came."""
+
+    value: float
+    at_s: float
+
+
+class ForeignDevice:
+    """See the head of this file; device.Device says what its methods promise.
+
+    Parameters
+    ----------
+    link : open bus. access : the controller's numbers. settings : see there.
+    """
+
+    def __init__(self, link: FramePort, access: Access, settings: ForeignSettings) -> None:
+        self.link, self.settings = link, settings
+        self.choose_way: ChooseWay = any_way
+        self.running: RunningSet | None = None
+        self._access = access
+        asked = "pv" in access.on_request
+        self._grid = SampleGrid(settings.sample_time_s, asked=asked, after_s=settings.after_s)
+        inputs = ScheduleInputs.of(settings.variable)
+        self._inputs, self._tap = inputs, SignalTap(inputs.signals)
+        self._contact = Contact(settings.silent_s, settings.connect_s)
+        self._course = GainCourse(
+            acknowledges=access.acknowledges, reads_back=access.reads_back, reply_s=settings.reply_s
+        )
+        self._numbers: Numbers | None = None  # what runs, in the controller's units
+        self._read: dict[str, float] = {}  # read since the last question
+        self._fresh: dict[str, Value] = {}  # heard since the last sample
+        self._latest: dict[str, float] = {}
+        self._setpoint: float | None = None
+        self._asked_setpoint = False
+        self._stopped: dict[str, str] = {}  # reasons by what tells them
+        self._up = self._there = False
+        self._ask_s = self._feed_s = -math.inf
+        self._seq = 0
+        self._boots = 0
+        self._events: list[Event] = []
+
+    @property
+    def connected(self) -> bool:
+        """Whether the device is heard and its running set known (or believed, where it cannot be read)."""
+        return self._up and self.running is not None
+
+    @property
+    def writing(self) -> bool:
+        """Whether a write is under way or its result unknown."""
+        return self._course.busy
+
+    def poll(self, now_s: float) -> list[Event]:
+        """Take what has arrived, send what is due, tell what happened: see device.Device."""
+        self._contact.polled(now_s)
+        for _ in range(ROUNDS):
+            self._receive(now_s)
+            self._notice_silence(now_s)
+            self._connect(now_s)
+            self._write_on(now_s)
+            self._ask(now_s)
+            self._feed(now_s)
+            if not self._send_due(now_s):
+                break
+        events, self._events = self._events, []
+        return events
+
+    def _receive(self, now_s: float) -> None:
+        """Take what has arrived."""
+        for message in self.link.receive_all():
+            self._tap.take(message)
+            for one in self._access.take(message):
+                self._there = True
+                self._take(one, now_s)
+
+    def _take(self, told: Told, now_s: float) -> None:
+        """One thing that the controller has told."""
+        match told:
+            case Heard():
+                self._hear(told.name, told.value, now_s)
+            case Stopped():
+                self._on_stop(told)
+            case Runs():
+                self._stopped.pop(told.source, None)
+            case Started():
+                self._on_restart()
+            case Acknowledged(name="setpoint"):
+                self._events += [CommandDone("setpoint")] * self._asked_setpoint
+                self._asked_setpoint = False
+            case Acknowledged():
+                self._course.on_acknowledged(told.name)
+            case Denied(name="setpoint"):
+                self._events += [CommandFailed("setpoint", told.reason)] * self._asked_setpoint
+                self._asked_setpoint = False
+            case Denied():
+                self._course.on_refused(told.name, told.reason)
+            case _:
+                pass
+
+    def _hear(self, name: str, value: float, now_s: float) -> None:
+        """A number: of a gain that is being read, or of the loop."""
+        if name in self._access.units.names:
+            self._read[name] = value
+            if len(self._read) == len(self._access.units.names):
+                read, self._read = self._read, {}
+                self._on_gains(read)
+            return
+        first = name == "pv" and self._grid.due(now_s)
+        self._latest[name] = value
+        if name == "pv":
+            self._contact.heard_s = now_s
+        if name in {"pv", "co"}:
+            self._fresh[name] = Value(value, now_s)
+        if first and "pv" not in self._access.on_request:
+            self._access.ask(self._access.on_request)
+        self._sample()
+
+    def _sample(self) -> None:
+        """The sample, once pv and co of about the same time are here and one is due."""
+        if not self.connected or self.running is None or self._fresh.keys() < {"pv", "co"}:
+            return
+        pv, co = self._fresh["pv"], self._fresh["co"]
+        if abs(pv.at_s - co.at_s) > TOGETHER * self.settings.sample_time_s:
+            self._fresh.pop("pv" if pv.at_s < co.at_s else "co")
+            return
+        placed = self._grid.place(max(pv.at_s, co.at_s))
+        if placed is None:
+            return
+        self._fresh.clear()
+        t_s, lost = placed
+        self._events += [SamplesLost(lost, t_s)] if lost else []
+        self._events += [*self._tap.news(), self._tap.fill(self._as_sample(t_s, pv.value, co.value, self.running.seq))]
+
+    def _as_sample(self, t_s: float, pv: float, co: float, seq: int) -> LoopSample:
+        """The sample, without what comes from other signals on the bus."""
+        s = self.settings
+        sp = self._latest.get("sp", self._setpoint if self._setpoint is not None else s.sp_start)
+        auto = self._latest.get("mode", 1.0) and not self._stopped
+        near = AT_LIMIT * (s.co_max - s.co_min)
+        limited = (co >= s.co_max - near) - (co <= s.co_min + near)
+        known = {"sp": sp, "pv": pv, "co": co, CAN: math.nan, "": 0.0}
+        x, x2 = known[self._inputs.variable], known[self._inputs.variable2]
+        return LoopSample(t_s, sp, pv, co, LoopMode.AUTO if auto else LoopMode.MANUAL, limited, x, seq, x2)
+
+    def _on_stop(self, stopped: Stopped) -> None:
+        """The controller says that it has stopped; told once, until it controls again."""
+        if not self._stopped:
+            self._events.append(DeviceStopped(stopped.reason))
+        self._stopped[stopped.source] = stopped.reason
+
+    def _on_restart(self) -> None:
+        """The controller has booted: what it runs is to be read again, or sent again."""
+        self._course.on_restart()
+        self._boots += 1
+        if self.running is not None:
+            self.running = None
+            self._read.clear()
+            self._ask_s = -math.inf
+
+    def _on_gains(self, numbers: Numbers) -> None:
+        """The whole set, as the controller tells it."""
+        busy = self._course.busy
+        self._course.on_read(numbers)
+        if busy:
+            self._conclude()
+            return
+        if self.running is not None and self._numbers == numbers:
+            return
+        known = self.running is not None
+        self._believe(numbers)
+        if known and self.running is not None:
+            self._events.append(RunningChanged(self.running))
+
+    def _believe(self, numbers: Numbers) -> None:
+        """These numbers run from now on."""
+        try:
+            gains = self._access.units.of(numbers)
+        except ValueError as error:
+            if not self._contact.made:
+                told = ", ".join(f"{name} = {value:g}" for name, value in numbers.items())
+                raise DeviceMismatchError(f"{self.settings.where}: it runs {told}: {error}") from None
+            self._lose(LinkState.SILENT, f"what it runs is no controller: {error}")
+            return
+        self._seq = (self._seq + 1) % SEQUENCES
+        self._numbers = dict(numbers)
+        packed = ",".join(f"{name}={value!r}" for name, value in sorted(numbers.items()))
+        self.running = RunningSet(self._seq, gains, zlib.crc32(packed.encode()))
+
+    def _connect(self, now_s: float) -> None:
+        """The first connection, or another one: heard, and the gains known."""
+        heard = now_s - self._contact.heard_s <= self.settings.silent_s
+        if not heard or self.link.state is LinkState.DOWN:
+            return
+        if self.running is None and not self._access.reads_back:
+            self._believe(self._numbers or self._first_numbers())
+            if not self.settings.closed and self._numbers is not None:
+                self._access.put(self._numbers)  # nobody can say what runs: what is sent does
+        if self.running is None:
+            return
+        if self._boots and self._contact.made:
+            self._events.append(DeviceRestarted(self._boots, self.running))
+        self._boots = 0
+        if not self._up:
+            self._up = self._contact.made = True
+            known = "the running set read back" if self._access.reads_back else "the running set believed, not read"
+            self._events.append(LinkChanged(LinkState.UP, f"heard, and {known}"))
+
+    def _first_numbers(self) -> Numbers:
+        """The configured set in the controller's units."""
+        try:
+            return self._access.units.numbers(self.settings.gains)
+        except ValueError as error:
+            raise DeviceMismatchError(f"{self.settings.where}: the configured gains: {error}") from None
+
+    def _notice_silence(self, now_s: float) -> None:
+        """Nothing heard for too long, or no bus."""
+        reason = self._contact.lost(now_s, self.link.state)
+        if not self._up:
+            if self._contact.in_vain(now_s):
+                what = "no frame of it"
+                if self._there:
+                    heard = self._contact.heard_s > -math.inf
+                    what = "it is there, but its gains could not be read" if heard else "it is there, but no pv came"
+                raise DeviceSilentError(
+                    f"{self.settings.where}: {what} within {self.settings.connect_s:g} s; "
+                    "is the device running there, and is this its description?"
+                )
+            return
+        if reason:
+            state = LinkState.DOWN if self.link.state is LinkState.DOWN else LinkState.SILENT
+            self._lose(state, reason)
+
+    def _lose(self, state: LinkState, reason: str) -> None:
+        """Nothing is known any more."""
+        self._up, self.running = False, None
+        self._fresh.clear()
+        self._read.clear()
+        self._latest.pop("mode", None)
+        self._stopped.clear()
+        self._access.forget()
+        self._ask_s = -math.inf
+        self._events.append(LinkChanged(state, reason))
+
+    def _ask(self, now_s: float) -> None:
+        """Ask for the gains: at first, and now and then; and for the loop's numbers that come on request only."""
+        access = self._access
+        if "pv" in access.on_request and self._grid.due(now_s) and not self._fresh:
+            access.ask(access.on_request)
+        if not access.reads_back or self._course.busy or now_s < self._ask_s:
+            return
+        pause = self.settings.look_s if self.running is not None else self.settings.reply_s
+        self._ask_s = now_s + pause
+        self._read.clear()
+        access.ask(access.units.names)
+
+    def _feed(self, now_s: float) -> None:
+        """Send the setpoint again, for a watchdog."""
+        if self._setpoint is not None and now_s >= self._feed_s:
+            self._feed_s = now_s + self.settings.feed_s
+            self._access.put({"setpoint": self._setpoint})
+
+    def _write_on(self, now_s: float) -> None:
+        """What the write under way wants to send."""
+        sending = self._course.due(now_s) if self._up else None
+        if sending is not None:
+            if sending.write:
+                self._access.put(sending.write)
+            if sending.read:
+                self._read.clear()
+                self._access.ask(self._access.units.names)
+        unknown = self._course.unknown()
+        if unknown:
+            self._events.append(WriteUnknown(self._seq, unknown))
+        self._conclude()
+
+    def _conclude(self) -> None:
+        """Tell the end of a write, if it has come."""
+        outcome, self._course.outcome = self._course.outcome, None
+        if outcome is None:
+            return
+        self._believe(outcome.numbers)
+        if self.running is None:
+            return
+        done = WriteDone(self._seq, self.running.gains, self.running)
+        self._events.append(done if outcome.done else WriteFailed(self._seq, outcome.reason, self.running))
+
+    def _send_due(self, now_s: float) -> bool:
+        """Put on the bus what is due; whether there was anything, which may be answered at once."""
+        frames = self._access.due(now_s)
+        for frame in frames:
+            self.link.send(frame)
+        return bool(frames)
+
+    def begin_write(self, gains: PidGains, now_s: float, *, back: bool = False) -> int:
+        """Start to write a set, message by message: see device.Device."""
+        if self.settings.closed:
+            raise WriteRefusedError(f"{self.settings.where}: {self.settings.closed}")
+        if not self.connected or self._numbers is None:
+            raise WriteRefusedError(f"{self.settings.where}: not connected, what runs is unknown; wait")
+        if self._course.busy:
+            raise WriteRefusedError(f"{self.settings.where}: a write is under way")
+        units, old = self._access.units, self._numbers
+        try:
+            new = units.numbers(gains)
+            order: Iterable[int] = () if units.atomic else self.choose_way(old, new, back)
+        except (ValueError, WriteRefusedError) as error:
+            raise WriteRefusedError(f"{self.settings.where}: {error}") from None
+        changed = {gain.message for gain in units.gains if old[gain.quantity] != new[gain.quantity]}
+        steps = [units.of_message(message, new) for message in order or sorted(changed)]
+        self._course.begin(steps, old, new)
+        self._write_on(now_s)
+        self._send_due(now_s)
+        return self._seq
+
+    def send_setpoint(self, sp: float, now_s: float) -> None:
+        """Set the target in pv units: see device.Device."""
+        self._put({"setpoint": sp}, now_s)
+        self._setpoint, self._feed_s = sp, now_s + self.settings.feed_s
+        if self._access.acknowledges:
+            self._asked_setpoint = True
+        else:
+            self._events.append(CommandDone("setpoint"))
+
+    def send_mode(self, *, auto: bool, co: float, now_s: float) -> None:
+        """Refused: a foreign controller's modes are its own, and switching them may start a motor."""
+        del auto, co, now_s
+        raise WriteRefusedError(f"{self.settings.where}: its mode is not switched from here; do it at the device")
+
+    def send_load(self, load: float, now_s: float) -> None:
+        """Disturb a simulated plant, percent of co: see device.Device."""
+        del now_s
+        node = self.settings.bench_node
+        if node is None or not math.isfinite(load):
+            raise WriteRefusedError(f"{self.settings.where}: load = {load:g}: only a virtual device takes one")
+        self.link.send(load_frame(node, load))
+        self._events.append(CommandDone("load"))
+
+    def _put(self, numbers: Numbers, now_s: float) -> None:
+        """Have numbers written at once."""
+        if not all(map(math.isfinite, numbers.values())):
+            raise WriteRefusedError(f"{self.settings.where}: {numbers} are no finite numbers")
+        try:
+            self._access.put(numbers)
+        except ValueError as error:
+            raise WriteRefusedError(f"{self.settings.where}: {error}") from None
+        self._send_due(now_s)
+
+    def store(self, now_s: float) -> None:
+        """Refused: when and where a foreign controller stores is its own business."""
+        del now_s
+        raise WriteRefusedError(f"{self.settings.where}: gains are not stored from here; do it at the device")
+
+    def confirm(self, now_s: float) -> bool:
+        """Nothing waits for a confirmation here."""
+        del now_s
+        return True
+
+    def release(self, now_s: float) -> None:
+        """Nobody had reserved the controller."""
+        del now_s

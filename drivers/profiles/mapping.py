@@ -1,0 +1,90 @@
+"""Which signals or objects of a foreign device are what: plain values, as a configuration or a profile gives them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from retuner.schedule.vendor_units import Quantity
+
+
+@dataclass(frozen=True, slots=True)
+class SignalOf:
+    """A number in a DBC. scale, offset : ours = scale x the signal's + offset. on_request : comes only when asked for
+    with a remote frame.
+    """
+
+    message: str
+    signal: str
+    scale: float = 1.0
+    offset: float = 0.0
+    on_request: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectOf:
+    """A number in an object dictionary: "6130", "6130:1" or the name in the EDS; scale, offset as SignalOf."""
+
+    object: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class GainAt:
+    """A gain. at : where it is written. read : where it is read back, None where it cannot be. scale : ours for one of
+    the controller's. off : number that stands for no such action.
+    """
+
+    quantity: Quantity
+    at: SignalOf | ObjectOf
+    read: SignalOf | ObjectOf | None = None
+    scale: float = 1.0
+    off: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """A number that tells a state. expected : the values, after `mask`, that count as auto, or as no stop."""
+
+    at: SignalOf | ObjectOf
+    expected: tuple[int, ...]
+    mask: int = 0xFFFFFFFF
+    reason: str = ""
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is one of the expected."""
+        return int(value) & self.mask in self.expected
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """What guards a message: names of its counter and checksum signals, "" for none, and the checksum's algorithm."""
+
+    message: str
+    counter: str = ""
+    checksum: str = ""
+    algorithm: str = ""
+    data_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceMapping:
+    """All of it.
+
+    pv, co : needed. sp : where the device reports its setpoint. mode : where it tells whether it controls.
+    setpoint : where it takes one. gains : one a quantity. series : form of kp and the times. gain_scale : of all gains
+    with kp, ki or kd. stops : what ends a trial. protected : messages with counter or checksum. fixed : values of
+    other signals in the messages that are written, by "message.signal".
+    """
+
+    pv: SignalOf | ObjectOf
+    co: SignalOf | ObjectOf
+    gains: tuple[GainAt, ...]
+    sp: SignalOf | ObjectOf | None = None
+    mode: States | None = None
+    setpoint: SignalOf | ObjectOf | None = None
+    series: bool = False
+    pv_span: float = 100.0
+    co_span: float = 100.0
+    stops: tuple[States, ...] = ()
+    protected: tuple[Protection, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)

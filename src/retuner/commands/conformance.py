@@ -1,0 +1,107 @@
+"""retuner conformance: play host and stranger to a device on a bus, and tell what it does wrong."""
+
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from retuner.commands.options import Json
+from retuner.errors import UserError
+
+if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
+    from retuner.drivers.conformance.examination import Examination
+
+RESTART_S = 60.0  # how long somebody may take to switch the device off and on
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(epilog="Example: retuner conformance -i socketcan -c can0 --node 1 --sample-time 0.01")
+def conformance(
+    interface: Annotated[str, typer.Option("--interface", "-i", help="python-can interface.")],
+    channel: Annotated[str, typer.Option("--channel", "-c", help="Channel of the interface.")],
+    node: Annotated[int, typer.Option(help="Number of the device.", min=1, max=63)] = 1,
+    sample_time: Annotated[float, typer.Option(help="Seconds between its samples.")] = 2.0,
+    speed: Annotated[float, typer.Option(help="How much faster than real time a simulated device runs.")] = 1.0,
+    key_file: Annotated[Path | None, typer.Option(help="Secret that its commits are authenticated with.")] = None,
+    trial_samples: Annotated[
+        int, typer.Option(help="Its trial time, to see a set give way that is not confirmed.", min=0, max=65535)
+    ] = 0,
+    restart: Annotated[bool, typer.Option("--restart", help="Ask for a power cycle, and look at that too.")] = False,
+    as_json: Json = False,
+) -> int:
+    """Examine a device on a bus: every chapter of docs/protocol.md, faults included. Its gains are changed by a few
+    per cent, stored, and put back at the end; let it control nothing that minds.
+    """
+    for name, value in (("--sample-time", sample_time), ("--speed", speed)):
+        if not 0 < value < math.inf:
+            raise UserError(f"{name} {value}: give a positive number")
+    found = _examined(interface, channel, node, sample_time / speed, key_file, trial_samples, restart=restart)
+    _tell(found, as_json=as_json)
+    return int(bool(found.findings))
+
+
+def _examined(
+    interface: str,
+    channel: str,
+    node: int,
+    sample_s: float,
+    key_file: Path | None,
+    trial_samples: int,
+    *,
+    restart: bool,
+) -> "Examination":
+    """The examination on the bus."""
+    from retuner.drivers.bus.bus import CanLink, LinkSettings  # noqa: PLC0415  see above
+    from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415
+    from retuner.drivers.conformance.chapters import chapters  # noqa: PLC0415
+    from retuner.drivers.conformance.conversation import Conversation, NoAnswerError  # noqa: PLC0415
+    from retuner.drivers.conformance.counterparts import OnBus  # noqa: PLC0415
+    from retuner.drivers.conformance.examination import examine  # noqa: PLC0415
+    from retuner.drivers.host.key_file import read_key  # noqa: PLC0415
+
+    clock = MonotonicClock()
+    key = None if key_file is None else read_key(key_file)
+    with CanLink(LinkSettings(interface=interface, channel=channel), clock) as link:
+        far = OnBus(link, clock, node, sample_s, _power_cycle(link.wait_until, clock.now_s) if restart else _nobody)
+        try:
+            return examine(Conversation(far, node, key), chapters(trial_samples))
+        except NoAnswerError as error:
+            raise UserError(
+                f"node {node} on {interface} {channel}: {error}; is it there, and its number right?"
+            ) from None
+
+
+def _nobody() -> bool:
+    """Nobody switches it off."""
+    return False
+
+
+def _power_cycle(wait_until: Callable[[float], None], now_s: Callable[[], float]) -> Callable[[], bool]:
+    """Ask the person, and wait for a word on stdin."""
+
+    def asked() -> bool:
+        sys.stderr.write("switch the device off and on, then press Enter\n")
+        sys.stderr.flush()
+        done = sys.stdin.readline() != ""
+        wait_until(now_s() + 1.0)
+        return done
+
+    return asked
+
+
+def _tell(found: "Examination", *, as_json: bool) -> None:
+    """What it did wrong, chapter by chapter; what was left out."""
+    if as_json:
+        findings = [{"chapter": one.chapter, "said": one.said} for one in found.findings]
+        document = {"tried": found.tried, "findings": findings, "left_out": found.left_out}
+        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        return
+    lines = [f"{one.chapter}: {one.said}" for one in found.findings]
+    lines += [f"not tried: {one}" for one in found.left_out]
+    verdict = f"{len(found.findings)} of {found.tried} answers are not those of docs/protocol.md"
+    sys.stdout.write("\n".join([*lines, verdict if found.findings else f"{found.tried} answers, all right"]) + "\n")

@@ -1,0 +1,91 @@
+"""retuner export: a gain table for firmware, a PLC, a spreadsheet or a CAN tool, or back into its configuration."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from retuner.errors import UserError, user_input
+from retuner.files import write_whole
+from retuner.gain_export.c_header import c_header
+from retuner.gain_export.into_config import into_config
+from retuner.gain_export.numbers import identifier, numbers_of
+from retuner.gain_export.structured_text import structured_text
+from retuner.gain_export.tables import csv_table, dbc_table
+from retuner.schedule.document import from_toml
+from retuner.schedule.table import GainTable
+
+app = typer.Typer(add_completion=False)
+
+GAINS = "gains.toml"
+LARGEST = 1 << 20  # bytes
+FORMATS: dict[str, tuple[str, Callable[[GainTable, str], str]]] = {
+    "c": ("h", lambda table, source: c_header(numbers_of(table), source)),
+    "st": ("st", lambda table, source: structured_text(numbers_of(table), source)),
+    "dbc": ("dbc", lambda table, _: dbc_table(table)),
+    "csv": ("csv", lambda table, _: csv_table(table)),
+}
+"""Suffix of the file and its writer, by the name of the format."""
+
+
+@app.command(epilog="Example: retuner export runs/oven/gains.toml --format c --out gains.h")
+def export(
+    path: Annotated[Path, typer.Argument(metavar="GAINS", help="Gain table (gains.toml), or the folder of a run.")],
+    form: Annotated[str, typer.Option("--format", help="c, st (IEC 61131-3), dbc or csv.")] = "",
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; - for the screen. Default: beside the table.")
+    ] = None,
+    into: Annotated[Path | None, typer.Option(help="Configuration that gets the gains; its comments stay.")] = None,
+) -> int:
+    """Write a gain table for others, or back into the configuration that it began in."""
+    if not form and into is None:
+        raise UserError(f"--format: give one of {', '.join(FORMATS)}, or --into and a configuration")
+    if form and form not in FORMATS:
+        raise UserError(f"--format {form}: there is {', '.join(FORMATS)}")
+    if form and into is not None and out is not None and out.resolve() == into.resolve():
+        raise UserError("--out and --into name one file; give two")
+    file = path / GAINS if path.is_dir() else path
+    table = _read(file)
+    if form:
+        _write(table, file, form, out)
+    if into is not None:
+        text, told = into_config(into, table)
+        _put(into, text)
+        sys.stdout.write(f"{into}: " + ("; ".join(told) or "has these gains already") + "\n")
+    return 0
+
+
+def _read(path: Path) -> GainTable:
+    """The table of a file."""
+    try:
+        with path.open("rb") as stream:
+            raw = stream.read(LARGEST + 1)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}; give the gains.toml of a run") from None
+    if len(raw) > LARGEST:
+        raise UserError(f"{path}: is larger than {LARGEST} bytes; is it a gain table?")
+    with user_input(str(path)):
+        return from_toml(raw.decode("utf-8"))
+
+
+def _write(table: GainTable, source: Path, form: str, out: Path | None) -> None:
+    """The table in a format."""
+    suffix, writer = FORMATS[form]
+    with user_input(str(source)):
+        text = writer(table, source.name)
+    if out == Path("-"):
+        sys.stdout.write(text)
+        return
+    target = out or source.with_name(f"{identifier(table.loop)}_gains.{suffix}")
+    _put(target, text)
+    sys.stdout.write(f"{target} written: {len(table.gains)} sets, revision {table.revision}\n")
+
+
+def _put(path: Path, text: str) -> None:
+    """Write a file whole, or say why not."""
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}") from None

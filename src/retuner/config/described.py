@@ -1,0 +1,135 @@
+"""What a configuration says of a controller that is not ours, read: its numbers, its description, its limits."""
+
+from typing import TYPE_CHECKING
+
+from retuner.config.foreign import NO_READ_BACK, CanOpenDeviceConfig, DbcDeviceConfig
+from retuner.config.model import Config
+from retuner.drivers.dbc.access import DbcAccess
+from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
+from retuner.drivers.profiles.access import Access, ProfileError
+from retuner.drivers.profiles.foreign_settings import ForeignSettings
+from retuner.drivers.profiles.mapping import DeviceMapping
+from retuner.drivers.profiles.ready import described_by
+from retuner.drivers.telemetry.signal_source import ScheduleInputs
+from retuner.schedule.table import GainTable
+from retuner.schedule.vendor_units import VendorUnits
+
+if TYPE_CHECKING:
+    from retuner.drivers.canopen.eds_file import EdsFile
+
+SILENT_SAMPLES, SILENT_FLOOR_S = 6.0, 0.5
+REPLY_SAMPLES, REPLY_FLOOR_S = 3.0, 0.3
+CONNECT_SAMPLES, CONNECT_FLOOR_S = 20.0, 5.0
+NEVER_S = 1e9
+
+Foreign = DbcDeviceConfig | CanOpenDeviceConfig
+CLOSED = (
+    "its gains cannot be read back, so nothing is written (advice only); "
+    f'accept that by name: [device] accept = ["{NO_READ_BACK}"]'
+)
+
+
+def make_access(config: Config, foreign: Foreign) -> Access:
+    """The numbers of a foreign device, by its description.
+
+    Raises
+    ------
+    ProfileError
+        The description cannot be used, or has not what the mapping names.
+    """
+    mapping = mapping_of(config, foreign)
+    if isinstance(foreign, DbcDeviceConfig):
+        return DbcAccess(dbc_file(config, foreign), mapping)
+    from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
+
+    settings = NodeSettings(foreign.start, foreign.heartbeat_s, foreign.own_node)
+    return CanOpenAccess(eds_file(config, foreign), mapping, settings)
+
+
+def vendor_units(config: Config) -> VendorUnits | None:
+    """How the device keeps gains; None for one that keeps them as they are. Errors as make_access."""
+    foreign = config.foreign_device
+    return None if foreign is None else make_access(config, foreign).units
+
+
+def closed(foreign: Foreign, access: Access) -> str:
+    """Why gains are never written to this device; empty when they are."""
+    return "" if access.reads_back or NO_READ_BACK in foreign.accept else CLOSED
+
+
+def advice_only(config: Config) -> bool:
+    """Whether nothing may be written to the configured device. Errors as make_access."""
+    foreign = config.foreign_device
+    return foreign is not None and bool(closed(foreign, make_access(config, foreign)))
+
+
+def held_table(config: Config) -> GainTable:
+    """The gain table as commissioned, as the device holds it.
+
+    Raises
+    ------
+    ProfileError
+        It cannot hold one of the sets; otherwise as make_access.
+    """
+    table, units = config.gain_table(), vendor_units(config)
+    if units is None:
+        return table
+    held = []
+    for i, gains in enumerate(table.gains):
+        try:
+            held.append(units.rounded(gains))
+        except ValueError as error:
+            name = table.regions.names[i]
+            raise ProfileError(f"the device cannot hold the gains of region {name}: {error}", ("gains",)) from None
+    return GainTable(table.loop, table.regions, tuple(held), table.lookup)
+
+
+def mapping_of(config: Config, foreign: Foreign) -> DeviceMapping:
+    """What of the device is what."""
+    loop = config.loop
+    return foreign.mapping(loop.pv_max - loop.pv_min, loop.co_max_pct - loop.co_min_pct)
+
+
+def node_of(config: Config, foreign: Foreign) -> int:
+    """Number of the device."""
+    return config.bus.node if foreign.node is None else foreign.node
+
+
+def eds_file(config: Config, foreign: CanOpenDeviceConfig) -> "EdsFile":
+    """The device's EDS, for its node."""
+    from retuner.drivers.canopen.eds_file import EdsFile, read_eds  # noqa: PLC0415  an extra
+
+    path, node = described_by(foreign.eds), node_of(config, foreign)
+    return EdsFile(read_eds(path, node), path.name, node)
+
+
+def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:
+    """The device's DBC, moved to its node."""
+    path = described_by(foreign.dbc)
+    node = node_of(config, foreign)
+    return DbcFile(read_dbc_file(path), path.name, node, foreign.described_node, foreign.node_shift)
+
+
+def foreign_settings(
+    config: Config, foreign: Foreign, access: Access, inputs: ScheduleInputs, speed: float, after_s: float | None = None
+) -> ForeignSettings:
+    """How to treat a foreign device. inputs : of the schedule. speed, after_s : as make_device."""
+    sample = config.loop.sample_time_s
+    floor_s = SILENT_FLOOR_S * speed
+    return ForeignSettings(
+        gains=config.gains()[0],
+        where=f"node {node_of(config, foreign)} on {config.bus.interface} {config.bus.channel}",
+        sample_time_s=sample,
+        variable=inputs,
+        co_min=config.loop.co_min_pct,
+        co_max=config.loop.co_max_pct,
+        sp_start=foreign.sp_start,
+        reply_s=max(REPLY_SAMPLES * sample, REPLY_FLOOR_S * speed),
+        silent_s=max(foreign.silent_s or 0.0, SILENT_SAMPLES * sample, floor_s),
+        connect_s=max(CONNECT_SAMPLES * sample, CONNECT_FLOOR_S * speed),
+        feed_s=foreign.feed_s * speed or NEVER_S,
+        look_s=foreign.look_s,
+        closed=closed(foreign, access),
+        bench_node=node_of(config, foreign) if foreign.plant is not None else None,
+        after_s=after_s,
+    )

@@ -1,0 +1,371 @@
+"""[device] with kind = "dbc" or "canopen": a controller that is not ours, and what of it is what."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from retuner.config.bench import PlantConfig
+from retuner.config.setting import CrossCheckError, Many, Problem, Section, setting
+from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf, Protection, SignalOf, States
+from retuner.drivers.profiles.ready import profile_names, profile_settings
+from retuner.schedule.vendor_units import ACTIONS, Quantity
+
+NO_READ_BACK, UNPROVED_ORDER = "no_read_back", "unproved_order"
+UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "min": 60.0}
+Whole = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
+BIGGEST = 1e12
+
+
+def _scale(what: str) -> Any:  # noqa: ANN401  as setting
+    return setting(what, unit="-", low=-BIGGEST, high=BIGGEST, default=1.0, source="the device's manual")
+
+
+def _offset() -> Any:  # noqa: ANN401  as setting
+    return setting("Ours at the device's 0", unit="-", low=-BIGGEST, high=BIGGEST, default=0.0, source="none")
+
+
+class SignalConfig(Section):
+    """A number of the loop in a DBC: ours = scale x the signal's + offset."""
+
+    message: str = setting("Message, by name or identifier (0x...)", unit="-", text=(1, 128), source="the DBC")
+    signal: str = setting("Signal of the message", unit="-", text=(1, 128), source="the DBC")
+    scale: float = _scale("Ours for one of the signal's; the output is in % of its range")
+    offset: float = _offset()
+    on_request: bool = setting(
+        "Whether it comes only when asked for, by a remote frame", unit="-", default=False, source="the device's manual"
+    )
+
+    def place(self) -> SignalOf:
+        """As the drivers take it."""
+        return SignalOf(self.message, self.signal, self.scale, self.offset, self.on_request)
+
+
+class ObjectConfig(Section):
+    """A number of the loop in an object dictionary: ours = scale x the object's + offset."""
+
+    object: str = setting('Object: "6130", "6130:1" or its name', unit="-", text=(1, 128), source="the EDS")
+    scale: float = _scale("Ours for one of the object's; the output is in % of its range")
+    offset: float = _offset()
+
+    def place(self) -> ObjectOf:
+        """As the drivers take it."""
+        return ObjectOf(self.object, self.scale, self.offset)
+
+
+class _StateSection(Section):
+    """What a state is told by."""
+
+    expected: Many[Whole] = setting("Values that are as they should be", unit="-", source="the device's manual")
+    mask: int = setting("Bits that count", unit="-", low=1, high=2**32 - 1, default=2**32 - 1, source="all")
+    reason: str = setting("What is told otherwise", unit="-", text=(0, 128), default="", source="the number itself")
+
+
+class SignalStateConfig(_StateSection):
+    """A state in a DBC."""
+
+    message: str = setting("Message, by name or identifier (0x...)", unit="-", text=(1, 128), source="the DBC")
+    signal: str = setting("Signal of the message", unit="-", text=(1, 128), source="the DBC")
+
+    def states(self) -> States:
+        """As the drivers take it."""
+        return States(SignalOf(self.message, self.signal), self.expected, self.mask, self.reason)
+
+
+class ObjectStateConfig(_StateSection):
+    """A state in an object dictionary."""
+
+    object: str = setting('Object: "6041", "6041:0" or its name', unit="-", text=(1, 128), source="the EDS")
+
+    def states(self) -> States:
+        """As the drivers take it."""
+        return States(ObjectOf(self.object), self.expected, self.mask, self.reason)
+
+
+class _GainSection(Section):
+    """What every gain of a foreign controller has."""
+
+    scale: float = _scale("Ours for one of the controller's; negative where it counts reverse action as positive")
+    unit: Literal["", "s", "ms", "min"] = setting("Unit of a time", unit="-", default="", source="s")
+    off: float | None = setting(
+        "Number that stands for no such action", unit="-", low=-BIGGEST, high=BIGGEST, default=None, source="none does"
+    )
+
+    def factor(self, quantity: Quantity, general: float) -> float:
+        """Ours for one of the controller's."""
+        ours = general if quantity in {Quantity.KP, Quantity.KI, Quantity.KD} else 1.0
+        return self.scale * ours * UNITS[self.unit]
+
+
+class SignalGainConfig(_GainSection):
+    """A gain in a DBC."""
+
+    message: str = setting("Message that writes it", unit="-", text=(1, 128), source="the DBC")
+    signal: str = setting("Signal of the message", unit="-", text=(1, 128), source="the DBC")
+    read_message: str = setting(
+        "Message that tells it; empty: it cannot be read", unit="-", text=(0, 128), default="", source="the DBC"
+    )
+    read_signal: str = setting(
+        "Signal of that message; empty: the same name", unit="-", text=(0, 128), default="", source="the DBC"
+    )
+    read_on_request: bool = setting(
+        "Whether that message comes only when asked for, by a remote frame", unit="-", default=True, source="most do"
+    )
+
+    def gain(self, quantity: Quantity, general: float) -> GainAt:
+        """As the drivers take it."""
+        read = None
+        if self.read_message:
+            read = SignalOf(self.read_message, self.read_signal or self.signal, on_request=self.read_on_request)
+        return GainAt(quantity, SignalOf(self.message, self.signal), read, self.factor(quantity, general), self.off)
+
+
+class ObjectGainConfig(_GainSection):
+    """A gain in an object dictionary; it is read back where it was written."""
+
+    object: str = setting('Object: "6450", "6450:1" or its name', unit="-", text=(1, 128), source="the EDS")
+
+    def gain(self, quantity: Quantity, general: float) -> GainAt:
+        """As the drivers take it."""
+        at = ObjectOf(self.object)
+        return GainAt(quantity, at, at, self.factor(quantity, general), self.off)
+
+
+def _gain(what: str) -> Any:  # noqa: ANN401  as setting
+    return setting(what, unit="-", default=None, source="the device's manual")
+
+
+class _GainsSection(Section):
+    """One number an action, in the controller's form and unit."""
+
+    form: Literal["ideal", "series"] = setting(
+        "Form that xp, tn and tv (and kp beside them) are of; kp, ki, kd alone are parallel",
+        unit="-",
+        default="ideal",
+        source="the device's manual",
+    )
+    scale: float = _scale("Ours for one of the controller's, of kp, ki and kd together")
+
+    def problems(self) -> Iterator[Problem]:
+        """One number an action, and a proportional one among them."""
+        for action, quantities in ACTIONS.items():
+            found = [str(quantity) for quantity in quantities if getattr(self, quantity) is not None]
+            if len(found) > 1:
+                yield Problem((found[1],), f"and {found[0]} are both {action} action; give one of them")
+            elif not found and action == "proportional":
+                yield Problem((), "has no proportional gain; give kp or xp")
+
+    def gains(self) -> tuple[GainAt, ...]:
+        """As the drivers take them."""
+        given = [(quantity, getattr(self, quantity)) for quantities in ACTIONS.values() for quantity in quantities]
+        return tuple(one.gain(quantity, self.scale) for quantity, one in given if one is not None)
+
+
+class SignalGainsConfig(_GainsSection):
+    """[device.gains] with kind = "dbc"."""
+
+    kp: SignalGainConfig | None = _gain("Proportional gain")
+    xp: SignalGainConfig | None = _gain("Proportional band in % of the pv range")
+    ki: SignalGainConfig | None = _gain("Integral gain, per second")
+    tn: SignalGainConfig | None = _gain("Integral time")
+    repeats: SignalGainConfig | None = _gain("Integral action in repeats per minute")
+    kd: SignalGainConfig | None = _gain("Derivative gain, times seconds")
+    tv: SignalGainConfig | None = _gain("Derivative time")
+
+
+class ObjectGainsConfig(_GainsSection):
+    """[device.gains] with kind = "canopen"."""
+
+    kp: ObjectGainConfig | None = _gain("Proportional gain")
+    xp: ObjectGainConfig | None = _gain("Proportional band in % of the pv range")
+    ki: ObjectGainConfig | None = _gain("Integral gain, per second")
+    tn: ObjectGainConfig | None = _gain("Integral time")
+    repeats: ObjectGainConfig | None = _gain("Integral action in repeats per minute")
+    kd: ObjectGainConfig | None = _gain("Derivative gain, times seconds")
+    tv: ObjectGainConfig | None = _gain("Derivative time")
+
+
+class ProtectConfig(Section):
+    """[[device.protect]]: counter and checksum of one message."""
+
+    message: str = setting("Message", unit="-", text=(1, 128), source="the DBC")
+    counter: str = setting("Signal that counts; empty: none", unit="-", text=(0, 128), default="", source="the DBC")
+    checksum: str = setting("Signal of the checksum; empty: none", unit="-", text=(0, 128), default="", source="DBC")
+    algorithm: str = setting(
+        "Algorithm of the checksum: crc8_sae_j1850, crc8_autosar, crc8, crc16_ccitt, crc16_xmodem, sum8, "
+        "sum8_inverted, sum8_negated, xor8",
+        unit="-",
+        text=(0, 32),
+        default="",
+        source="the device's manual",
+    )
+    data_id: int | None = setting(
+        "Data identifier that the checksum covers as well", unit="-", low=0, high=65535, default=None, source="none"
+    )
+
+    def protection(self) -> Protection:
+        """As the drivers take it."""
+        return Protection(self.message, self.counter, self.checksum, self.algorithm, self.data_id)
+
+
+class ForeignConfig(Section):
+    """What every controller that is not ours has."""
+
+    profile: str = setting(
+        "Ready mapping that what is given here completes: odrive, cia402, cia404; empty: all is given here",
+        unit="-",
+        text=(0, 32),
+        default="",
+        source="none",
+    )
+    node: int | None = setting(
+        "Number of the device; absent: that of [bus]", unit="-", low=0, high=127, default=None, source="[bus] node"
+    )
+    accept: Many[Literal["no_read_back", "unproved_order"]] = setting(
+        "What the user puts up with: gains that cannot be read back (otherwise nothing is written), an order of "
+        "messages that no model proves (otherwise such a set is refused)",
+        unit="-",
+        default=(),
+        source="neither",
+    )
+    feed_s: float = setting(
+        "The setpoint is sent again after so long, for the device's watchdog; 0: never",
+        unit="s",
+        low=0,
+        high=3600,
+        default=0.0,
+        source="no watchdog",
+    )
+    look_s: float = setting(
+        "Gains are read again after so long, to see what others change", unit="s", above=0, high=1e6, default=60.0,
+        source="a minute",
+    )  # fmt: skip
+    silent_s: float | None = setting(
+        "Age of the last frame at which the device counts as silent; absent: 6 samples, at least 0.5 s",
+        unit="s",
+        above=0,
+        high=1e6,
+        default=None,
+        source="6 samples",
+    )
+    sp_start: float = setting(
+        "Setpoint in force until one is sent, where the device reports none",
+        unit="pv",
+        low=-1e9,
+        high=1e9,
+        default=0.0,
+        source="the user",
+    )
+    seed: int = setting("Seed of the simulated noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
+    plant: PlantConfig | None = setting(
+        "Simulated plant, for a virtual device of this kind; absent: a real one hangs on the bus",
+        unit="-",
+        default=None,
+        source="the user",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_profile(cls, given: object) -> object:
+        """What the profile says, under what is given."""
+        name = given.get("profile") if isinstance(given, Mapping) else None
+        if not isinstance(given, Mapping) or not isinstance(name, str) or not name:
+            return given
+        ready = profile_settings(name)
+        if ready is None:
+            known = ", ".join(profile_names())
+            raise CrossCheckError([Problem(("profile",), f'= "{name}" is no profile; there is {known}')])
+        if ready["kind"] != given.get("kind"):
+            raise CrossCheckError([Problem(("profile",), f'= "{name}" is for kind = "{ready["kind"]}"')])
+        return merged(ready, given)
+
+
+class DbcDeviceConfig(ForeignConfig):
+    """[device] with kind = "dbc": a controller whose messages a DBC describes; see docs/devices.md."""
+
+    kind: Literal["dbc"] = setting("Which device", unit="-", source="the user")
+    dbc: str = setting("DBC file of the device; a profile has one", unit="-", text=(1, 1024), source="its maker")
+    described_node: int = setting("Node that the DBC describes", unit="-", low=0, high=127, default=0, source="DBC")
+    node_shift: int | None = setting(
+        "Bits by which the node's number is moved in the identifiers; absent: they are as in the DBC",
+        unit="-",
+        low=0,
+        high=22,
+        default=None,
+        source="the device's manual",
+    )
+    pv: SignalConfig = setting("Process value", unit="-", source="the DBC")
+    co: SignalConfig = setting("Output, in % of its range", unit="-", source="the DBC")
+    sp: SignalConfig | None = setting("Setpoint as the device reports it", unit="-", default=None, source="none")
+    setpoint: SignalConfig | None = setting("Where a setpoint is written", unit="-", default=None, source="none")
+    mode: SignalStateConfig | None = setting("Where it tells that it controls", unit="-", default=None, source="none")
+    gains: SignalGainsConfig = setting("Its gains", unit="-", source="the DBC")
+    stop: Many[SignalStateConfig] = setting("Where it tells that it has stopped", unit="-", default=(), source="none")
+    protect: Many[ProtectConfig] = setting("Counters and checksums", unit="-", default=(), source="none")
+    fixed: dict[str, float] = setting(
+        'Values of other signals in written messages, by "message.signal"', unit="-", default={}, source="the DBC's"
+    )
+
+    def mapping(self, pv_span: float, co_span: float) -> DeviceMapping:
+        """As the drivers take it."""
+        return DeviceMapping(
+            **_common(self, pv_span, co_span),
+            protected=tuple(one.protection() for one in self.protect),
+            fixed=self.fixed,
+        )
+
+
+class CanOpenDeviceConfig(ForeignConfig):
+    """[device] with kind = "canopen": a node whose objects an EDS describes; see docs/devices.md."""
+
+    kind: Literal["canopen"] = setting("Which device", unit="-", source="the user")
+    eds: str = setting("EDS (or DCF) of the device; a profile has one", unit="-", text=(1, 1024), source="its maker")
+    pv: ObjectConfig = setting("Process value", unit="-", source="the EDS")
+    co: ObjectConfig = setting("Output, in % of its range", unit="-", source="the EDS")
+    sp: ObjectConfig | None = setting("Setpoint as the device reports it", unit="-", default=None, source="none")
+    setpoint: ObjectConfig | None = setting("Where a setpoint is written", unit="-", default=None, source="none")
+    mode: ObjectStateConfig | None = setting("Where it tells that it controls", unit="-", default=None, source="none")
+    gains: ObjectGainsConfig = setting("Its gains", unit="-", source="the EDS")
+    stop: Many[ObjectStateConfig] = setting("Where it tells that it has stopped", unit="-", default=(), source="none")
+    start: bool = setting(
+        "Whether the node is started (NMT) when it is found pre-operational", unit="-", default=True, source="CiA 301"
+    )
+    heartbeat_s: float = setting(
+        "Period of this host's own heartbeat, as node own_node; 0: none",
+        unit="s",
+        low=0,
+        high=60,
+        default=0.0,
+        source="the device's object 1016",
+    )
+    own_node: int = setting("Number of this host", unit="-", low=1, high=127, default=127, source="a common choice")
+
+    def mapping(self, pv_span: float, co_span: float) -> DeviceMapping:
+        """As the drivers take it."""
+        return DeviceMapping(**_common(self, pv_span, co_span))
+
+
+def _common(device: DbcDeviceConfig | CanOpenDeviceConfig, pv_span: float, co_span: float) -> dict[str, Any]:
+    """What the mappings of both kinds have."""
+    return {
+        "pv": device.pv.place(),
+        "co": device.co.place(),
+        "gains": device.gains.gains(),
+        "sp": device.sp.place() if device.sp else None,
+        "mode": device.mode.states() if device.mode else None,
+        "setpoint": device.setpoint.place() if device.setpoint else None,
+        "series": device.gains.form == "series",
+        "pv_span": pv_span,
+        "co_span": co_span,
+        "stops": tuple(one.states() for one in device.stop),
+    }
+
+
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Two tables in one: what is above counts, tables inside are merged alike."""
+    found = dict(below)
+    for key, value in above.items():
+        inner = found.get(key)
+        both = isinstance(value, Mapping) and isinstance(inner, Mapping)
+        found[key] = merged(inner, value) if both and isinstance(inner, Mapping) else value
+    return found

@@ -1,0 +1,118 @@
+"""Tuned gains back into the configuration that they began in: only the numbers change, every comment stays.
+
+tomlkit keeps a document as it was written. Each region keeps its form; where the tuned set has none in it (a series
+form needs tau_I of at least four tau_D), the form becomes ideal, and that is told.
+"""
+
+from collections.abc import Mapping, MutableMapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from retuner.adaptive.guard import change_factor
+from retuner.config.loading import UnusableError, load_session, parse_session
+from retuner.errors import UserError
+from retuner.schedule.forms import in_form
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+
+SAME = 1.0 + 1e-9
+"""Factor within which gains that went through a form and back are the same."""
+NO_INTEGRAL = "none"
+
+
+def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
+    """The configuration's text with the table's gains, and a line on each region that changed.
+
+    Raises
+    ------
+    UserError
+        The configuration cannot be read, its regions are not the table's, or a set has no form that it can be written
+        in; nothing was changed.
+    """
+    session, text = load_session(path)
+    place = session.place(table.loop if session.several else None)
+    config, several = session.loops[place], session.several
+    names = [region.name for region in config.schedule.regions]
+    if sorted(names) != sorted(table.regions.names):
+        raise UserError(
+            f"{path}: has the regions {', '.join(names)}, the table {', '.join(table.regions.names)}; "
+            "gains go back only where they came from"
+        )
+    try:
+        document = tomlkit.parse(text)
+        told = [line for region in _regions(document, place if several else None) for line in _put(region, table)]
+    except (TOMLKitError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: its regions cannot be found to be written: {error}") from None
+    written = tomlkit.dumps(document)
+    _require_same(path, written, table, place)
+    return written, told
+
+
+def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMapping[str, Any]]:
+    """The tables [[schedule.region]], or the entries of the array; of one of several loops its own."""
+    if loop is None:
+        return list(document["schedule"]["region"])
+    own = document["loop"][loop].get("schedule", {})
+    if "region" not in own:
+        raise UserError("the regions stand at the top of the file for all loops; give the loop a [loop.schedule] first")
+    return list(own["region"])
+
+
+def _put(region: MutableMapping[str, Any], table: GainTable) -> list[str]:
+    """The gains of one region."""
+    gains = table.gains_of(str(region["name"]))
+    form, shown = _shown(gains, str(region.get("form", "series")))
+    before = (region["kc"], region["tau_i_s"], region.get("tau_d_s", 0.0))
+    _set(region, "kc", shown["kc"])
+    _set(region, "tau_i_s", NO_INTEGRAL if shown["tau_i"] is None else shown["tau_i"])
+    if shown["tau_d"] or "tau_d_s" in region:
+        _set(region, "tau_d_s", shown["tau_d"])
+    if form != region.get("form", "series"):
+        _set(region, "form", form)
+    after = (region["kc"], region["tau_i_s"], region.get("tau_d_s", 0.0))
+    if tuple(map(str, before)) == tuple(map(str, after)):
+        return []
+    one, two = (f"kc {_text(kc)} tau_i_s {_text(ti)} tau_d_s {_text(td)}" for kc, ti, td in (before, after))
+    return [f"{region['name']}: {one} -> {two} ({form})"]
+
+
+def _shown(gains: PidGains, form: str) -> tuple[str, dict[str, float | None]]:
+    """The set in the region's form, or in the ideal one."""
+    if gains.kp == 0:
+        raise UserError("a region has no proportional gain, which [[schedule.region]] cannot say")
+    try:
+        return form, in_form(gains, form)
+    except ValueError:
+        return "ideal", in_form(gains, "ideal")
+
+
+def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
+    """Change a value and leave what stands behind it on its line."""
+    was = region.get(key)
+    item = tomlkit.item(value)
+    trivia = getattr(was, "trivia", None)
+    if trivia is not None:
+        item.trivia.comment_ws, item.trivia.comment = trivia.comment_ws, trivia.comment
+        item.trivia.trail = trivia.trail
+    region[key] = item
+
+
+def _text(value: object) -> str:
+    """A number as people read it."""
+    return f"{value:.4g}" if isinstance(value, int | float) else str(value)
+
+
+def _require_same(path: Path, text: str, table: GainTable, loop: int) -> None:
+    """What was written must be read back as the table's gains."""
+    try:
+        config = parse_session(text).loops[loop]
+    except UnusableError as unusable:
+        raise UserError(f"{path}: with the tuned gains it would be refused: {unusable.findings[0].message}") from None
+    for region, gains in zip(config.schedule.regions, config.gains(), strict=True):
+        if change_factor(gains, table.gains_of(region.name)) > SAME:
+            raise UserError(
+                f"{path}: region {region.name} would not be read back as the tuned gains; nothing was changed"
+            )

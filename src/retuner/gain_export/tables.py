@@ -1,0 +1,85 @@
+"""A gain table as CSV, for spreadsheets, and as a DBC whose signals start at the gains, for CAN tools."""
+
+from array import array
+
+from retuner.gain_export.numbers import comment, identifier
+from retuner.schedule.forms import in_form
+from retuner.schedule.table import GAIN_NAMES, GainTable
+
+FIRST_ID = 0x100
+MOST_REGIONS = 256
+
+
+def csv_table(table: GainTable) -> str:
+    """A line a region: its place on each axis, the parallel gains, and the ideal form where there is one."""
+    axes = range(len(table.regions.axes))
+    heads = [part for i in axes for part in (f"low{i + 1}", f"high{i + 1}", f"unit{i + 1}")]
+    lines = [",".join(["region", *heads, *GAIN_NAMES, "kc_ideal", "tau_i_s", "tau_d_s"])]
+    for r, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        place: list[str] = []
+        for i in axes:
+            low, high = table.regions.span(r, i)
+            place += [repr(low), repr(high), _cell(table.regions.axes[i].unit)]
+        parallel = [repr(getattr(gains, gain)) for gain in GAIN_NAMES]
+        lines.append(",".join([_cell(name), *place, *parallel, *_ideal(table, r)]))
+    return "\n".join(lines) + "\n"
+
+
+def _ideal(table: GainTable, region: int) -> list[str]:
+    """The ideal form; empty cells for what does not exist."""
+    try:
+        form = in_form(table.gains[region], "ideal")
+    except ValueError:
+        return ["", "", ""]
+    return ["" if value is None else repr(value) for value in (form["kc"], form["tau_i"], form["tau_d"])]
+
+
+def _cell(text: str) -> str:
+    """A text as a cell: quoted where it must be, and never a formula."""
+    safe = f"'{text}" if text[:1] in {"=", "+", "-", "@"} else text
+    return '"' + safe.replace('"', '""') + '"' if any(c in safe for c in ',"\n\r') else safe
+
+
+def dbc_table(table: GainTable) -> str:
+    """A message a region with kp, ki and kd as float32 signals whose start values are the gains.
+
+    Raises
+    ------
+    ValueError
+        There are more regions than identifiers.
+    """
+    if len(table.gains) > MOST_REGIONS:
+        raise ValueError(f"{len(table.gains)} regions; a DBC is made for at most {MOST_REGIONS}")
+    messages, comments, starts, types = [], [], [], []
+    for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        frame = FIRST_ID + i
+        messages.append(f"BO_ {frame} GAINS_{i + 1}_{identifier(name).upper()[:20]}: 12 host")
+        comments.append(f'CM_ BO_ {frame} "{comment(name)}: {comment(table.regions.text(i))}";')
+        for k, gain in enumerate(GAIN_NAMES):
+            messages.append(f' SG_ {gain} : {32 * k}|32@1- (1,0) [0|0] "" controller')
+            starts.append(f'BA_ "GenSigStartValue" SG_ {frame} {gain} {_single(getattr(gains, gain))!r};')
+            types.append(f"SIG_VALTYPE_ {frame} {gain} : 1;")
+        starts.append(f'BA_ "VFrameFormat" BO_ {frame} 14;')
+        messages.append("")
+    head = ['VERSION ""', "", "NS_ :", "", "BS_:", "", "BU_: host controller", ""]
+    formats = ",".join(f'"{name}"' for name in FRAME_FORMATS)
+    attributes = [
+        'BA_DEF_ SG_ "GenSigStartValue" FLOAT -3.4e38 3.4e38;',
+        f'BA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
+        'BA_DEF_DEF_ "GenSigStartValue" 0;',
+        'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
+    ]
+    about = f'CM_ "Gains of {comment(table.loop)}, revision {table.revision}, exported by retuner; CAN FD frames.";'
+    return "\n".join([*head, *messages, about, *comments, *attributes, *starts, *types]) + "\n"
+
+
+FRAME_FORMATS = (
+    "StandardCAN", "ExtendedCAN", "reserved", "J1939PG", "reserved", "reserved", "reserved", "reserved", "reserved",
+    "reserved", "reserved", "reserved", "reserved", "reserved", "StandardCAN_FD", "ExtendedCAN_FD",
+)  # fmt: skip
+"""What Vector's attribute of a message's frame format may be, in its order."""
+
+
+def _single(value: float) -> float:
+    """A gain as the wire carries it."""
+    return array("f", [value])[0]

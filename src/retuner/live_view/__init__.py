@@ -1,0 +1,1 @@
+"""What can be seen of a running session: on the terminal, and for the page that another process serves."""

@@ -1,0 +1,58 @@
+"""What a person can do when a run has ended: lines for the screen, each command as it has to be typed."""
+
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from retuner.decision_page.explain import ms_words, short_settings
+from retuner.ledger import Row
+from retuner.report.scores import RegionScore
+from retuner.session.order_queue import SHORT, shown
+
+
+class Next(NamedTuple):
+    """A thing to do: why, and the command; no command where there is only something to know."""
+
+    why: str
+    command: str = ""
+
+
+def what_next(
+    folder: Path, rows: Iterable[Row], approval_s: float, locked: Iterable[str], gains: Path | None, loop: str = ""
+) -> list[Next]:
+    """Proposals that wait, changes that wait for a word, locked regions, the gains to be written back, the report.
+
+    rows : of the ledger, about this loop. approval_s : how long a proposal is open. locked : regions that are locked
+    out. gains : the file with the table where it has other gains than at the start. loop : its name, where there are
+    several.
+    """
+    found, place, of = shown(rows), shlex.quote(str(folder)), f"{loop}, " if loop else ""
+    place += f" --loop {shlex.quote(loop)}" if loop else ""
+    told = []
+    for one in found.open(approval_s):
+        if not found.successor(one):
+            step = f"{short_settings(one.before)} -> {short_settings(one.after)}"
+            why = f"{of}{one.region}: decision {one.number} proposes {step}"
+            told.append(Next(why, f"retuner approve {place} {one.digest[:SHORT]}"))
+    for region, digest in found.waiting.items():
+        why = f"{of}{region}: tried and as promised; waits for a word"
+        told.append(Next(why, f"retuner approve {place} {digest[:SHORT]}"))
+    for region in locked:
+        why = f"{of}{region}: locked out after several undone changes"
+        told.append(Next(why, f"retuner approve {place} --unlock {shlex.quote(region)}"))
+    if gains is not None:
+        told.append(Next(f"{of}the gains as they are now: {gains}"))
+    return told
+
+
+def narrow_scores(scores: Iterable[RegionScore], unit: str, loop: str = "") -> list[str]:
+    """Each region's result in two lines, for a narrow screen. loop : its name, where there are several."""
+    lines = [f"{loop}:"] if loop else []
+    for s in scores:
+        ms = "" if s.ms_after is None else f"; Ms {ms_words(s.ms_before)} -> {ms_words(s.ms_after)}"
+        iae = f"IAE {s.iae:,.0f} {unit} s"
+        iae += "" if s.iae_fixed is None else f" (fixed gains: {s.iae_fixed:,.0f})"
+        lines.append(f"{s.region}: {short_settings(s.before)} -> {short_settings(s.after)}{ms}")
+        lines.append(f"    {s.changes} writes; {iae}")
+    return lines

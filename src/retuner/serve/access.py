@@ -1,0 +1,114 @@
+"""Who may do what: hosts and origins that are ours, a token that lets a person act, limits of rate.
+
+The token is told once, at the start, on the screen; it is never logged and only compared in constant time. Whoever has
+given it gets a session cookie that no script can read, that no other site's page can send, and that ends soon.
+"""
+
+import hashlib
+import hmac
+import secrets
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+LASTS_S = 900.0
+"""A session ends so long after its last act."""
+LONGEST_S = 8 * 3600.0
+"""And so long after it began: a shift."""
+MOST_SESSIONS = 100
+MOST_CLIENTS = 10_000
+"""Addresses of which the rate is remembered."""
+
+
+class Bucket:
+    """Limits how often: `burst` at once, then `per_s` a second, for each client apart.
+
+    Parameters
+    ----------
+    now_s : a monotonic clock.
+    """
+
+    def __init__(self, per_s: float, burst: float, now_s: Callable[[], float]) -> None:
+        self._per_s, self._burst, self._now_s = per_s, burst, now_s
+        self._left: dict[str, tuple[float, float]] = {}
+
+    def take(self, client: str) -> bool:
+        """Whether one more is allowed now."""
+        now_s = self._now_s()
+        left, at_s = self._left.pop(client, (self._burst, now_s))
+        left = min(left + (now_s - at_s) * self._per_s, self._burst)
+        while len(self._left) >= MOST_CLIENTS:
+            self._left.pop(next(iter(self._left)))
+        self._left[client] = (left - 1.0 if left >= 1.0 else left, now_s)
+        return left >= 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """Of a person who has given the token. Times by the monotonic clock."""
+
+    began_s: float
+    acted_s: float
+
+
+class Access:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    hosts : values of the Host header that are ours. secure : whether TLS is spoken. read_only : nobody may act.
+    now_s : a monotonic clock. port : ours; cookies are shared by all ports of a host, so ours is named by it.
+    """
+
+    def __init__(
+        self, hosts: Iterable[str], now_s: Callable[[], float], *, secure: bool, read_only: bool, port: int
+    ) -> None:
+        self.cookie = f"retuner_{port}"
+        self.hosts = frozenset(host.lower() for host in hosts)
+        self.origins = frozenset(f"{'https' if secure else 'http'}://{host}" for host in self.hosts)
+        self.secure, self.read_only = secure, read_only
+        self.token = secrets.token_urlsafe(24)
+        self.requests = Bucket(50.0, 400.0, now_s)
+        self.orders = Bucket(1.0, 64.0, now_s)
+        self._tries = Bucket(1 / 12, 5.0, now_s)
+        self._now_s = now_s
+        self._sessions: dict[str, Session] = {}
+
+    def login(self, token: str, client: str) -> str | None:
+        """A new session's cookie for the right token; empty for a wrong one, None when there were too many tries."""
+        if not self._tries.take(client):
+            return None
+        right = hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode())
+        if not right or self.read_only:
+            return ""
+        cookie = secrets.token_urlsafe(24)
+        while len(self._sessions) >= MOST_SESSIONS:
+            self._sessions.pop(next(iter(self._sessions)))
+        now_s = self._now_s()
+        self._sessions[_digest(cookie)] = Session(now_s, now_s)
+        return cookie
+
+    def may_act(self, cookie: str) -> bool:
+        """Whether a cookie is of a session that goes on; an old one is forgotten."""
+        session = self._sessions.get(_digest(cookie))
+        if session is None:
+            return False
+        now_s = self._now_s()
+        if now_s - session.acted_s > LASTS_S or now_s - session.began_s > LONGEST_S:
+            del self._sessions[_digest(cookie)]
+            return False
+        return True
+
+    def acted(self, cookie: str) -> None:
+        """A session goes on from now."""
+        session = self._sessions.get(_digest(cookie))
+        if session is not None:
+            self._sessions[_digest(cookie)] = Session(session.began_s, self._now_s())
+
+    def logout(self, cookie: str) -> None:
+        """End a session."""
+        self._sessions.pop(_digest(cookie), None)
+
+
+def _digest(cookie: str) -> str:
+    """What is kept of a cookie: looking it up tells nothing of the others."""
+    return hashlib.sha256(cookie.encode("utf-8", "replace")).hexdigest()

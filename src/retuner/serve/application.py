@@ -1,0 +1,295 @@
+"""What the page's browser may ask for. Reading needs nothing; acting needs the token, and goes into an order file."""
+
+import asyncio
+import datetime as dt
+import json
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from retuner.errors import UserError
+from retuner.serve import documents
+from retuner.serve.access import LASTS_S, Access
+from retuner.serve.gate import PAGE_POLICY, Gate
+from retuner.serve.hub import Hub
+from retuner.serve.runs import WatchedLoop, WatchedSession
+from retuner.session.orders import Order, OrderKind, put_order
+
+LARGEST = 4096
+"""Bytes of what a browser sends."""
+MOST_STREAMS = 200
+STATIC = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/app.css": ("app.css", "text/css; charset=utf-8"),
+    "/app.js": ("app.js", "text/javascript; charset=utf-8"),
+    "/drawing.js": ("drawing.js", "text/javascript; charset=utf-8"),
+    "/uplot.js": ("uPlot.iife.min.js", "text/javascript; charset=utf-8"),
+    "/uplot.css": ("uPlot.min.css", "text/css; charset=utf-8"),
+    "/uplot.licence.txt": ("uPlot.LICENSE", "text/plain; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+"""Every file that is served, by its address: nothing else is ever opened for a browser."""
+
+
+class NotTakenError(Exception):
+    """A request that is not taken. status : of HTTP."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        self.status = status
+        super().__init__(reason)
+
+
+class Page:
+    """The answers.
+
+    Parameters
+    ----------
+    hub : looks at the runs. access : who may do what.
+    """
+
+    def __init__(self, hub: Hub, access: Access) -> None:
+        self._hub, self._access = hub, access
+        self._cookie = access.cookie
+        self._drawing = asyncio.Lock()
+        self._pages: dict[tuple[str, int, int], str] = {}
+
+    def application(self) -> Gate:
+        """The whole, behind its gate."""
+        routes = [Route(path, self._file(name, kind)) for path, (name, kind) in STATIC.items()]
+        routes += [
+            Route("/api/overview", self._told(lambda _: documents.overview(self._hub.runs))),
+            Route("/api/loop/{session}/{number}", self._told(lambda r: documents.loop_document(*self._loop(r)))),
+            Route("/api/trend/{session}/{number}", self._told(self._trend)),
+            Route("/api/decision/{session}/{number}/{decision:int}", self._decision),
+            Route("/api/ledger/{session}", self._told(self._rows)),
+            Route("/api/ledger/{session}/csv", self._csv),
+            Route("/api/stream", self._stream),
+            Route("/api/who", self._told(self._who)),
+            Route("/api/login", self._login, methods=["POST"]),
+            Route("/api/logout", self._logout, methods=["POST"]),
+            Route("/api/order", self._order, methods=["POST"]),
+        ]
+        inner = Starlette(routes=routes, lifespan=self._looking, exception_handlers={NotTakenError: _not_taken})
+        return Gate(inner, self._access)
+
+    @asynccontextmanager
+    async def _looking(self, _: Starlette) -> AsyncIterator[None]:
+        """While the server runs, the hub looks."""
+        looking = asyncio.create_task(self._hub.run())
+        try:
+            yield
+        finally:
+            looking.cancel()
+
+    def _file(self, name: str, kind: str) -> Callable[[Request], Response]:
+        """An answer that is one of our files, read once."""
+        content = files("retuner.serve").joinpath("static").joinpath(name).read_bytes()
+
+        def answer(_: Request) -> Response:
+            return Response(content, headers={"content-type": kind})
+
+        return answer
+
+    def _told(self, document: Callable[[Request], object]) -> Callable[[Request], object]:
+        """An answer that is a JSON document."""
+
+        async def answer(request: Request) -> Response:
+            return JSONResponse(document(request))
+
+        return answer
+
+    def _session(self, request: Request) -> WatchedSession:
+        session = self._hub.runs.sessions.get(request.path_params["session"])
+        if session is None:
+            raise NotTakenError(404, "there is no such session")
+        return session
+
+    def _loop(self, request: Request) -> tuple[WatchedSession, WatchedLoop]:
+        found = self._hub.runs.loop(f"{request.path_params['session']}/{request.path_params['number']}")
+        if found is None:
+            raise NotTakenError(404, "there is no such loop")
+        return found
+
+    def _trend(self, request: Request) -> object:
+        _, loop = self._loop(request)
+        asked = request.query_params
+        whole = loop.reader.extent()
+        from_s, to_s = (_number(asked.get(name), value) for name, value in zip(("from", "to"), whole, strict=True))
+        return documents.trend(loop, from_s, to_s, int(_number(asked.get("points"), 1000.0)))
+
+    async def _decision(self, request: Request) -> Response:
+        """The page of a decision: drawn once, by one thread at a time."""
+        session, loop = self._loop(request)
+        decided = session.ledger.decision(loop.name, request.path_params["decision"])
+        if decided is None:
+            raise NotTakenError(404, "there is no such decision")
+        place = (loop.key, decided.number, len(session.ledger.decisions))
+        async with self._drawing:
+            if place not in self._pages:
+                self._pages[place] = await asyncio.to_thread(documents.decision_html, session, loop, decided)
+                while len(self._pages) > 32:
+                    self._pages.pop(next(iter(self._pages)))
+        headers = {"content-security-policy": PAGE_POLICY}
+        return Response(self._pages[place], media_type="text/html; charset=utf-8", headers=headers)
+
+    def _rows(self, request: Request) -> object:
+        asked = request.query_params
+        return documents.rows(self._session(request).ledger, asked.get("q", "")[:200], int(_number(asked.get("after"))))
+
+    async def _csv(self, request: Request) -> Response:
+        session, wanted = self._session(request), request.query_params.get("q", "")[:200]
+        text = documents.rows_csv(one for one in session.ledger.told if documents.fits(one, wanted))
+        headers = {"content-disposition": 'attachment; filename="ledger.csv"'}
+        return Response(text, media_type="text/csv; charset=utf-8", headers=headers)
+
+    async def _stream(self, request: Request) -> Response:
+        if self._hub.watchers >= MOST_STREAMS:
+            raise NotTakenError(503, "too many pages watch already; close one")
+        wanted = request.query_params.getlist("loop") or None
+        last = request.headers.get("last-event-id", "")[:40]
+        headers = {"content-type": "text/event-stream"}
+        return StreamingResponse(self._hub.events(wanted, last), headers=headers)
+
+    def _who(self, request: Request) -> object:
+        return {"acting": self._acting(request), "read_only": self._access.read_only}
+
+    def _acting(self, request: Request) -> bool:
+        """Whether a request comes with the cookie of a session that goes on."""
+        return self._access.may_act(request.cookies.get(self._cookie, ""))
+
+    async def _login(self, request: Request) -> Response:
+        body = await _body(request)
+        client = request.client.host if request.client else ""
+        cookie = self._access.login(_text(body, "token"), client)
+        if cookie is None:
+            raise NotTakenError(429, "too many tries; wait a minute")
+        if not cookie:
+            reason = "this page was started read-only" if self._access.read_only else "this is not the token"
+            raise NotTakenError(403, reason)
+        answer = JSONResponse({"acting": True})
+        self._give(answer, cookie, LASTS_S)
+        return answer
+
+    async def _logout(self, request: Request) -> Response:
+        self._access.logout(request.cookies.get(self._cookie, ""))
+        answer = JSONResponse({"acting": False})
+        self._give(answer, "", 0)
+        return answer
+
+    def _give(self, answer: Response, cookie: str, lasts_s: float) -> None:
+        """Set the cookie."""
+        answer.set_cookie(
+            self._cookie,
+            cookie,
+            max_age=int(lasts_s),
+            path="/",
+            secure=self._access.secure,
+            httponly=True,
+            samesite="strict",
+        )
+
+    async def _order(self, request: Request) -> Response:
+        """A person's order, put where the session looks for it; its effect stands in the ledger first."""
+        cookie = request.cookies.get(self._cookie, "")
+        if not self._access.may_act(cookie):
+            raise NotTakenError(401, "give the token first: it was printed when the page was started")
+        client = request.client.host if request.client else ""
+        if not self._access.orders.take(client):
+            raise NotTakenError(429, "too many orders; wait a moment")
+        body = await _body(request)
+        found = self._hub.runs.loop(_text(body, "loop"))
+        if found is None:
+            raise NotTakenError(404, "there is no such loop")
+        session, loop = found
+        if session.ledger.ended:
+            raise NotTakenError(409, "this session has ended: nothing can be changed any more")
+        if session.ledger.broken:
+            raise NotTakenError(409, f"the ledger cannot be believed: {session.ledger.broken}")
+        order = _order_of(body)
+        file = await asyncio.to_thread(_put, loop.order_folder(session.folder), order)
+        self._access.acted(cookie)
+        answer = JSONResponse({"order": str(order.kind), "file": file})
+        self._give(answer, cookie, LASTS_S)
+        return answer
+
+
+def _put(folder: Path, order: Order) -> str:
+    """Put an order where the session looks for it; the name of its file."""
+    try:
+        return put_order(folder, order).name
+    except UserError as error:
+        raise NotTakenError(429, str(error)) from None
+    except OSError as error:
+        raise NotTakenError(500, f"the order cannot be put into the session's folder: {error.strerror}") from None
+
+
+def _order_of(body: dict[str, Any]) -> Order:
+    """The order in what a browser sent."""
+    now = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    decision = body.get("decision", 0)
+    if type(decision) is not int:
+        raise NotTakenError(400, "decision must be a whole number")
+    try:
+        return Order(
+            OrderKind(_text(body, "order")),
+            _text(body, "by"),
+            now,
+            _text(body, "note"),
+            _text(body, "digest"),
+            decision,
+            _text(body, "region"),
+            _text(body, "mode"),
+        )
+    except ValueError as error:
+        raise NotTakenError(400, str(error)) from None
+
+
+def _not_taken(_: Request, error: Exception) -> Response:
+    """Why a request was not taken, in a line."""
+    status = error.status if isinstance(error, NotTakenError) else 500
+    return PlainTextResponse(f"{error}\n", status_code=status)
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """The JSON object that a browser sent, of at most LARGEST bytes."""
+    raw = b""
+    async for part in request.stream():
+        raw += part
+        if len(raw) > LARGEST:
+            raise NotTakenError(413, f"more than {LARGEST} bytes")
+    try:
+        body = json.loads(raw)
+    except (ValueError, RecursionError):
+        raise NotTakenError(400, "this is no JSON") from None
+    if not isinstance(body, dict):
+        raise NotTakenError(400, "this is no JSON object")
+    return body
+
+
+def _text(body: dict[str, Any], name: str) -> str:
+    """A text, empty where there is none."""
+    value = body.get(name, "")
+    if not isinstance(value, str):
+        raise NotTakenError(400, f"{name} must be text")
+    return value
+
+
+def _number(text: str | None, otherwise: float = 0.0) -> float:
+    """A finite number of an address."""
+    if text is None:
+        return otherwise
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise NotTakenError(400, "a number of this address cannot be read")
+    return value

@@ -1,0 +1,80 @@
+"""The page beside a run: a process of its own, started with a socket that listens already, ended with the run.
+
+The address is told at once, whoever asks waits until the server is up; the run waits for nothing.
+"""
+
+import importlib.util
+import secrets
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from retuner.errors import UserError
+from retuner.serve.address import PORT, ServeOptions, lines, listening
+
+NEEDED = ("starlette", "uvicorn")
+MISSING = 'the page needs starlette and uvicorn; pip install "retuner[page]"'
+ENDS_WITHIN_S = 3.0
+"""After this a server that was told to end is ended."""
+
+
+def require_page(*, wanted: bool = True) -> None:
+    """Refuse to serve, if that is wanted, where what it takes is not installed.
+
+    Raises
+    ------
+    UserError
+        It is not.
+    """
+    if wanted and not all(importlib.util.find_spec(name) for name in NEEDED):
+        raise UserError(MISSING)
+
+
+@contextmanager
+def served_beside(folder: Path, say: Callable[[str], None], *, wanted: bool = True) -> Iterator[None]:
+    """While inside, the page of a session's folder is served; say : is told where. Nothing happens unless wanted."""
+    if not wanted:
+        yield
+        return
+    options, token = ServeOptions(port=PORT), secrets.token_urlsafe(24)
+    try:
+        ours = listening(options)
+    except UserError:  # any other port will do
+        options = ServeOptions(port=0)
+        ours = listening(options)
+    with ours:
+        for line in lines(options, int(ours.getsockname()[1]), token):
+            say(line)
+        server = _started(folder, ours.fileno(), token)
+    try:
+        yield
+    finally:
+        _ended(server)
+
+
+def _started(folder: Path, socket_number: int, token: str) -> "subprocess.Popen[bytes]":
+    """The server, in a session of its own: what ends the run does not end it before the run says so."""
+    command = [sys.executable, "-P", "-m", "retuner", "serve", str(folder), "--inherited", str(socket_number)]
+    server = subprocess.Popen(  # noqa: S603  this program itself
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        pass_fds=(socket_number,),
+        start_new_session=True,
+    )
+    assert server.stdin is not None
+    with suppress(OSError):  # it is gone already: the run goes on without it
+        server.stdin.write(f"{token}\n".encode())
+        server.stdin.flush()
+    return server
+
+
+def _ended(server: "subprocess.Popen[bytes]") -> None:
+    """End the server: it is told so by the end of its input, and is not waited for long."""
+    with suppress(OSError, subprocess.TimeoutExpired):
+        server.communicate(timeout=ENDS_WITHIN_S)
+    server.kill()
+    server.wait()

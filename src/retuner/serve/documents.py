@@ -1,0 +1,219 @@
+"""What the page is told, as JSON values: overview, a loop, its trend, its decisions, the ledger."""
+
+import csv
+import io
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from retuner.decision_page.decision_view import view_of, what_came_of
+from retuner.decision_page.explain import cause_text, change_text, ms_words, response_text, settings_text
+from retuner.decision_page.page import page
+from retuner.decision_page.row_values import number, part, words
+from retuner.errors import one_line
+from retuner.live_view.live_file import FIELDS
+from retuner.report.ledger_words import Told
+from retuner.serve.ledger_tail import Decided, Document, LedgerTail
+from retuner.serve.runs import Runs, WatchedLoop, WatchedSession
+from retuner.session.order_queue import SHORT
+
+MOST_POINTS = 4000
+"""Samples of a trend in one answer."""
+SILENT_S, SILENT_SAMPLES = 10.0, 10
+"""A loop is silent when so long, and for so many sampling intervals, nothing has come."""
+NEWEST = 200
+"""Decisions in a loop's list."""
+ROWS = 500
+"""Ledger rows in one answer."""
+
+
+def overview(runs: Runs) -> Document:
+    """Every loop of every session with what needs a person."""
+    sessions = [
+        {
+            "name": s.name,
+            "ended": s.ledger.ended,
+            "stopped": s.ledger.interrupted,
+            "rows": s.ledger.count,
+            "head": s.ledger.head,
+            "broken": s.ledger.broken,
+            "loops": [_short(s, loop) for loop in s.loops.values()],
+        }
+        for s in runs.sessions.values()
+    ]
+    return {"sessions": sessions, "refused": runs.refused}
+
+
+def _short(session: WatchedSession, loop: WatchedLoop) -> Document:
+    """A loop for the overview."""
+    newest = loop.reader.since(loop.reader.counts()[0] - 1).table
+    state, head = loop.reader.state(), loop.reader.head
+    decided = next((one for one in reversed(session.ledger.decisions) if _is_of(one, loop)), None)
+    return {
+        "key": loop.key,
+        "session": session.name,
+        "head": head,
+        "state": state,
+        "newest": newest[-1, :6].tolist() if len(newest) else None,
+        "cause": cause_text(decided.document) if decided else "",
+        "waiting": needs_a_person(session, loop),
+        "ended": session.ledger.ended,
+        "silent_s": _silent(loop),
+    }
+
+
+def _silent(loop: WatchedLoop) -> float | None:
+    """How long no sample has come, by the machine's clock; None while they come."""
+    age = loop.age_s()
+    return age if age > max(SILENT_S, SILENT_SAMPLES * float(loop.reader.head.get("sample_time_s", 0.0))) else None
+
+
+def _is_of(decided: Decided, loop: WatchedLoop) -> bool:
+    """Whether a decision is of a loop."""
+    return words(decided.document, "loop") == loop.name
+
+
+def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]:
+    """Proposals that wait, changes that wait for a word, locked regions."""
+    shown = session.ledger.shown_of(loop.name)
+    approval_s = float(loop.reader.head.get("approval_s", 0.0))
+    regions = set(loop.reader.head.get("regions", ()))
+    found: list[Document] = [
+        {
+            "what": "proposal",
+            "region": one.region,
+            "decision": one.number,
+            "digest": one.digest,
+            "text": f"{settings_text(one.before)} -> {settings_text(one.after)}",
+        }
+        for one in shown.open(approval_s)
+        if not shown.successor(one) and one.region in regions
+    ]
+    found += [
+        {"what": "tried", "region": region, "digest": digest, "text": "tried and as promised; waits for your word"}
+        for region, digest in shown.waiting.items()
+        if region in regions
+    ]
+    for region in loop.reader.state().get("regions", ()):
+        if region.get("trial") == "locked out":
+            text = f"locked out after {region.get('undos')} undone changes"
+            found.append({"what": "locked", "region": region["name"], "digest": "", "text": text})
+    return found
+
+
+def loop_document(session: WatchedSession, loop: WatchedLoop) -> Document:
+    """A loop with its decisions and what needs a person."""
+    mine = [one for one in session.ledger.decisions if _is_of(one, loop)]
+    return {
+        **_short(session, loop),
+        "rows": session.ledger.count,
+        "ledger_head": session.ledger.head,
+        "broken": session.ledger.broken,
+        "decisions": [_decision(one) for one in mine[-NEWEST:]],
+        "trial": _trial(mine),
+    }
+
+
+def _decision(decided: Decided) -> Document:
+    """A decision in a few words."""
+    d = decided.document
+    return {
+        "number": decided.number,
+        "t_s": number(d, "t_s"),
+        "region": words(d, "region"),
+        "action": words(d, "action"),
+        "cause": cause_text(d),
+        "reason": one_line(words(d, "reason")),
+        "response": response_text(d),
+        "change": change_text(d) if words(d, "action") != "none" else "",
+        "peaks": part(d, "response").get("peaks", []),
+        "judgement": words(part(d, "judgement"), "reason"),
+        "ms": ms_words(number(part(part(d, "verdict"), "ms"), "nominal")) if part(d, "verdict").get("ms") else "",
+        "hash": decided.hash[:SHORT],
+    }
+
+
+def _trial(decisions: list[Decided]) -> Document | None:
+    """The newest change with its promise and the responses that were judged since; None before the first."""
+    changed = [one for one in decisions if words(one.document, "action") == "commit"]
+    if not changed:
+        return None
+    newest = changed[-1]
+    later = what_came_of(newest.document, [one.document for one in decisions])
+    return {
+        "decision": newest.number,
+        "region": words(newest.document, "region"),
+        "change": change_text(newest.document),
+        "promise": _promised(part(newest.document, "promise")),
+        "seen": [
+            {
+                "number": int(number(one, "number") or 0),
+                "finding": words(part(one, "judgement"), "finding") or words(one, "action"),
+                "reason": words(part(one, "judgement"), "reason") or words(one, "reason"),
+            }
+            for one in later
+        ],
+    }
+
+
+def _promised(promise: Mapping[str, object]) -> list[Document]:
+    """Per upset what is promised, beside what it was before."""
+    found = []
+    for upset in ("setpoint", "load"):
+        now, before = (part(promise, name) for name in (upset, f"{upset}_before"))
+        for name in ("iae", "decay", "overshoot", "settle_s"):
+            values, old = now.get(name), before.get(name)
+            if isinstance(values, list) and len(values) == 3 and values[0] is not None:
+                was = old[0] if isinstance(old, list) and old else None
+                found.append({"upset": upset, "name": name, "values": values, "before": was})
+    return found
+
+
+def trend(loop: WatchedLoop, from_s: float, to_s: float, points: int) -> Document:
+    """A span of a trend by column, thinned so that extremes stay."""
+    table = loop.reader.span(from_s, to_s, max(4, min(points, MOST_POINTS)))
+    columns = {name: np.round(table[:, i], 6).tolist() for i, name in enumerate(FIELDS)}
+    return {"columns": columns, "whole": list(loop.reader.extent())}
+
+
+def decision_html(session: WatchedSession, loop: WatchedLoop, decided: Decided) -> str:
+    """The page of a decision, as in the report."""
+    response = part(decided.document, "response")
+    end = number(decided.document, "t_s") or 0.0
+    start = number(response, "t_start_s")
+    begin = end - 600 * float(loop.reader.head.get("sample_time_s", 1.0)) if start is None else start
+    table = loop.reader.span(begin - 0.5 * (end - begin), end, MOST_POINTS)
+    columns = {name: table[:, i].copy() for i, name in enumerate(FIELDS)}
+    columns["sequence"] = np.concatenate(([0.0], np.cumsum(np.any(np.diff(table[:, 6:9], axis=0) != 0, axis=1))))
+    later = what_came_of(decided.document, [one.document for one in session.ledger.decisions if _is_of(one, loop)])
+    unit = str(loop.reader.head.get("unit", ""))
+    return page(view_of(decided.document, columns, unit, (decided.row, decided.hash), later))
+
+
+def rows(ledger: LedgerTail, wanted: str, after: int) -> Document:
+    """Rows in words, the newest last: those that hold the text that is wanted."""
+    found = [one for one in ledger.told if one.row > after and fits(one, wanted)]
+    return {"rows": [one.to_dict() for one in found[-ROWS:]], "more": max(len(found) - ROWS, 0)}
+
+
+def fits(told: Told, wanted: str) -> bool:
+    """Whether a row holds every word that is wanted."""
+    text = " ".join(str(value) for value in told.to_dict().values()).lower()
+    return all(word in text for word in wanted.lower().split())
+
+
+def rows_csv(found: Iterable[Told]) -> str:
+    """Rows as CSV; what a spreadsheet would take for a formula is made text."""
+    out = io.StringIO()
+    writer = csv.writer(out)
+    names = ("row", "when_s", "kind", "who", "loop", "region", "why", "old", "new", "evidence", "verdict")
+    writer.writerow(names)
+    for one in found:
+        document = one.to_dict()
+        writer.writerow([_harmless(document[name]) for name in names])
+    return out.getvalue()
+
+
+def _harmless(value: object) -> object:
+    """A cell that no spreadsheet runs."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in "=+-@\t" else value

@@ -1,0 +1,116 @@
+"""The rows of a ledger as they come: each one looked at, believed or not, and told in words once."""
+
+from collections import deque
+from pathlib import Path
+
+from retuner.decision_page.row_values import part, parts, words
+from retuner.errors import LedgerError
+from retuner.ledger import LedgerReader, Row
+from retuner.ledger.chain import GENESIS, next_row
+from retuner.report.ledger_words import Told, told
+from retuner.session.order_queue import Shown, shown
+from retuner.session.recorded_session import without_place
+
+ROWS_KEPT = 20_000
+"""Rows in words that are kept, the newest ones; `retuner ledger` has all of them."""
+DECISIONS_KEPT = 2_000
+AT_ONCE = 500
+"""Rows read in one turn: nobody holds the file longer than that takes."""
+
+Document = dict[str, object]
+
+
+class Decided:
+    """A decision with its place in the ledger."""
+
+    __slots__ = ("document", "hash", "number", "row")
+
+    def __init__(self, row: Row) -> None:
+        self.document: Document = without_place(row.body)
+        self.number = int(str(self.document.get("number") or 0))
+        self.row, self.hash = row.seq, row.hash
+
+
+class LedgerTail:
+    """Reads on where it stopped.
+
+    Parameters
+    ----------
+    path : the ledger; it may be written by another process.
+
+    Raises
+    ------
+    LedgerError
+        It is no ledger of this release.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._reader = LedgerReader(path)
+        self.count, self.head = 0, GENESIS
+        self.broken = ""
+        self.names: list[str] = []
+        self.told: deque[Told] = deque(maxlen=ROWS_KEPT)
+        self.decisions: deque[Decided] = deque(maxlen=DECISIONS_KEPT)
+        self.shown: dict[str, Shown] = {}
+        self.ended = False
+        self.interrupted = False
+
+    def read_on(self) -> int:
+        """Take in what has come; the number of new rows. A row that cannot be believed ends the reading."""
+        if self.broken:
+            return 0
+        try:
+            rows = self._reader.rows_after(self.count, AT_ONCE)
+        except LedgerError as error:
+            self.broken = str(error)
+            return 0
+        taken = 0
+        for row in rows:
+            if not self._believed(row):
+                break
+            self._take(row)
+            taken += 1
+        return taken
+
+    def decision(self, loop: str, number: int) -> Decided | None:
+        """A decision of a loop by its number."""
+        own = (one for one in reversed(self.decisions) if words(one.document, "loop") == loop)
+        return next((one for one in own if one.number == number), None)
+
+    def shown_of(self, loop: str) -> Shown:
+        """What of a loop a person may refer to."""
+        return self.shown.get(loop) or Shown()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._reader.close()
+
+    def _believed(self, row: Row) -> bool:
+        try:
+            expected = next_row(self.head, self.count + 1, row.clock_s, row.kind, row.text)
+        except (ValueError, TypeError):
+            expected = None
+        if expected != row:
+            self.broken = f"row {self.count + 1} cannot be believed: it was changed after it was written"
+            return False
+        return True
+
+    def _take(self, row: Row) -> None:
+        self.count, self.head = row.seq, row.hash
+        self.told.append(told(row))
+        body = row.body
+        if row.kind == "session":
+            config = part(body, "config")
+            self.names = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
+            self.shown = {name: Shown() for name in self.names}
+        for name in self._about(body):
+            shown((row,), self.shown[name])
+        if row.kind == "decision":
+            self.decisions.append(Decided(row))
+        elif row.kind == "end":
+            self.ended, self.interrupted = True, bool(body.get("interrupted"))
+
+    def _about(self, body: Document) -> list[str]:
+        """The loops that a row is about: the one that it names, where there are several, or all."""
+        named = body.get("loop") if len(self.names) > 1 else None
+        return [name for name in self.names if named in {None, name}]

@@ -1,0 +1,118 @@
+"""The server of the page: its socket, its address, and how long it is up."""
+
+import asyncio
+import contextlib
+import resource
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from retuner.errors import UserError
+from retuner.serve.access import Access
+from retuner.serve.address import ServeOptions, lines, listening, our_names
+from retuner.serve.application import Page
+from retuner.serve.gate import Gate
+from retuner.serve.hub import Hub
+from retuner.serve.runs import Runs
+
+SILENT_S = 10.0
+"""A connection that asks for nothing is closed after this."""
+MOST_CONNECTIONS = 4000
+
+
+class PatientProtocol(H11Protocol):
+    """HTTP that lets go of connections on which nothing is asked for: a thousand idle ones take nobody's place."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """A browser connects."""
+        assert isinstance(transport, asyncio.Transport)
+        super().connection_made(transport)
+        self.loop.call_later(SILENT_S, self._still_silent)
+
+    def _still_silent(self) -> None:
+        asked = getattr(self, "cycle", None) is not None
+        if not asked and not self.transport.is_closing():
+            self.transport.close()
+
+
+def serve(
+    root: Path,
+    options: ServeOptions,
+    say: Callable[[str], None],
+    ours: socket.socket | None = None,
+    token: str = "",
+) -> None:
+    """Serve the page until somebody ends it.
+
+    Parameters
+    ----------
+    say : is told the address, and the one under which a person may act. ours, token : of whoever started this server
+        beside a run and has told them already.
+
+    Raises
+    ------
+    UserError
+        There is no session, the port is taken, or the TLS files cannot be used.
+    """
+    if (options.certificate is None) != (options.key is None):
+        raise UserError("--certificate and --key: TLS needs both files")
+    runs = Runs(root)
+    told = ours is not None
+    ours = ours or listening(options)
+    port = int(ours.getsockname()[1])
+    secure = options.certificate is not None
+    names = our_names(options, port)
+    access = Access(names, time.monotonic, secure=secure, read_only=options.read_only, port=port)
+    access.token = token or access.token
+    for line in () if told else lines(options, port, access.token):
+        say(line)
+    _run(Page(Hub(runs), access).application(), options, ours)
+    runs.close()
+
+
+def _run(application: Gate, options: ServeOptions, ours: socket.socket) -> None:
+    """Answer until somebody ends it."""
+    _enough_files()
+    config = uvicorn.Config(
+        application,
+        http=PatientProtocol,
+        ws="none",
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        limit_concurrency=MOST_CONNECTIONS,
+        timeout_keep_alive=5,
+        timeout_graceful_shutdown=1,
+        h11_max_incomplete_event_size=16384,
+        ssl_certfile=options.certificate,
+        ssl_keyfile=options.key,
+    )
+    try:
+        server = uvicorn.Server(config)
+        if options.until_closed:
+            threading.Thread(target=_until_closed, args=(server,), daemon=True).start()
+        server.run(sockets=[ours])
+    finally:
+        ours.close()
+
+
+def _until_closed(server: uvicorn.Server) -> None:
+    """End the server when whoever started it is gone."""
+    sys.stdin.read()
+    server.should_exit = True
+
+
+def _enough_files() -> None:
+    """As many open files as this process may have: every connection is one."""
+    with contextlib.suppress(OSError, ValueError):
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        wanted = MOST_CONNECTIONS + 500 if most == resource.RLIM_INFINITY else min(MOST_CONNECTIONS + 500, most)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))

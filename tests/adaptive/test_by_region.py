@@ -1,0 +1,82 @@
+"""A level whose gain rises with the level: one model for each region, where one for all is wrong everywhere."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.identification.by_region import by_region
+from retuner.adaptive.signals.sample import Window
+from retuner.api import identify_by_region
+from retuner.cli import main
+
+LOW, HIGH, BORDER = 0.01, 0.03, 50.0
+"""Slope gains below and above the border, per second."""
+
+
+def level(noise: float = 0.05) -> Window:
+    """PI on a tank that is three times as narrow above the border, two setpoint steps on either side of it."""
+    rng = np.random.default_rng(4)
+    sp = np.repeat([30.0, 34.0, 30.0, 70.0, 74.0, 70.0], 400)
+    h, integral, past = 30.0, 0.0, [0.0] * 8
+    rows = []
+    for target in sp:
+        pv = h + noise * rng.standard_normal()
+        integral += 0.004 * (target - pv)
+        past.append(1.5 * (target - pv) + integral)
+        rows.append((pv, past[-1]))
+        h += (LOW if h < BORDER else HIGH) * past.pop(0)
+    pv, co = np.array(rows).T
+    return Window(np.arange(len(sp)) * 1.0, sp, pv, co)
+
+
+def test_each_region_has_its_own_gain() -> None:
+    window = level()
+    low, high = identify_by_region(window, window.pv, [BORDER])
+    for region, gain in ((low, LOW), (high, HIGH)):
+        assert region.found is not None
+        assert region.found.estimate.identifiable, region.found.estimate.reason
+        model = region.found.estimate.log.model()
+        assert model.slope == pytest.approx(gain, rel=0.05)
+        assert model.theta_s == pytest.approx(8.0, rel=0.15)
+        assert region.found.settings is not None
+    assert (low.high, high.low) == (BORDER, BORDER)
+
+
+def test_every_sample_of_a_long_stretch_lies_in_its_region_and_noise_crosses_no_border() -> None:
+    t = np.arange(400.0)
+    pv = np.where(t < 200, 10.0, 30.0) + 0.1 * np.random.default_rng(1).standard_normal(400)
+    window = Window(t, pv, pv, pv)
+    found = by_region(window, pv, [10.0, 20.0])
+    assert [len(r.stretches) for r in found] in ([1, 0, 1], [0, 1, 1])  # 10 lies on the border: on one side of it
+    assert sum(len(w.t_s) for r in found for w in r.stretches) == 400
+    assert [(r.low, r.high) for r in found] == [(-np.inf, 10.0), (10.0, 20.0), (20.0, np.inf)]
+
+
+@pytest.mark.parametrize("bounds", [[], [1.0, 1.0], [2.0, 1.0], [np.nan]])
+def test_borders_that_are_none_are_refused(bounds: list[float]) -> None:
+    window = level()
+    with pytest.raises(ValueError, match="borders"):
+        by_region(window, window.pv, bounds)
+
+
+def test_a_region_that_nothing_moved_in_has_no_model() -> None:
+    window = level()
+    *_, empty = identify_by_region(window, window.pv, [BORDER, 95.0])
+    assert empty.found is None
+    assert empty.to_dict()["identifiable"] is False
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, window = tmp_path / "level.csv", level()
+    rows = np.stack([window.t_s, window.sp, window.pv, window.co], axis=1)
+    np.savetxt(path, rows, delimiter=",", header="t,sp,pv,co", comments="")
+    assert main(["identify", str(path), "--region-by", "pv", "--bounds", "50", "--json"]) == 0
+    low, high = json.loads(capsys.readouterr().out)["regions"]
+    assert low["gains"]["kc"] > 2 * high["gains"]["kc"] > 0
+    assert main(["identify", str(path), "--region-by", "pv", "--bounds", "50"]) == 0
+    assert "pv 50 to inf" in capsys.readouterr().out
+    for wrong in (["--bounds", "50"], ["--region-by", "level", "--bounds", "50"], ["--region-by", "pv"]):
+        assert main(["identify", str(path), *wrong]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1

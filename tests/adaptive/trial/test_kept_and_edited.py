@@ -1,0 +1,211 @@
+"""The retuner with a cure on trial, as a user of the library has it: it stays; what a person sets is his."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig import GOOD, MODEL, PROMISE, Rig
+
+from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.operator_orders import approve
+from retuner.adaptive.supervision.pending_proposal import Proposal
+from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import remember, restore
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+
+P, E = TrialPhase, TrialEvent
+UNSTABLE = PidGains(6 * GOOD.kp, 6 * GOOD.ki)
+WEAK = PidGains(GOOD.kp / 5, GOOD.ki / 5)
+
+
+class Stand:
+    """A loop at rest, and its retuner, which knows the process."""
+
+    def __init__(self, first: PidGains, mode: Mode = Mode.AUTO, **trial: float) -> None:
+        table = GainTable("loop", Regions("sp", "-", ("all",), -100.0, (), 100.0), (first,))
+        self.retuner = Retuner(table, RetunerSettings(1.0, 100.0, mode, band=0.1, trial=TrialSettings(**trial)))
+        x = parameters_of(MODEL)
+        log = StructureModel(LogModel(x, 1e-4 * np.eye(len(x)), 1, MODEL.type), 0.0)
+        self.retuner.region_models = {0: RegionModel((log,), 2, 0.0, plausible=(Plausible(MODEL, 0.0),))}
+        self.rig = Rig(GOOD, noise=0.02)
+        assert list(self.run(60)) == []
+
+    def cure(self) -> "Stand":
+        """What is in force is unstable by all that is known; a cure comes on trial."""
+        made = self.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+        assert made.action is Action.COMMIT
+        self.retuner.committed(0, GOOD)
+        assert self.retuner.trials.phase(0) is P.TRIAL
+        return self
+
+    def samples(self, n: int, **changes: float) -> list[Decision]:
+        return [d for s in self.rig.run(n) if (d := self.retuner.observe(s._replace(**changes))) is not None]
+
+    def run(self, n: int) -> Iterator[Decision]:
+        yield from self.samples(n)
+
+
+@pytest.mark.parametrize("cause", [E.MANUAL, E.GAP])
+def test_manual_mode_and_gaps_say_nothing_of_a_cure(cause: TrialEvent) -> None:
+    stand = Stand(UNSTABLE).cure()
+    if cause is E.MANUAL:
+        told = stand.samples(30, mode=LoopMode.MANUAL)
+        assert [d.code for d in told] == ["kept_manual"]
+        assert stand.retuner.trials.phase(0) is P.PAUSED
+    else:
+        stand.rig.t_s += 9.0
+        told = stand.samples(1)
+        assert [d.code for d in told] == ["kept_gap"]
+    assert told[0].action is Action.NONE
+    assert told[0].gains_after is None
+    assert "the one before is unstable" in told[0].reason
+    assert json.loads(told[0].canonical())["numbers"]["unstable_before"] >= 1
+    assert stand.samples(2) == []
+    assert stand.retuner.trials.phase(0) is P.TRIAL
+    assert stand.retuner.table.gains == (GOOD,)
+
+
+def test_the_end_leaves_it_running_and_the_next_session_goes_on_with_its_trial() -> None:
+    stand = Stand(UNSTABLE).cure()
+    decision = stand.retuner.abort(E.STOPPED)
+    assert decision is not None
+    assert (decision.action, decision.code, decision.gains_after) == (Action.RESTORE, "kept_stopped", GOOD)
+    assert stand.retuner.restored() == (0,)
+    assert stand.retuner.abort(E.STOPPED) is None
+    memory = json.loads(json.dumps(remember(stand.retuner), allow_nan=False))
+    stand.retuner = restore(memory, stand.retuner.settings)
+    stand.rig.t_s += 1000.0
+    stand.samples(2)
+    assert stand.retuner.trials.phase(0) is P.TRIAL
+    stand.samples(200)
+    stand.rig.load = 10.0
+    judged = [d.judgement for d in stand.samples(300) if d.judgement]
+    assert judged
+    assert stand.retuner.table.gains_of(0) == GOOD
+
+
+def test_the_same_cause_ends_the_trial_of_a_set_that_is_worse() -> None:
+    stand = Stand(GOOD)
+    stand.retuner.ordered(0, StageResult("injected", "for a test"), UNSTABLE, PROMISE)
+    stand.retuner.committed(0, UNSTABLE)
+    (decision,) = stand.samples(1, mode=LoopMode.MANUAL)
+    assert decision.code == "undo_manual"
+    assert decision.gains_after == GOOD
+    assert "the tried set is unstable" in decision.reason
+
+
+def test_responses_that_say_nothing_end_a_trial_where_nothing_speaks_against_the_set() -> None:
+    stand = Stand(UNSTABLE, inconclusive=2).cure()
+    judged: list[Decision] = []
+    for i in range(12):  # so small that its peaks say nothing
+        stand.rig.sp = 0.3 * (i % 2)
+        judged += [d for d in stand.samples(400) if d.judgement]
+        if stand.retuner.trials.phase(0) is not P.TRIAL:
+            break
+    assert stand.retuner.trials.phase(0) is P.IDLE
+    assert judged[-1].judgement is not None
+    assert "decided nothing, and the set on trial stays" in judged[-1].judgement.reason
+    assert stand.retuner.table.gains == (GOOD,)
+
+
+def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() -> None:
+    stand = Stand(GOOD, edit_hold_s=5000.0)
+    assert stand.retuner.edited(GOOD) is None
+    decision = stand.retuner.edited(WEAK)
+    stand.rig.change(WEAK)
+    assert decision is not None
+    assert (decision.code, decision.action) == ("edited", Action.NONE)
+    assert "held for 5,000 s" in decision.reason
+    assert "Ms 1." in decision.reason
+    assert stand.retuner.table.gains == (WEAK,)
+    stand.samples(200)
+    stand.rig.sp = 5.0
+    (proposed,) = [d for d in stand.samples(1500) if d.gains_after]
+    assert proposed.action is Action.ADVISE
+    assert "a person set the gains in force" in proposed.reason
+    assert stand.retuner.table.gains == (WEAK,)
+    proposal = Proposal.of(proposed)
+    assert proposal is not None
+    taken = approve(stand.retuner, proposal, stand.rig.t_s)
+    assert taken.action is Action.COMMIT
+    assert stand.retuner.trials.phase(0) is P.WRITING
+
+
+def test_after_its_time_the_loop_is_retuned_again_from_there() -> None:
+    stand = Stand(GOOD, edit_hold_s=10.0)
+    stand.retuner.edited(WEAK)
+    stand.rig.change(WEAK)
+    stand.samples(200)
+    stand.rig.sp = 5.0
+    (made,) = [d for d in stand.samples(1500) if d.gains_after]
+    assert made.action is Action.COMMIT
+    assert made.gains_before == WEAK
+
+
+def test_who_takes_ours_away_again_and_again_is_left_alone_for_longer() -> None:
+    stand, holds = Stand(WEAK, edit_hold_s=100.0), []
+    for _ in range(3):
+        stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+        stand.retuner.committed(0, GOOD)
+        stand.retuner.edited(WEAK)
+        holds.append(stand.retuner.trials.of(0).until_s - stand.rig.t_s)
+        stand.samples(500)
+    assert holds == [100.0, 200.0, 400.0]
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_numbers_of_numpy_come_through(kind: type) -> None:
+    stand = Stand(PidGains(kind(WEAK.kp), kind(WEAK.ki)))
+    stand.retuner = Retuner(stand.retuner.table, RetunerSettings(kind(1.0), kind(100.0), Mode.AUTO, band=kind(0.1)))
+    stand.rig.change(WEAK)
+    made = []
+    for i, s in enumerate(stand.rig.run(1800)):
+        stand.rig.sp = 5.0 if i > 300 else 0.0
+        whole = np.int64(s.mode), np.int32(s.limited), kind(s.x), np.int64(s.revision)
+        d = stand.retuner.observe(LoopSample(kind(s.t_s), kind(s.sp), kind(s.pv), kind(s.co), *whole))
+        made += [d] if d else []
+    assert made
+    assert all(json.loads(d.canonical())["number"] for d in made)
+    json.dumps(remember(stand.retuner), allow_nan=False)
+
+
+def test_the_example_obeys_every_decision() -> None:
+    """Its loop puts a bad set back that is on trial when it stops."""
+    example = Path(__file__).parents[3] / "examples" / "one_sample_at_a_time.py"
+    code = f"""
+import runpy
+page = runpy.run_path({str(example)!r})
+from retuner import PidGains, Retuner
+from retuner.adaptive.supervision.pipeline_types import StageResult
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner import GainTable, RetunerSettings
+from retuner.schedule.regions import Regions
+from retuner.adaptive.trial.expectation import promise
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+good, bad = PidGains(45.0, 1.0), PidGains(400.0, 10.0)
+retuner = Retuner(GainTable("t", Regions("sp", "m", ("tank",), 0.0, (), 10.0), (good,)), RetunerSettings(1.0, 10.0))
+tank = page["Tank"](good)
+retuner.observe(tank.sample(0.0, 4.0))
+said = promise([Plausible(ProcessModel(ProcessType.FOPDT, 0.1, 50.0, 0.0, 5.0), 0.0)], good, good, 1.0)
+page["obey"](retuner.ordered(0, StageResult("injected", "for a test"), bad, said), tank, retuner)
+assert tank._law.gains == bad
+page["obey"](retuner.abort(TrialEvent.STOPPED), tank, retuner)
+assert tank._law.gains == good and not retuner.trials.restoring
+"""
+    subprocess.run([sys.executable, "-P", "-W", "error", "-c", code], check=True, capture_output=True)

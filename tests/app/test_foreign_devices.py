@@ -1,0 +1,129 @@
+"""Controllers that are not ours, from the configuration to the ledger: checked, run, refused in one clear line."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from retuner.cli import main
+from retuner.ledger import LedgerReader
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PROFILES = ("odrive", "cia402", "cia404")
+
+
+def rows(folder: Path, kind: str) -> list[dict[str, object]]:
+    with LedgerReader(folder / "ledger.sqlite") as ledger:
+        return [dict(row.body) for row in ledger.rows() if row.kind == kind]
+
+
+def run(config: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, object]:
+    assert main(["run", str(config), "--out", str(out), "--json", "--no-compare", *more]) == 0
+    result: dict[str, object] = json.loads(capsys.readouterr().out)
+    return result
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_the_examples_are_short_and_those_that_init_writes(profile: str, tmp_path: Path) -> None:
+    text = (EXAMPLES / f"{profile}.toml").read_text()
+    assert len(text.splitlines()) < 40
+    assert main(["init", str(tmp_path / "mine.toml"), "--profile", profile]) == 0
+    assert (tmp_path / "mine.toml").read_text() == text
+
+
+def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (EXAMPLES / "cia404.toml").read_text().replace("duration_s = 6000.0", "duration_s = 900.0")
+    text = text.replace("kc = 2.0", "kc = 3.2").replace("tau_i_s = 120.0", "tau_i_s = 50.0")
+    config = tmp_path / "loop.toml"
+    steps = "    { at_s = 0.0, sp = 150.0 }, { at_s = 100.0, sp = 170.0 },\n]\n"
+    config.write_text(text[: text.index("    { at_s = 0.0")] + steps)
+    run(config, tmp_path / "run", capsys)
+    orders = rows(tmp_path / "run", "order_of_writes")
+    committed = rows(tmp_path / "run", "committed")
+    assert committed
+    assert orders[0]["proved"] is True
+    assert 1.0 < float(str(orders[0]["ms_between"])) < 2.1
+    decision = rows(tmp_path / "run", "decision")[0]
+    assert committed[0]["gains"] == decision["gains_after"]  # what was proved is what the node holds, bit for bit
+
+
+def test_without_read_back_and_without_the_users_word_it_is_advice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (EXAMPLES / "odrive.toml").read_text().replace('accept = ["no_read_back"]', "")
+    config = tmp_path / "loop.toml"
+    config.write_text(
+        text.replace("duration_s = 120.0", "duration_s = 40.0").replace(
+            text[text.index("{ at_s = 50.0") : text.index("]\n", text.index("{ at_s = 50.0"))], ""
+        )
+    )
+    result = run(config, tmp_path / "run", capsys)
+    assert result["decisions"]
+    for kind in ("intent", "committed", "trial"):
+        assert rows(tmp_path / "run", kind) == []
+
+
+CO = "co = { scale = 5.0 }"
+GAINS = "gains = { scale = 50.0 }"
+BAD = [
+    ('profile = "odrive"', 'profile = "odrives"', ':24 device.profile = "odrives" is no profile; there is cia402,'),
+    (CO, 'co = { signal = "Iq_Wanted" }', "device.co.signal : odrive-cansimple.dbc: message 'Axis0_Get_Iq' has no"),
+    (CO, 'dbc = "nowhere.dbc"', "device.dbc : nowhere.dbc: cannot be read: No such file or directory"),
+    (CO, 'pv = { message = "Axis0_Enc" }', "device.pv.message : odrive-cansimple.dbc: no message 'Axis0_Enc'; there"),
+    (GAINS, "gains = { scale = 0.0 }", "device.gains.kp : "),
+    (GAINS, "gains = { scal = 50.0 }", "device.gains.scal is not a known key; did you mean scale?"),
+    ("node = 0", "node = 99", "has no identifier"),
+    ('accept = ["no_read_back"]', 'accept = ["anything"]', "device.accept"),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "told"), BAD)
+def test_what_is_wrong_is_one_line_with_the_key(
+    before: str, after: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (EXAMPLES / "odrive.toml").read_text()
+    assert before in text
+    path = tmp_path / "loop.toml"
+    path.write_text(text.replace(before, after))
+    assert main(["check", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+CIA404 = 'profile = "cia404"'
+BAD_OBJECTS = [
+    (CIA404, f'{CIA404}\nsetpoint = {{ object = "6130:1" }}', "device.setpoint.object : cia404.eds: object 6130:1 (AI"),
+    (CIA404, f'{CIA404}\npv = {{ object = "6131" }}', "device.pv.object : cia404.eds: no object '6131'; there is"),
+    (CIA404, f'{CIA404}\npv = {{ object = "6130" }}', "device.pv.object : cia404.eds: object 6130 has parts; name one"),
+    (CIA404, f'{CIA404}\npv = {{ object = "6130:7" }}', "device.pv.object : cia404.eds: object 6130 has no part '7'"),
+    (CIA404, f'{CIA404}\npv = {{ object = "1018:1" }}\neds = "pyproject.toml"', "device.eds : pyproject.toml: "),
+    ('kind = "canopen"', 'kind = "dbc"', 'device.profile = "cia404" is for kind = "canopen"'),
+    ("node = 5", "node = 5\n[loop.x]", "not a known key"),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "told"), BAD_OBJECTS)
+def test_what_is_wrong_with_objects_is_told_too(
+    before: str, after: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "loop.toml"
+    path.write_text((EXAMPLES / "cia404.toml").read_text().replace(before, after))
+    assert main(["check", str(path)]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_gains_that_the_device_cannot_hold_are_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "loop.toml"
+    path.write_text((EXAMPLES / "cia402.toml").read_text().replace("kc = 1.5", "kc = -1.5"))
+    assert main(["check", str(path)]) == 2
+    assert "cannot hold the gains of region all: kp: -15000 is outside 0 to" in capsys.readouterr().err
+
+
+def test_a_virtual_device_needs_a_profile_or_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["device"]) == 2
+    assert main(["device", "--profile", "nothing"]) == 2
+    assert "there is cia402, cia404, odrive" in capsys.readouterr().err

@@ -1,0 +1,184 @@
+"""The live view: no line is ever longer than the terminal is wide, and it says what is there."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from retuner.adaptive.signals.recogniser import RecogniserPhase, begin
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.cli import main
+from retuner.config.loading import load_config
+from retuner.drivers.device import RunningSet
+from retuner.ledger import Ledger, LedgerReader
+from retuner.live_view.live_screen import LiveScreen
+from retuner.live_view.loop_seen import LoopObserver, LoopSeen, peaks_so_far
+from retuner.live_view.terminal import PANEL_LINES, decision_lines, folded, loop_line, loop_lines
+from retuner.live_view.trace import PLAIN, trace
+from retuner.live_view.what_next import narrow_scores, what_next
+from retuner.report.console import scores_table
+from retuner.report.scores import RegionScore
+from retuner.schedule.gains import PidGains
+from retuner.session.assembly import make_retuner
+
+ROOT = Path(__file__).resolve().parents[2]
+WIDTHS = (80, 120, 200)
+GAINS, AFTER = PidGains(4.2, 0.06, 0.0), PidGains(1.26, 0.0051, 0.0)
+
+
+class Controller:
+    """Says what it runs."""
+
+    running = RunningSet(1, GAINS, 0)
+
+
+def seen_oven(samples: int = 40) -> LoopSeen:
+    retuner = make_retuner(load_config(ROOT / "examples" / "oven.toml"))
+    observer = LoopObserver(retuner, Controller())
+    for i in range(samples):
+        sample = LoopSample(t_s=2.0 * i, sp=105.0, pv=90.0 + 0.1 * i, co=43.2, x=105.0)
+        retuner.observe(sample)
+    return observer.look(sample)
+
+
+def decision(region: str = "middle", reason: str = "the swing grows " * 20) -> Decision:
+    return Decision(
+        1, 1830.0, "oven", region, Mode.AUTO, Action.ADVISE, "model", reason, gains_before=GAINS, gains_after=AFTER
+    )
+
+
+def test_what_is_seen_of_a_loop_is_where_it_is_and_what_it_waits_for() -> None:
+    seen = seen_oven()
+    assert seen.here is not None
+    assert seen.here.name == "middle"
+    assert seen.running == GAINS
+    assert seen.waits_for == "the loop to come to rest"
+    told = seen.to_dict()
+    assert told["region"] == 1
+    assert [one.name for one in seen.regions] == ["low", "middle", "high"]
+
+
+def test_the_peaks_found_so_far_are_those_of_the_response_under_way() -> None:
+    state = begin(0.0, 1.0)._replace(started=True, t1_s=1.0, e1=3.0, t2_s=2.0, e2=-2.0, t_peak_s=3.0, e_peak=1.0)
+    count = {phase: len(peaks_so_far(state._replace(phase=phase))) for phase in RecogniserPhase}
+    assert list(count.values()) == [1, 1, 2, 2, 3, 3, 0, 0]
+    assert peaks_so_far(state._replace(phase=RecogniserPhase.VERIFY_2)) == ((1.0, 3.0), (3.0, 1.0))
+    assert peaks_so_far(state._replace(started=False, phase=RecogniserPhase.LOCATE_1)) == ()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("ascii_only", [False, True])
+def test_no_line_of_the_view_is_wider_than_the_terminal(width: int, ascii_only: bool) -> None:
+    seen, pv = seen_oven(), [float(i % 7) for i in range(600)]
+    lines = loop_lines(seen, "degC", pv, width, ascii_only=ascii_only)
+    assert len(lines) == PANEL_LINES
+    lines += [loop_line(seen, "degC", pv, width, ascii_only=ascii_only)]
+    for detail in (False, True):
+        lines += decision_lines(decision(), width, detail=detail)
+    assert max(cell_len(line.plain) for line in lines) <= width
+    if ascii_only:
+        assert all(line.plain.isascii() for line in lines[:PANEL_LINES])
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_what_a_terminal_is_sent_does_not_wrap(width: int) -> None:
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=width, height=30, color_system=None)
+    with LiveScreen(console, now_s=lambda: 0.0) as screen:
+        screen.begin("oven: auto")
+        screen.sample("oven", "degC", 90.0, 0.25, seen_oven)
+        screen.decision(decision())
+        screen.say("a sentence of many words " * 20)
+        console.print(screen.picture(width, 30))
+        screen.pause()
+        gains = PidGains(kp=0.425, ki=0.0017, kd=0.0)
+        score = RegionScore("a region with quite a long name", gains, gains, 12, 1.12, float("inf"), 42.0, 1140274.0)
+        screen.table(scores_table([score], "degC"), lambda: narrow_scores([score], "degC"))
+    plain = Console(file=io.StringIO(), width=width)
+    shown = [plain.render_str(line, markup=False) for line in out.getvalue().splitlines()]
+    text = [line.plain.split("\x1b[2K")[-1].rstrip() for line in shown]
+    assert max(cell_len(line) for line in text) <= width
+    assert any("waits for the loop to come to rest" in line for line in text)
+    assert any("unstable" in line for line in text)
+
+
+def test_a_decision_takes_two_lines_and_more_only_when_asked() -> None:
+    two = decision_lines(decision(), 120)
+    assert len(two) == 2
+    assert "middle" in two[0].plain
+    assert "advise Kc 4.2 tau_I 70 s -> Kc 1.26 tau_I 247 s" in two[0].plain
+    assert two[1].plain.endswith("…")
+    whole = " ".join(line.plain for line in decision_lines(decision(), 120, detail=True))
+    assert whole.count("grows") == 20
+
+
+def test_many_loops_get_a_line_each_and_say_how_many_more() -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=100, height=12)
+    seen = seen_oven(1)
+    with LiveScreen(console, now_s=lambda: 0.0) as screen:
+        for i in range(32):
+            screen.sample(f"loop {i}", "bar", 1.0, 0.0, lambda: seen)
+        lines = console.render_lines(screen.picture(100, 12))
+    assert len(lines) <= 12
+    assert "and 22 more loops" in "".join(part.text for part in lines[-1])
+
+
+def test_names_from_outside_cannot_write_on_the_terminal() -> None:
+    told = " ".join(line.plain for line in decision_lines(decision("evil\x1b[2Jname", "a\nb\x1b[31m"), 120))
+    assert "\x1b" not in told
+    assert "\n" not in told
+
+
+def test_without_a_terminal_there_are_plain_lines() -> None:
+    out = io.StringIO()
+    with LiveScreen(Console(file=out, width=80)) as screen:
+        screen.begin("oven: auto")
+        screen.sample("oven", "degC", 90.0, 0.5, lambda: pytest.fail("nobody looks"))
+        screen.decision(decision(reason="x " * 150))
+    assert len(out.getvalue().splitlines()) == 1
+
+
+def test_a_trace_shows_the_shape() -> None:
+    assert trace([0.0, 1.0, 2.0, 3.0], 4, "01234567") == "0257"
+    assert trace([5.0] * 9, 3, PLAIN) == "___"
+    assert trace([], 5) == ""
+    assert len(trace(list(range(1000)), 60)) == 60
+
+
+def test_a_word_that_is_too_long_stays_whole() -> None:
+    assert folded("give /a/very/long/path/to/something/that/nobody/breaks now", 20)[1].startswith("/a/very")
+
+
+def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        made = decision()
+        ledger.append("decision", {**made.to_dict(), "samples": 1}, 1830.0)
+        told = what_next(tmp_path / "my run", ledger.rows(), 86400.0, ["high"], tmp_path / "gains.toml")
+    assert told[0].command == f"retuner approve '{tmp_path / 'my run'}' {made.digest()[:8]}"
+    assert "4.2, 70 -> 1.26, 247" in told[0].why
+    assert told[1].command.endswith("--unlock high")
+    assert "gains.toml" in told[2].why
+    with LedgerReader(tmp_path / "ledger.sqlite") as reader:
+        assert what_next(tmp_path, reader.rows(), 86400.0, [], None, "dryer 2")[0].command.split()[3:6] == [
+            "--loop",
+            "'dryer",
+            "2'",
+        ]
+    assert main(["run", "--help"]) == 0
+    assert "--verbose" in capsys.readouterr().out
+
+
+def test_what_needs_a_person_is_said() -> None:
+    seen = seen_oven(1)
+    assert seen.needs_a_person == ""
+    locked = replace(seen.regions[0], trial=str(TrialPhase.LOCKED))
+    told = replace(seen, regions=(locked, *seen.regions[1:]))
+    assert told.needs_a_person == "low: locked out"
+    assert "needs you" in loop_lines(told, "degC", [1.0], 80)[-1].plain

@@ -1,0 +1,91 @@
+"""The examination finds nothing wrong with what keeps the protocol, and something with everything that does not."""
+
+import re
+from pathlib import Path
+
+import can
+import pytest
+from bus_simulation.device_end import LagPlant
+from bus_simulation.firmware import FirmwareDevice
+from bus_simulation.mutants import MUTANTS, Mutant
+from effort import sized
+
+from retuner.cli import main
+from retuner.drivers.conformance.chapters import CHAPTERS, chapters
+from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
+from retuner.drivers.conformance.counterparts import InThread
+from retuner.drivers.conformance.examination import Examination, examine
+from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
+from retuner.drivers.protocol.gain_limits import GainBox
+from retuner.schedule.gains import PidGains
+
+KEY = bytes(range(16))
+TRIAL = 20
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
+
+
+def examined(make=FirmwareDevice, *, key: bytes | None = KEY, gains: PidGains | None = None, **more) -> Examination:
+    first = gains or PidGains(1.0, 0.0625, 0.25)
+    box = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0, direction=first.direction)
+    settings = VirtualDeviceSettings(first, box=box, key=key, trial_samples=TRIAL, heartbeat_samples=5)
+    device = make(settings, LagPlant(), **more)
+    device.step()
+    return examine(Conversation(InThread(device), 1, key), chapters(TRIAL))
+
+
+@pytest.mark.parametrize("make", [VirtualDevice, FirmwareDevice])
+@pytest.mark.parametrize("key", [None, KEY])
+@pytest.mark.parametrize("gains", [PidGains(1.0, 0.0625, 0.25), PidGains(-2.0, -0.1), PidGains(0.0, 0.5)])
+def test_nothing_is_wrong_with_what_keeps_the_protocol(make, key: bytes | None, gains: PidGains) -> None:
+    found = examined(make, key=key, gains=gains)
+    assert found.findings == []
+    assert len(found.left_out) == (gains.kp == 0)
+    assert found.tried > 150
+
+
+@pytest.mark.parametrize("mutant", MUTANTS[:: sized(6, 1)], ids=lambda mutant: mutant.name)
+def test_every_mutant_is_found(mutant: Mutant) -> None:
+    found = examined(changes=((mutant.old, mutant.new),))
+    assert found.findings != []
+
+
+class SameEpoch(VirtualDevice):
+    """It forgets to take a new epoch."""
+
+    def restart(self) -> None:
+        self._boot()
+
+
+class Dumb(VirtualDevice):
+    """It sends telemetry and answers nothing."""
+
+    def receive(self, _: can.Message) -> list[can.Message]:
+        return []
+
+
+def test_an_epoch_kept_over_a_restart_is_found() -> None:
+    said = {finding.said for finding in examined(SameEpoch).findings}
+    assert "the epoch is the same after a restart" in said
+
+
+def test_a_device_that_says_nothing_cannot_be_examined() -> None:
+    with pytest.raises(NoAnswerError, match="no Identity"):
+        examined(Dumb)
+
+
+def test_chapters_are_those_of_the_page() -> None:
+    heads = set(re.findall(r"^## (.*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    assert {chapter for chapter, _ in CHAPTERS} <= heads
+
+
+def test_nobody_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["conformance", "-i", "virtual", "-c", "nobody"]) == 2
+    told = capsys.readouterr().err
+    assert "node 1 on virtual nobody: no Identity" in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("option", ["--speed", "--sample-time"])
+def test_numbers_that_are_none_are_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["conformance", "-i", "virtual", "-c", "x", option, "nan"]) == 2
+    assert f"{option} nan: give a positive number" in capsys.readouterr().err

@@ -1,0 +1,233 @@
+"""The page in a real browser: watch, approve, take back, lose and regain the connection, two browsers at once.
+
+Where there is no Chromium the tests are skipped and say so; RETUNER_REQUIRE_BROWSER=1 (as in CI) makes that a failure.
+RETUNER_SCREENSHOTS names a folder for pictures of what was seen.
+"""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
+from stepped import Server, Stepped, serving, stepped
+
+pytestmark = pytest.mark.slow
+
+PROGRAM = next((path for path in map(shutil.which, ("chromium", "chromium-browser")) if path), "")
+DRIVER = shutil.which("chromedriver") or ""
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+WITHIN_S = 60
+"""Longest wait for something to be seen: a busy machine is slow, and nothing is measured here."""
+
+
+@pytest.fixture
+def browsers(tmp_path: Path) -> Iterator[Callable[..., "Seen"]]:
+    if not (PROGRAM and DRIVER):
+        reason = "no Chromium: apt-get install chromium chromium-driver"
+        if os.environ.get("RETUNER_REQUIRE_BROWSER"):
+            pytest.fail(f"RETUNER_REQUIRE_BROWSER is set, but there is {reason}")
+        pytest.skip(reason)
+    opened: list[webdriver.Chrome] = []
+
+    def open_(width: int = 1300, height: int = 1000, *, dark: bool = False) -> Seen:
+        options = Options()
+        options.binary_location = PROGRAM
+        for flag in (*FLAGS, f"--user-data-dir={tmp_path / f'browser-{len(opened)}'}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+        opened.append(driver)
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        if dark:
+            media = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+            driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+        return Seen(driver)
+
+    yield open_
+    for driver in opened:
+        driver.quit()
+
+
+class Seen:
+    """What a person sees and does."""
+
+    def __init__(self, driver: webdriver.Chrome) -> None:
+        self.driver = driver
+
+    def open(self, address: str) -> None:
+        self.driver.get(address)
+
+    def text(self) -> str:
+        return self.driver.find_element(By.TAG_NAME, "body").text
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        WebDriverWait(self.driver, WITHIN_S, poll_frequency=0.1, ignored_exceptions=[Exception]).until(
+            lambda _: condition(), f"{what}; seen: {self.text()[:1500]}"
+        )
+
+    def sees(self, text: str) -> None:
+        self.wait(lambda: text in self.text(), f"{text!r} is not seen")
+
+    def button(self, name: str) -> WebElement:
+        return self.driver.find_element(By.XPATH, f"//button[normalize-space()='{name}'][not(@hidden)]")
+
+    def press(self, name: str) -> None:
+        self.wait(lambda: self.button(name).is_displayed(), f"there is no button {name!r}")
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", self.button(name))
+        self.button(name).click()
+
+    def confirms(self, who: str) -> None:
+        """Give a name where it is asked for, and say yes."""
+        self.wait(lambda: self.driver.find_element(By.ID, "ask").get_attribute("open"), "nothing is asked")
+        name = self.driver.find_element(By.ID, "ask-name")
+        name.clear()
+        name.send_keys(who)
+        self.press("Yes, do it")
+        self.sees("Ordered;")
+
+    def errors(self) -> list[str]:
+        """What the browser complains of: scripts that fail, a policy that is violated."""
+        harmless = ("ERR_CONNECTION", "ERR_INCOMPLETE")
+        told = [one["message"] for one in self.driver.get_log("browser") if one["level"] == "SEVERE"]
+        return [text for text in told if not any(part in text for part in harmless)]
+
+    def picture(self, name: str) -> None:
+        if folder := os.environ.get("RETUNER_SCREENSHOTS"):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            self.driver.save_screenshot(str(Path(folder) / f"{name}.png"))
+
+    def wider_than_the_screen(self) -> bool:
+        return bool(self.driver.execute_script("return document.documentElement.scrollWidth > innerWidth + 1"))
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Stepped]:
+    with stepped(tmp_path / "demo") as made:
+        made.step(300)
+        yield made
+
+
+@pytest.fixture
+def server(session: Stepped) -> Iterator[Server]:
+    made = serving(session.folder)
+    yield made
+    made.end()
+
+
+def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
+    session: Stepped, server: Server, browsers: Callable[..., Seen]
+) -> None:
+    before = session.gains
+    one, other = browsers(), browsers(420, 900, dark=True)
+    one.open(server.address)
+    one.sees("Nothing waits for a person.")
+    other.open(f"{server.address}#/loop/demo/1")
+    other.sees("No decision yet.")
+    session.until_decided(1)
+    session.step(20)
+    for seen in (one, other):
+        seen.wait(lambda seen=seen: "needs you" in seen.text().lower(), "the proposal is not shown")
+    one.picture("overview")
+    other.picture("loop-420-dark")
+    assert not other.wider_than_the_screen()
+    one.open(f"{server.address}#token={server.token}")
+    one.sees("may act")
+    assert server.token not in one.driver.current_url
+    one.open(f"{server.address}#/loop/demo/1")
+    one.press("Approve")
+    one.confirms("Ada")
+    session.step(100)
+    proposed = session.session.loops[0].decisions[0].gains_after
+    assert proposed is not None
+    assert session.gains.kp == pytest.approx(proposed.kp, rel=1e-6)
+    one.sees("on trial")
+    assert "[object" not in one.text()
+    one.picture("loop-on-trial")
+    number = session.session.loops[0].decisions[-1].number
+    other.sees(f"✓{number}")
+    one.press("take back")
+    one.confirms("Ada")
+    session.step(100)
+    assert session.gains == before
+    one.sees("rolled back")
+    other.sees(f"↩{number + 1}")
+    orders = [row.body for row in session.ledger.rows() if row.kind == "order" and row.body["due"]]
+    assert [(body["order"], body["by"], body["accepted"]) for body in orders] == [
+        ("approve", "Ada", True),
+        ("revert", "Ada", True),
+    ]
+    assert one.errors() == other.errors() == []
+
+
+def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
+    session: Stepped, server: Server, browsers: Callable[..., Seen]
+) -> None:
+    session.until_decided(1)
+    seen = browsers()
+    seen.open(f"{server.address}#/loop/demo/1")
+    seen.press("the whole reasoning")
+    seen.wait(lambda: seen.driver.find_element(By.TAG_NAME, "iframe"), "the page of the decision does not open")
+    seen.driver.switch_to.frame(seen.driver.find_element(By.TAG_NAME, "iframe"))
+    seen.sees("Robustness and predicted responses")
+    seen.driver.switch_to.default_content()
+    seen.picture("decision")
+    search = seen.driver.find_element(By.CSS_SELECTOR, "input[type=search]")
+    search.send_keys("advise low")
+    seen.wait(
+        lambda: "link" not in seen.driver.find_element(By.CSS_SELECTOR, "table:last-of-type").text, "not filtered"
+    )
+    assert seen.errors() == []
+
+
+def test_a_page_that_loses_its_server_comes_back_and_has_missed_nothing(
+    session: Stepped, browsers: Callable[..., Seen]
+) -> None:
+    first = serving(session.folder)
+    seen = browsers()
+    seen.open(f"{first.address}#/loop/demo/1")
+    seen.sees("No decision yet.")
+    first.end()
+    seen.sees("connection lost")
+    session.until_decided(1)
+    session.step(200)
+    second = serving(session.folder, first.port)
+    try:
+        seen.wait(lambda: "connection lost" not in seen.text() and "needs you" in seen.text().lower(), "it is not back")
+        shown = seen.driver.execute_script("return document.querySelectorAll('.values b')[3].textContent")
+        seconds = session.bench.clock.now_s()
+        assert shown == f"0:{int(seconds // 60):02d}:{int(seconds % 60):02d}"
+    finally:
+        second.end()
+
+
+def test_hold_everything_is_one_key_one_question_and_no_mode_is_left(
+    session: Stepped, server: Server, browsers: Callable[..., Seen]
+) -> None:
+    seen = browsers()
+    seen.open(f"{server.address}#token={server.token}")
+    seen.sees("may act")
+    seen.press("Hold everything")
+    seen.confirms("Grace")
+    session.step(40)
+    retuner = session.session.loops[0].retuner
+    assert [str(retuner.settings.mode_of(i)) for i in range(2)] == ["off", "off"]
+    session.step(1200)
+    assert len(session.session.loops[0].decisions) == 0
+    assert seen.errors() == []
