@@ -1,5 +1,5 @@
-"""A plant of loops for an audit to judge: good, sluggish, aggressive, sticking, upset from a neighbour, manual, saturated,
-dead, cascades; sampled, quantised and compressed as a historian does. What is true of each loop is written beside it.
+"""A plant of loops for an audit to judge: good, sluggish, aggressive, sticking, upset from a neighbour, manual,
+saturated, dead, cascades; sampled, quantised and compressed as a historian does. What is true of each is beside it.
 
 Each loop is a first-order process with dead time under PI control, all of them stepped together. Nothing here is shared
 with the product: the valve is that of He et al. (2007), the historian's compression a swinging door (Bristol 1990).
@@ -31,7 +31,7 @@ GROUP = 10
 
 @dataclass(frozen=True)
 class Loop:
-    """What is true: its kind, process k, tau_s, theta_s, settings, stick band, size of loads, the root that upsets it."""
+    """What is true: kind, process k, tau_s, theta_s, settings, stick band, size of loads, the root that upsets it."""
 
     tag: str
     kind: str
@@ -64,12 +64,14 @@ def _loop(tag: str, kind: str, rng: np.random.Generator) -> Loop:
     tau_s = theta_s * float(10 ** rng.uniform(-0.2, 0.8))
     k = float(10 ** rng.uniform(-0.5, 0.5))
     kc, tau_i_s = tau_s / (2 * theta_s * k), min(tau_s, 8 * theta_s)  # SIMC, tau_c = theta
-    worse = {"sluggish": rng.uniform(0.12, 0.25), "aggressive": rng.uniform(2.2, 2.8)}.get(kind, rng.uniform(0.75, 1.1))
+    worse = {"sluggish": rng.uniform(0.12, 0.25), "aggressive": rng.uniform(2.2, 2.8)}.get(kind, rng.uniform(0.85, 1.1))
     stick = float(rng.uniform(1.0, 4.0)) if kind == "stiction" else 0.0
     return Loop(tag, kind, k, tau_s, theta_s, kc * float(worse), tau_i_s, stick, float(rng.uniform(1.0, 4.0)))
 
 
-def simulate(loops: list[Loop], days: float, rng: np.random.Generator, outside: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def simulate(
+    loops: list[Loop], days: float, rng: np.random.Generator, outside: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
     """Trends of some loops, shape (samples, loops) each: sp, pv, co. outside : what a root sends to those it upsets."""
     n, m = int(days * 86_400 / DT_S), len(loops)
     a = np.exp(-DT_S / np.array([loop.tau_s for loop in loops]))
@@ -83,7 +85,8 @@ def simulate(loops: list[Loop], days: float, rng: np.random.Generator, outside: 
             load[:, j] += outside[loop.root][:n] * loop.load
     noise = rng.normal(size=(n, m)) * 0.1 * np.abs(k)
     manual = np.array([loop.kind == "manual" for loop in loops])
-    high = np.where([loop.kind == "saturation" for loop in loops], 50.0 + 0.3 * np.array([loop.load for loop in loops]), 100.0)
+    small = [loop.kind == "saturation" for loop in loops]
+    high = np.where(small, 50.0 + 0.3 * np.array([loop.load for loop in loops]), 100.0)
     pv, co = np.zeros((n, m)), np.zeros((n, m))
     x, integral, valve = k * 50.0, np.full(m, 50.0), np.full(m, 50.0)
     sent = np.full((n + int(delay.max()) + 1, m), 50.0)
@@ -129,7 +132,7 @@ def _loads(loops: list[Loop], n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def recorded(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What a historian keeps of a signal: a grid of 12 bits, and with one tag in four straight lines between corners."""
+    """What a historian keeps of a signal: a grid of 12 bits; of one tag in four straight lines between corners."""
     span = float(np.ptp(values)) or 1.0
     stored = np.round(values / (2 * span) * 4096) / 4096 * 2 * span
     return swinging_door(stored, 0.004 * span) if rng.random() < 0.25 else stored
@@ -141,7 +144,8 @@ def swinging_door(values: np.ndarray, deviation: float) -> np.ndarray:
     plain = values.tolist()
     for i in range(1, len(plain)):
         over = i - last
-        low, high = max(low, (plain[i] - deviation - plain[last]) / over), min(high, (plain[i] + deviation - plain[last]) / over)
+        low = max(low, (plain[i] - deviation - plain[last]) / over)
+        high = min(high, (plain[i] + deviation - plain[last]) / over)
         if low > high:
             last, low, high = i - 1, -np.inf, np.inf
             kept.append(last)
@@ -152,8 +156,8 @@ def swinging_door(values: np.ndarray, deviation: float) -> np.ndarray:
 
 def plant(folder: Path, count: int, days: float, seed: int, chunk: int = 25) -> Iterator[list[Loop]]:
     """Write a plant as wide Parquet files of some loops each; what is true of their loops, file by file."""
-    import pyarrow as pa  # noqa: PLC0415  an extra
-    import pyarrow.parquet as pq  # noqa: PLC0415
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
     rng = np.random.default_rng(seed)
     loops = draw(count, rng)
@@ -166,8 +170,8 @@ def plant(folder: Path, count: int, days: float, seed: int, chunk: int = 25) -> 
             if loop.kind == "stiction":
                 wave = trends["pv"][:, j] - trends["sp"][:, j]
                 outside[loop.tag] = wave / (np.std(wave) or 1.0)
-        start = 1_700_000_000
-        columns = {"time": np.datetime64(start, "s") + (np.arange(len(trends["sp"])) * int(DT_S)).astype("timedelta64[s]")}
+        since = (np.arange(len(trends["sp"])) * int(DT_S)).astype("timedelta64[s]")
+        columns = {"time": np.datetime64(1_700_000_000, "s") + since}
         for j, loop in enumerate(some):
             for role, name in (("sp", "SP"), ("pv", "PV"), ("co", "OP")):
                 values = trends[role][:, j]

