@@ -55,8 +55,10 @@ class Trial:
         """
         if self.old is None:
             raise ValueError("nothing was ever changed here")
-        swung = self.promise.decay_seen if self.promise else None
-        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung)
+        said = self.promise
+        swung = said.decay_seen if said else None
+        swings = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False)) if said else 0.0
+        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings)
 
     def with_earlier(self, gains: PidGains | None) -> "Trial":
         """The same with one more set that ran here."""

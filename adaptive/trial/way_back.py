@@ -9,9 +9,10 @@ not Ms that decides. The commissioned set has no privilege, nor has the one befo
     evidence against it (worse, runaway)       the set before; where that is not robust on the models that the evidence
                                                leaves, the most robust of all that ran, the tried one among them
 
-Models on which the tried set is robust do not count after evidence against it: they are refuted. Where both are no
-robust sets, those that ran before are asked as well. Without a model the set before has been seen to work and the tried
-one has not, unless the one before was seen to swing on and the tried one is less of everything.
+Models on which the tried set is robust do not count after evidence against it: they are refuted. Nor do models that
+now say of the set before what neither was seen of it nor was known when the change was proved: it has worked. Where
+both are no robust sets, those that ran before are asked as well. Without a model the set before has been seen to work
+and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything.
 So what runs after it is never less robust, on the models that are still allowed, than what ran before it.
 """
 
@@ -81,13 +82,15 @@ class WayBackNumbers(Numbers):
 class SetsThatRan(NamedTuple):
     """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
 
-    swung : ratio of successive peaks that was seen of the set before, None when nothing was.
+    swung : ratio of successive peaks that was seen of the set before, None when nothing was. swings : as seen, else as
+    the models said that the change was proved on.
     """
 
     before: PidGains
     tried: PidGains | None
     earlier: tuple[PidGains, ...] = ()
     swung: float | None = None
+    swings: float = 0.0
 
 
 class WayBack(NamedTuple):
@@ -101,7 +104,8 @@ class WayBack(NamedTuple):
 
 def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings: TrialSettings) -> WayBack:
     """Which set is to run after a cause that ends trials; see the head of this file."""
-    if ran.tried is None or cause is TrialEvent.ORDERED_BACK:
+    has_worked = cause in UNDOS and ran.swings <= settings.harmless_decay
+    if ran.tried is None or cause is TrialEvent.ORDERED_BACK or has_worked:
         return WayBack(ran.before, stays=False)
     ms_tried, ms_before = known.ms(ran.tried), known.ms(ran.before)
     left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]

@@ -2,15 +2,17 @@
 
 import itertools
 import math
+from functools import cache
 
 import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig import PROMISE
 
+from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import LinearProcess
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
+from retuner.adaptive.trial.expectation import Promise, promise
 from retuner.adaptive.trial.phase import ABORTS, SILENT, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import TrialSupervisor
@@ -44,6 +46,11 @@ def test_the_sets_are_what_they_are_called() -> None:
     assert math.isinf(found[5])
 
 
+@cache
+def said(old: PidGains, tried: PidGains) -> Promise:
+    return promise([Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0), 0.0)], old, tried, 1.0)
+
+
 class Bench:
     """A region in a phase, by its state, and the table."""
 
@@ -51,7 +58,7 @@ class Bench:
         self.ran = phase is not P.WRITING
         self.table = {0: tried if self.ran else old}
         self.trials = TrialSupervisor(TrialSettings(), 1.0, self.table.__setitem__, lambda _: known)
-        trial = Trial(phase, old, tried, PROMISE, self.ran, cause=E.LOST_TELEMETRY)
+        trial = Trial(phase, old, tried, said(old, tried), self.ran, cause=E.LOST_TELEMETRY)
         self.trials.resume({"at": 0, "trials": {"0": trial.to_dict()}})
 
 
@@ -114,8 +121,10 @@ def test_a_cure_whose_write_was_given_up_and_came_through_stays() -> None:
 def test_evidence_against_a_set_leads_to_the_most_robust_that_ran() -> None:
     known, worse = StillAllowed((PROCESS,)), E.WORSE
     old, tried = SETS["swinging more"], SETS["swinging"]
-    assert way_back(worse, SetsThatRan(old, tried), known, TrialSettings()).gains == tried
-    found = way_back(worse, SetsThatRan(old, tried, (SETS["unstable"], SETS["right"])), known, TrialSettings())
+    assert way_back(worse, SetsThatRan(old, tried, swings=0.6), known, TrialSettings()).gains == tried
+    assert way_back(worse, SetsThatRan(old, tried, swings=0.1), known, TrialSettings()).gains == old, "it has worked"
+    earlier = (SETS["unstable"], SETS["right"])
+    found = way_back(worse, SetsThatRan(old, tried, earlier, swings=0.6), known, TrialSettings())
     assert found.gains == SETS["right"]
     assert "an earlier one" in found.reason
     assert not found.stays
@@ -161,7 +170,9 @@ def test_whatever_is_known_and_ran_before_what_runs_is_no_less_robust(
 ) -> None:
     """Worst over the models: unstable on no more of them, and of those on which both are stable no larger Ms."""
     old, tried, *earlier = sets
-    found = way_back(cause, SetsThatRan(old, tried, tuple(earlier)), StillAllowed(tuple(processes)), TrialSettings())
+    found = way_back(
+        cause, SetsThatRan(old, tried, tuple(earlier), swings=1.0), StillAllowed(tuple(processes)), TrialSettings()
+    )
     left = [p for p in processes if cause not in UNDOS or ms(tried, p) > HARMLESS]
     assert found.gains in sets
     now, before = ([ms(gains, p) for p in left] for gains in (found.gains, tried))
