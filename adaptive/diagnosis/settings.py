@@ -32,9 +32,10 @@ class DiagnosisSettings:
         those after them can confirm it.
     confirming_turns : where pv stands for long between slips that are no faster than the loop, so many turns are
         needed; 6 to 20, default 10 (a load's slow triangle under a fast loop draws the same for a few rounds).
+        slow_rounds : and this is how long pv stands for that, in tau_I; 15 to 60, default 30.
     slips_asked : what a tone must leave, in times the noise, for a valve of free slips to be asked; default 1.15.
-        slips_explain : what that may leave itself; 1.5 to 5, default 3. fewest_slips : default 4. slips_travel : of co
-        while the valve stands, in its ranges; 1 to 4, default 2.
+        slips_explain : what that may leave itself; 1.5 to 4, default 2.4. fewest_slips : default 4.
+        slips_travel : of co while the valve stands, in its ranges; 1 to 4, default 2.
     rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
         rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
@@ -52,6 +53,12 @@ class DiagnosisSettings:
         identification alone would not give settings; 0.2 to 1, default 0.5.
     second_explained : what a fit may leave, in times the noise, for a doubt by load steps or by a tone to be put to a
         second opinion; 1 to 2, default 1.2. second_loads : load steps that this may need; 0 to 3, default 1.
+    explained_alone : share of pv's movement beyond its noise that a verdict by load steps alone must explain; 0.7 to
+        0.98, default 0.9.
+    waves_a_load : half waves that each load step must have begun for a swing without a setpoint step to be called the
+        loop's own; 1.5 to 4, default 2 (the first is the load's).
+    most_overshoot : of setpoint responses, in a loop that is in order for all that they show; default 0.25.
+        in_order_explained : share of pv's variance that its models must explain; default 0.9.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
     """
 
@@ -66,8 +73,9 @@ class DiagnosisSettings:
     turns_per_change: float = 2.0
     fewest_turns: int = 4
     confirming_turns: int = 10
+    slow_rounds: float = 30.0
     slips_asked: float = 1.15
-    slips_explain: float = 3.0
+    slips_explain: float = 2.4
     fewest_slips: int = 4
     slips_travel: float = 2.0
     rival_explains: float = 2.0
@@ -84,6 +92,10 @@ class DiagnosisSettings:
     spread_limit: float = 0.5
     second_explained: float = 1.2
     second_loads: int = 1
+    explained_alone: float = 0.9
+    waves_a_load: float = 2.0
+    most_overshoot: float = 0.25
+    in_order_explained: float = 0.9
     majority: float = 0.75
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)

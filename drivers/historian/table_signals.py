@@ -246,7 +246,7 @@ def _trends(
         missing = int(np.sum(~np.isfinite(values[clock.rows])))
         if missing and not held:
             told.append(Assumption(f"{missing} values of {role} missing: left out"))
-        if table.names[place] not in SILENT:
+        if table.names[place] not in SILENT and role not in form.columns:
             name = quoted(table.names[place])
             told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))
         trends[role] = Trend(clock.t_s[known], values[clock.rows][known], held)

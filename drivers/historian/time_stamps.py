@@ -66,7 +66,7 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
     step = float(np.nanmedian(np.abs(np.diff(values)))) if len(values) > 1 else 1.0
     if SPREADSHEET_DAYS[0] <= typical <= SPREADSHEET_DAYS[1] and 0 < step < 1.0 / 24:
         return Stamps(values * DAY_S, (Assumption("time in days of a spreadsheet", 'time_unit = "d"'),))
-    silent = name.strip().lower() in {"t", "t_s", "time_s"}
+    silent = name.strip().lower() in {"t", "t_s", "time_s"} or "t" in form.columns
     told = Assumption(f"time {quoted(name)} in seconds", 'time_unit = "s"')
     return Stamps(values, () if silent else (told,))
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from retuner.conversions import process_of as process_of
     from retuner.conversions import to_control as to_control
     from retuner.conversions import to_scipy as to_scipy
+    from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
     from retuner.schedule.gains import PidGains as PidGains
     from retuner.schedule.table import GainTable as GainTable
     from retuner.tuning import tune as tune
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
 
 _HOMES = {
+    "BackgroundRetuner": "decisions.background",
     "Decision": "adaptive.supervision.decision",
     "GainTable": "schedule.table",
     "LinearProcess": "adaptive.process.model",

@@ -149,8 +149,8 @@ def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None
     [
         ("t,sp,pv\n1,2,3\n", "co"),
         ("t,sp,pv,co\n1,2,3,4\n2,2,x,4\n3,2,3,5\n", ":3"),
-        ("t,sp,pv,co\n1,2,3,4\n2,2,nan,4\n3,2,3,5\n", ":3"),
-        ("t,sp,pv,co\n1,2,3,4\n1,2,3,4\n3,2,3,5\n", ":3"),
+        ("t,sp,pv,co\n1,2,3,4\n2,2,nan,4\n3,2,3,5\n", "at least 3 samples"),
+        ("t,sp,pv,co\n1,2,3,4\n1,2,3,4\n3,2,3,5\n", "at least 3 samples"),
         ("t,sp,pv,co\n1,2,3,4\n2,2,3,5\n3,2,3,6\n", "pv"),
         ("", ""),
     ],
