@@ -1,8 +1,9 @@
 """Settings from the bound that a record does give: a lag whose dead time is too short to be seen.
 
 A process sampled too coarsely shows its gain and its lag, and of its dead time only that it is shorter than the
-sampling interval. That is a bound. With the dead time at the bound the settings are robust on whatever lies below it,
-and slower than they need be: how much is known only by sampling faster.
+sampling interval. That is a bound, where co was moved by itself (a setpoint step, manual): a load whose time is not
+known bounds nothing. With the dead time at the bound the settings are robust on whatever lies below it, and slower than
+they need be: how much is known only by sampling faster.
 """
 
 import math
@@ -29,12 +30,18 @@ LEAST_LAG = 0.5
 none at all (an integrating process) the gain would rest on the bound alone."""
 
 
+BELIEVED = 1.5
+"""Dead times over this many bounds that the record allows as well: then it gives none."""
+
+
 def bounded(window: Window, estimate: ModelEstimate, settings: FitSettings) -> ModelEstimate:
     """The estimate with a dead time of one sampling interval, where that is all that it lacks; else as it is."""
     dt, model = window.sample_time_s, estimate.log.model()
     limit = FEWEST_SAMPLES_IN_THETA * dt
     short = without_second_lag(model)
     if estimate.identifiable or short.theta_s >= limit or short.tau1_s < LEAST_LAG * dt:
+        return estimate
+    if any(without_second_lag(p.model).theta_s > BELIEVED * limit for p in estimate.plausible):
         return estimate
     if estimate.is_contested(settings.apart_limit) or estimate.explained < settings.explained_limit:
         return estimate

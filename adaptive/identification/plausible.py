@@ -57,12 +57,19 @@ def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) ->
 
 
 def _rivals(found: list[Candidate]) -> list[Plausible]:
-    """The other candidates that came close."""
-    best = found[0].criterion
+    """The other candidates that came close, those of a larger structure as likely as what they leave.
+
+    The price of one parameter more tells which structure to name, not that the other is wrong: an integrator under a
+    drifting load and a lag with thirty times the dead time were seen to leave the same.
+    """
+    best = found[0]
+    size, n = SIZE[best.fit.misfit.type], len(best.fit.misfit.record.pv)
+    more = [max(SIZE[c.fit.misfit.type] - size, 0) * math.log(n) for c in found[1:]]
+    excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(found[1:], more, strict=True)]
     return [
-        Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), c.criterion - best)
-        for c in found[1:]
-        if c.criterion - best < MOST_EXCESS
+        Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), e)
+        for c, e in zip(found[1:], excess, strict=True)
+        if e < MOST_EXCESS
     ]
 
 

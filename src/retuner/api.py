@@ -224,7 +224,8 @@ def _length(window: Window) -> int:
 
 def _followed(window: Window, estimate: ModelEstimate, gains: PidGains | None, open_loop: bool) -> Identification:
     """What was estimated, with the settings that may follow from it."""
-    estimate = bounded(window, estimate, FitSettings())
+    if open_loop or setpoint_changes(window):  # a load whose time is not known bounds no dead time
+        estimate = bounded(window, estimate, FitSettings())
     if estimate.identifiable and not open_loop:
         estimate = _unless_pv_stands(window, gains, estimate)
     if not estimate.identifiable:
