@@ -15,7 +15,9 @@ import random
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -85,6 +87,15 @@ def by_simulation(changes: tuple[tuple[str, str], ...], twin: type | None) -> bo
     return False
 
 
+def apart(look: Callable[..., bool], *given: object) -> bool:
+    """The same in a process of its own: a mutant that brings it down is found."""
+    with ProcessPoolExecutor(1) as process:
+        try:
+            return process.submit(look, *given).result()
+        except BrokenProcessPool:
+            return True
+
+
 def firmware() -> float:
     """Every mutant of the firmware; the share that is found."""
     found = {"examination": 0, "simulation": 0, "simulation beside its twin": 0, "any": 0}
@@ -92,9 +103,9 @@ def firmware() -> float:
     for mutant in mutants:
         changes = ((mutant.old, mutant.new),)
         ways = {
-            "examination": by_examination(changes),
-            "simulation": by_simulation(changes, None),
-            "simulation beside its twin": by_simulation(changes, VirtualDevice),
+            "examination": apart(by_examination, changes),
+            "simulation": apart(by_simulation, changes, None),
+            "simulation beside its twin": apart(by_simulation, changes, VirtualDevice),
         }
         ways["any"] = any(ways.values())
         for way, seen in ways.items():
