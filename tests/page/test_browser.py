@@ -18,6 +18,8 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 from stepped import Server, Stepped, serving, stepped
 
+from retuner.report.report import ReportData, render
+
 pytestmark = pytest.mark.slow
 
 PROGRAM = next((path for path in map(shutil.which, ("chromium", "chromium-browser")) if path), "")
@@ -231,3 +233,17 @@ def test_hold_everything_is_one_key_one_question_and_no_mode_is_left(
     session.step(1200)
     assert len(session.session.loops[0].decisions) == 0
     assert seen.errors() == []
+
+
+def test_a_report_fits_a_phone(session: Stepped, browsers: Callable[..., Seen], tmp_path: Path) -> None:
+    session.until_decided(1)
+    loop = session.session.loops[0]
+    table, columns = loop.table, loop.trend.columns()
+    data = ReportData("quick", "bar", table, table, [], list(loop.decisions), columns, columns, [], [20.0])
+    (tmp_path / "report.html").write_text(render(data), encoding="utf-8")
+    seen = browsers(420, 900)
+    seen.open((tmp_path / "report.html").as_uri())
+    seen.sees("retuning report")
+    assert not seen.wider_than_the_screen()
+    assert seen.driver.execute_script("return innerWidth") == 420
+    seen.picture("report-420")

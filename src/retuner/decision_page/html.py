@@ -21,7 +21,8 @@ details.page[open]{padding-bottom:1.2em} details.page>summary{cursor:pointer} sv
 pre{background:#f4f6f8;padding:.5em .8em;margin:.4em 0;white-space:pre-wrap;font-size:.88em}
 .small{font-size:.85em}
 @media (max-width:620px){body{margin:.6em auto;padding:0 .6em} table{display:block;overflow-x:auto;font-size:.85em}
-table.pairs th{min-width:7em} details.page{padding:.3em .4em} h1{font-size:1.3em} .twins img{flex:1 1 100%}}
+table.pairs th{min-width:7em} details.page{padding:.3em .4em} h1{font-size:1.3em}
+.twins{display:block} .twins img{max-width:100%}}
 @page{margin:11mm}
 @media print{body{max-width:none;margin:0;padding:0;font-size:8pt;line-height:1.35} th,td{padding:.18em .5em}
 details.page{break-before:page;border:0} svg,table,pre{break-inside:avoid} h2,h3{break-after:avoid}
