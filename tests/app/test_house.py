@@ -28,8 +28,8 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "decisions", "",
-    "ledger", "decision_page", "report", "experiment", "session", "live_view", "replay", "serve", "gain_export",
+    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "ledger",
+    "decisions", "", "decision_page", "report", "experiment", "session", "live_view", "replay", "serve", "gain_export",
     "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
