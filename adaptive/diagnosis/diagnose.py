@@ -1,6 +1,7 @@
 """From a record to a cause: explain the record in rival ways, then look at what the best explanation means.
 
     no loop at work in the record (dead, manual, no response, ...)   unknown, said in words
+    the error runs away with co pushing it on                        unknown: the controller acts the wrong way
     co at its limits for much of the time                            saturation
     nothing but noise                                                noise
     rivals.py: linear, external tone, stuck valve                    compared by the information criterion per record
@@ -27,6 +28,7 @@ from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
+from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
@@ -173,13 +175,16 @@ def _diagnosed(
     """The same with the confidence that a verdict has among those that were weighed."""
     seen = screen(window, gains, *limits)
     obvious = _obvious(seen, settings)
+    sign = gains.direction if gains else direction
+    if sign and (obvious is None or obvious.cause == Cause.SATURATION):
+        wrong = acts_wrong_way(window, sign, settings.fit)
+        obvious = obvious if wrong is None else replace(wrong, evidence=dict(seen.evidence) | wrong.evidence)
     if obvious is not None:
         return Found(obvious)
     parts = stretches(window, seen.period_s, settings.fit.choice.most_samples)
     if parts:
         each = [_diagnosed(part, gains, limits, settings, direction) for part in parts]
         return over_time(parts, each)
-    sign = gains.direction if gains else direction
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
     return _compared(window, gains, found, seen, settings)

@@ -52,6 +52,12 @@ class DiagnosisSettings:
         identification alone would not give settings; 0.2 to 1, default 0.5.
     second_explained : what a fit may leave, in times the noise, for a doubt by load steps or by a tone to be put to a
         second opinion; 1 to 2, default 1.2. second_loads : load steps that this may need; 0 to 3, default 1.
+    explained_alone : share of pv's movement beyond its noise that a verdict by load steps alone must explain; 0.7 to
+        0.98, default 0.9.
+    waves_a_load : half waves that each load step must have begun for a swing without a setpoint step to be called the
+        loop's own; 1.5 to 4, default 2 (the first is the load's).
+    most_overshoot : of setpoint responses, in a loop that is in order for all that they show; default 0.25.
+        in_order_explained : share of pv's variance that its models must explain; default 0.9.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
     """
 
@@ -84,6 +90,10 @@ class DiagnosisSettings:
     spread_limit: float = 0.5
     second_explained: float = 1.2
     second_loads: int = 1
+    explained_alone: float = 0.9
+    waves_a_load: float = 2.0
+    most_overshoot: float = 0.25
+    in_order_explained: float = 0.9
     majority: float = 0.75
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)

@@ -15,7 +15,7 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, CauseSettings, Diagnosis, tuning_cause
 from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
-from retuner.adaptive.fit.coincident_loads import apart
+from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
@@ -24,7 +24,8 @@ from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
 
 
@@ -41,6 +42,17 @@ class Found:
     tuning: RobustTuning | None = None
     fits: Mapping[str, Candidate] = field(default_factory=dict)
     aim: RobustTuning | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """What a verdict is about. best : the linear explanation that it rests on. fits : as identification makes them."""
+
+    window: Window
+    gains: PidGains
+    best: Candidate
+    fits: Fits
+    settings: DiagnosisSettings
 
 
 def linear_verdict(
@@ -60,32 +72,58 @@ def linear_verdict(
     if gains is None:
         reason = "the loop by itself explains the record; without the settings in force no more can be said"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
+    loop = Loop(window, gains, found[0], Fits(window, (gains.direction,), FitSettings()), settings)
+    told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
+    told = replace(told, fits=fits)
+    return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
+
+
+def _by_margins(loop: Loop, found: Found, oscillates: bool) -> Found:
+    """The verdict by the margins of the models that the record allows. found : nothing said as yet."""
+    window, settings, estimate = loop.window, loop.settings, found.estimate
+    assert estimate is not None
     spread = gain_spread(estimate.plausible, window.sample_time_s)
     if not estimate.identifiable and spread > settings.spread_limit:
-        return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate, fits=fits)
+        return found
     tuning = robust_simc(estimate, window.sample_time_s, settings.robust)
-    verdict = weighed(estimate, gains, tuning, window.sample_time_s, settings.cause)
-    verdict = replace(verdict, evidence=verdict.evidence | evidence)
+    verdict = weighed(estimate, loop.gains, tuning, window.sample_time_s, settings.cause)
+    verdict = replace(verdict, evidence=verdict.evidence | found.diagnosis.evidence)
     if verdict.cause in TUNING_CAUSES and estimate.explained < settings.fit.explained_limit:
-        return Found(_hardly_explained(estimate, verdict), estimate, fits=fits)
-    loop = Loop(window, gains, found[0], Fits(window, (gains.direction,), FitSettings()), settings)
+        return Found(_hardly_explained(estimate, verdict), estimate)
     if verdict.cause not in TUNING_CAUSES:
-        return _if_agreed(loop, Found(verdict, estimate, fits=fits))
-    doubt = _doubt(verdict, window, oscillates, settings)
+        return _if_agreed(loop, Found(verdict, estimate))
+    doubt = _doubt(verdict, loop, oscillates)
     if doubt is not None and (not doubt.may_be_asked or not second_opinion(loop, verdict)):
-        return Found(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate, fits=fits)
-    return _if_agreed(loop, Found(verdict, estimate, tuning, fits), asked=doubt is not None)
+        return Found(replace(verdict, cause=doubt.cause, confidence=0.5, reason=doubt.reason), estimate)
+    return _if_agreed(loop, Found(verdict, estimate, tuning), asked=doubt is not None)
 
 
-@dataclass(frozen=True, slots=True)
-class Loop:
-    """What a verdict is about. best : the linear explanation that it rests on. fits : as identification makes them."""
+def _in_order(loop: Loop, found: Found) -> Found:
+    """In order, where the cause stays open but the setpoint responses speak for themselves; else what there was.
 
-    window: Window
-    gains: PidGains
-    best: Candidate
-    fits: Fits
-    settings: DiagnosisSettings
+    The loop has followed its setpoint without much overshoot, and without load steps at the setpoint changes the record
+    is explained by models on all of which the loop is robust. How fast it could be they do not say.
+    """
+    verdict, settings = found.diagnosis, loop.settings
+    if not setpoint_changes(loop.window) or verdict.evidence.get("overshoot", 0.0) > settings.most_overshoot:
+        return found
+    estimate = estimate_of(loop.fits.barred, float(loop.window.t_s[0]), {}, FitSettings())
+    few = len(estimate.load_times_s) < settings.many_loads_beside
+    if estimate.explained < settings.in_order_explained or not few:
+        return found
+    dt, gains = loop.window.sample_time_s, loop.gains
+    peaks = [sensitivity_peak(p.model.seen_by_controller(dt).linear(), gains) for p in estimate.plausible]
+    weights = np.exp([-p.excess / 2 for p in estimate.plausible])
+    robust = float(weights @ (np.array(peaks) <= settings.cause.ms_high)) / float(np.sum(weights))
+    if peaks[0] > settings.cause.ms_high or robust < settings.majority:
+        return found
+    told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
+    room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
+    if room > settings.cause.slack:
+        slow = replace(verdict, reason=f"{told}, and perhaps slower than need be: {verdict.reason}")
+        return replace(found, diagnosis=slow)
+    reason = f"{told}; how fast it could be the record does not show: {verdict.reason}"
+    return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, verdict.evidence | {"ms": peaks[0]}, reason))
 
 
 def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
@@ -174,9 +212,9 @@ class Doubt:
     may_be_asked: bool = False
 
 
-def _doubt(verdict: Diagnosis, window: Window, oscillates: bool, settings: DiagnosisSettings) -> Doubt | None:
+def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     """The first doubt of a verdict that would change gains."""
-    evidence = verdict.evidence
+    evidence, window, settings = verdict.evidence, loop.window, loop.settings
     steps, loads, left = evidence.get("setpoint_steps", 0.0), evidence["loads"], evidence["linear_left"]
     if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
@@ -192,6 +230,14 @@ def _doubt(verdict: Diagnosis, window: Window, oscillates: bool, settings: Diagn
         return Doubt(Cause.EXTERNAL, reason, explained and not oscillates)
     if oscillates and not steps:
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
+    share = _explained(loop.best, evidence.get("noise_share", 0.0))
+    if not steps and share < settings.explained_alone:
+        reason = f"perhaps {verdict.cause}: by load steps alone, and {1 - share:.0%} of pv's movement is not explained"
+        return Doubt(Cause.UNKNOWN, reason)
+    waves = _waves(loop.best.fit.explained)
+    if verdict.cause == Cause.AGGRESSIVE and not steps and waves < settings.waves_a_load * loads:
+        reason = f"perhaps aggressive, but {loads:.0f} load steps are bought for a swing of {waves} half waves"
+        return Doubt(Cause.UNKNOWN, reason)
     if math.isinf(evidence["ms"]) and not _grows(window):
         reason = "the process that fits would be unstable with the gains in force, and the record does not grow"
         return Doubt(Cause.UNKNOWN, reason)
@@ -205,6 +251,28 @@ def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSet
     if loads >= (settings.many_loads_beside if steps else settings.many_loads):
         return f"an unexplained disturbance: it takes {loads:.0f} load steps to explain the record; so many explain any"
     return ""
+
+
+def _explained(best: Candidate, noise_share: float) -> float:
+    """Share of pv's variance, its noise left out, that an explanation holds."""
+    pv = best.fit.misfit.record.pv
+    unexplained = float(np.var(pv - best.fit.explained) / np.var(pv))
+    return 1 - max(unexplained - noise_share, 0.0) / max(1 - noise_share, 1e-9)
+
+
+def _waves(explained: FloatArray) -> int:
+    """Half waves of what a model says of pv, those of less than a tenth of its range, or of its noise, left out."""
+    least = max(WAVE * float(np.ptp(explained)), WAVE_NOISE * noise_sigma(explained))
+    found, way, extreme = 0, 0, float(explained[0])
+    for value in explained.tolist():
+        if (value - extreme) * way > 0:
+            extreme = value
+        elif abs(value - extreme) > least:
+            found, extreme, way = found + 1, value, 1 if value > extreme else -1
+    return found
+
+
+WAVE, WAVE_NOISE = 0.1, 5.0
 
 
 def _grows(window: Window) -> bool:

@@ -79,12 +79,13 @@ P, E = TrialPhase, TrialEvent
 
 UNDOS = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
-BLIND = (E.LOST_TELEMETRY, E.DEVICE_REVERTED, E.DEVICE_STOPPED, E.STOPPED)
+BLIND = (E.DEVICE_REVERTED, E.DEVICE_STOPPED, E.STOPPED)
 """Causes that say nothing of the set, after which nobody watches it for a time that nobody knows."""
 WATCHED_ON = (
     E.SATURATED,
     E.MANUAL,
     E.GAP,
+    E.LOST_TELEMETRY,
     E.LINK_LOST,
     E.LEASE_LOST,
     E.RESTARTED,

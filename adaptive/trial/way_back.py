@@ -6,8 +6,9 @@ The less, the more robust. A set whose Ms is at most harmless_ms on every model 
 not Ms that decides. The commissioned set has no privilege, nor has the one before.
 
     watched on (manual mode, a gap, saturation, ...)   the tried set stays unless the one before is more robust
-    nobody watches (the session ends, ...)             the more robust of the two, by Ms itself: the set before was seen
-                                                       to work, and the tried one may be neither seen nor undone
+    nobody watches (the session ends, ...)             the same where a response was seen under the tried set; else the
+                                                       more robust of the two by Ms itself: the one before was seen to
+                                                       work, and the tried one would be neither seen nor undone
     evidence against it (worse, runaway)               the set before; where that is not robust on the models that the
                                                        evidence leaves, the most robust of all that ran, the tried one
                                                        among them
@@ -84,13 +85,15 @@ class WayBackNumbers(Numbers):
 class SetsThatRan(NamedTuple):
     """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
 
-    swung : ratio of successive peaks that was seen of the set before, None when nothing was.
+    swung : ratio of successive peaks that was seen of the set before, None when nothing was. seen : a response came and
+    went under the tried set and did not speak against it.
     """
 
     before: PidGains
     tried: PidGains | None
     earlier: tuple[PidGains, ...] = ()
     swung: float | None = None
+    seen: bool = False
 
 
 class WayBack(NamedTuple):
@@ -110,7 +113,7 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
     if not left:
         return _without_model(cause, ran, ran.tried)
-    floor = 0.0 if cause in BLIND else settings.harmless_ms
+    floor = 0.0 if cause in BLIND and not ran.seen else settings.harmless_ms
 
     def robustness(ms: Sequence[float]) -> Robustness:
         return Robustness.of((ms[i] for i in left), floor)

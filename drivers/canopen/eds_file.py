@@ -11,16 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import canopen
+from canopen.objectdictionary import datatypes
+
 from retuner.drivers.profiles.access import ProfileError
 from retuner.schedule.vendor_units import SINGLE_MAX, Holds
-
-try:
-    import canopen
-    from canopen.objectdictionary import datatypes
-except ImportError as missing:
-    raise ProfileError(
-        'CANopen devices need the package canopen; install it with: pip install "retuner[canopen]"', ("kind",)
-    ) from missing
 
 Key = tuple[str | int, ...]
 Variable = canopen.objectdictionary.ODVariable
@@ -125,11 +120,10 @@ class EdsFile:
         try:
             number: int | str = int(index, 16)
         except ValueError:
-            number = name
-        try:
-            entry = self.dictionary[number]
-        except KeyError:
-            raise ProfileError(f"{self.source}: no object {name!r}; {self._there(number)}", key) from None
+            number = index if index in self.dictionary else name
+        entry = self.dictionary.get(number)
+        if entry is None:
+            raise ProfileError(f"{self.source}: no object {name!r}; {self._there(number)}", key)
         if isinstance(entry, Variable):
             return entry
         if not sub:

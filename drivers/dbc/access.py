@@ -60,7 +60,8 @@ class DbcAccess:
         self.reads_back = all(gain.read is not None for gain in mapping.gains)
         self.on_request = frozenset(self._requests) & self.telemetry
         if mapping.setpoint is not None:
-            self._written["setpoint"] = self._place(mapping.setpoint, ("setpoint",))
+            self._written["setpoint"] = place = self._place(mapping.setpoint, ("setpoint",))
+            self._require_holds(place, ("setpoint",))
         self._guards = self._take_guards()
 
     def _place(self, at: object, key: Key) -> SignalPlace:
@@ -119,7 +120,14 @@ class DbcAccess:
         try:
             return VendorGain(gain.quantity, gain.scale, place.holds(), message, gain.off)
         except ValueError as error:
-            raise ProfileError(f"{place.text}: {error}", key) from None
+            raise ProfileError(f"{self._file.source}: {place.text}: {error}", key) from None
+
+    def _require_holds(self, place: SignalPlace, key: Key) -> None:
+        """Refuse a signal that can hold no number."""
+        try:
+            place.holds()
+        except ValueError as error:
+            raise ProfileError(f"{self._file.source}: {place.text}: {error}", key) from None
 
     def _take_guards(self) -> dict[int, FrameGuard]:
         """Counters and checksums by the identifier of their messages."""

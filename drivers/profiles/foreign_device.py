@@ -62,6 +62,12 @@ def any_way(old: Numbers, new: Numbers, back: bool) -> tuple[int, ...]:
     raise WriteRefusedError("the set takes several messages, and nobody has proved the sets between")
 
 
+def anything(gains: PidGains) -> bool:
+    """Whatever the controller runs at first is as it should be."""
+    del gains
+    return True
+
+
 class Value(NamedTuple):
     """A number, and when it came."""
 
@@ -80,6 +86,7 @@ class ForeignDevice:
     def __init__(self, link: FramePort, access: Access, settings: ForeignSettings) -> None:
         self.link, self.settings = link, settings
         self.choose_way: ChooseWay = any_way
+        self.fits: Callable[[PidGains], bool] = anything
         self.running: RunningSet | None = None
         self._access = access
         asked = "pv" in access.on_request
@@ -260,6 +267,7 @@ class ForeignDevice:
                 self._access.put(self._numbers)  # nobody can say what runs: what is sent does
         if self.running is None:
             return
+        self._require_fitting(self.running.gains)
         if self._boots and self._contact.made:
             self._events.append(DeviceRestarted(self._boots, self.running))
         self._boots = 0
@@ -267,6 +275,17 @@ class ForeignDevice:
             self._up = self._contact.made = True
             known = "the running set read back" if self._access.reads_back else "the running set believed, not read"
             self._events.append(LinkChanged(LinkState.UP, f"heard, and {known}"))
+
+    def _require_fitting(self, gains: PidGains) -> None:
+        """At the first connection, refuse a controller that runs what nobody knows of and nobody could write over."""
+        if self._contact.made or self._access.units.atomic or self.settings.closed or self.fits(gains):
+            return
+        shown = f"kp = {gains.kp:.6g}, ki = {gains.ki:.6g}, kd = {gains.kd:.6g}"
+        raise DeviceMismatchError(
+            f"{self.settings.where}: it runs {shown} (parallel), which no region has, and a set of several messages is "
+            "not written over it without a proof: give the region the gains that it runs (retuner export --into puts "
+            'tuned ones there), or [device] accept = ["unproved_order"]'
+        )
 
     def _first_numbers(self) -> Numbers:
         """The configured set in the controller's units."""

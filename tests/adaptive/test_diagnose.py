@@ -147,3 +147,17 @@ def test_without_the_settings_in_force_nothing_is_said_of_the_tuning() -> None:
     found = diagnose_window(loop(times(2.2, 2.2), sp=to_and_fro), None).diagnosis
     assert found.cause == Cause.UNKNOWN
     assert "settings in force" in found.reason
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_controller_that_acts_the_wrong_way_is_named(known: bool) -> None:
+    window = loop(PidGains(-0.5, -0.5 / 11), sp=to_and_fro, limits=(-10.0, 10.0), n=400)
+    gains, direction = (PidGains(-0.5, -0.5 / 11), None) if known else (None, -1)
+    told = diagnose_window(window, gains, -10.0, 10.0, direction=direction).diagnosis
+    assert told.cause == Cause.UNKNOWN
+    assert "acts the wrong way" in told.reason
+
+
+def test_a_load_beyond_the_output_is_not_taken_for_the_wrong_way() -> None:
+    window = loop(load=lambda i: 4.0 if i >= 60 else 0.0, limits=(-2.0, 2.0), n=400)
+    assert diagnose_window(window, GOOD, -2.0, 2.0).diagnosis.cause == Cause.SATURATION

@@ -1,12 +1,21 @@
 """Controllers that are not ours, from the configuration to the ledger: checked, run, refused in one clear line."""
 
 import json
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from retuner.adaptive.trial.phase import TrialEvent, TrialPhase, after
 from retuner.cli import main
+from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
+from retuner.drivers.device import DeviceStopped
+from retuner.drivers.plants.plant import Plant
+from retuner.drivers.profiles.bench_loop import BenchLoop
 from retuner.ledger import LedgerReader
+from retuner.schedule.gains import PidGains
+from retuner.session.ledger_rows import abort_cause, trouble
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PROFILES = ("odrive", "cia402", "cia404")
@@ -121,6 +130,36 @@ def test_gains_that_the_device_cannot_hold_are_refused_before_anything_runs(
     path.write_text((EXAMPLES / "cia402.toml").read_text().replace("kc = 1.5", "kc = -1.5"))
     assert main(["check", str(path)]) == 2
     assert "cannot hold the gains of region all: kp: -15000 is outside 0 to" in capsys.readouterr().err
+
+
+def test_a_controller_that_runs_what_no_region_has_is_not_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = BenchLoop.__init__
+
+    def otherwise(loop: BenchLoop, settings: VirtualDeviceSettings, plant: Plant) -> None:
+        made(loop, replace(settings, gains=PidGains(3.0, 0.02)), plant)
+
+    monkeypatch.setattr(BenchLoop, "__init__", otherwise)
+    assert main(["run", str(EXAMPLES / "cia404.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "it runs kp = 3, ki = 0.02, kd = 0 (parallel), which no region has" in told
+
+
+def test_without_the_package_the_line_says_what_to_install(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "retuner.drivers.canopen.access", None)
+    assert main(["check", str(EXAMPLES / "cia404.toml")]) == 2
+    assert 'pip install "retuner[canopen]"' in capsys.readouterr().err
+
+
+def test_a_stop_of_the_device_ends_a_trial_and_is_told() -> None:
+    stopped = DeviceStopped("emergency 0x4210")
+    assert trouble(stopped) == ("stopped", {"reason": "emergency 0x4210"})
+    cause = abort_cause(stopped)
+    assert cause is TrialEvent.DEVICE_STOPPED
+    assert after(TrialPhase.TRIAL, cause) is TrialPhase.RESTORING
 
 
 def test_a_virtual_device_needs_a_profile_or_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:

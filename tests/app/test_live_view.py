@@ -17,10 +17,10 @@ from retuner.config.loading import load_config
 from retuner.drivers.device import RunningSet
 from retuner.ledger import Ledger, LedgerReader
 from retuner.live_view.live_screen import LiveScreen
-from retuner.live_view.loop_seen import LoopObserver, LoopSeen, peaks_so_far
+from retuner.live_view.loop_seen import FOLLOWING, TRIAL_WAITS, LoopObserver, LoopSeen, peaks_so_far
 from retuner.live_view.terminal import PANEL_LINES, decision_lines, folded, loop_line, loop_lines
 from retuner.live_view.trace import PLAIN, trace
-from retuner.live_view.what_next import narrow_scores, what_next
+from retuner.live_view.what_next import Changed, narrow_scores, what_next
 from retuner.report.console import scores_table
 from retuner.report.scores import RegionScore
 from retuner.schedule.gains import PidGains
@@ -160,11 +160,13 @@ def test_at_the_end_a_proposal_is_named_with_the_command_that_approves_it(
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         made = decision()
         ledger.append("decision", {**made.to_dict(), "samples": 1}, 1830.0)
-        told = what_next(tmp_path / "my run", ledger.rows(), 86400.0, ["high"], tmp_path / "gains.toml")
+        told = what_next(
+            tmp_path / "my run", ledger.rows(), 86400.0, ["high"], Changed(tmp_path / "gains.toml", Path("oven.toml"))
+        )
     assert told[0].command == f"retuner approve '{tmp_path / 'my run'}' {made.digest()[:8]}"
     assert "4.2, 70 -> 1.26, 247" in told[0].why
     assert told[1].command.endswith("--unlock high")
-    assert "gains.toml" in told[2].why
+    assert told[2].command == f"retuner export {tmp_path / 'gains.toml'} --into oven.toml"
     with LedgerReader(tmp_path / "ledger.sqlite") as reader:
         assert what_next(tmp_path, reader.rows(), 86400.0, [], None, "dryer 2")[0].command.split()[3:6] == [
             "--loop",
@@ -182,3 +184,9 @@ def test_what_needs_a_person_is_said() -> None:
     told = replace(seen, regions=(locked, *seen.regions[1:]))
     assert told.needs_a_person == "low: locked out"
     assert "needs you" in loop_lines(told, "degC", [1.0], 80)[-1].plain
+
+
+def test_every_phase_of_a_trial_says_what_is_waited_for() -> None:
+    told = {*TRIAL_WAITS, TrialPhase.IDLE, TrialPhase.TRIAL, TrialPhase.AWAY, TrialPhase.COOLING}
+    assert told == set(TrialPhase)
+    assert set(FOLLOWING) == set(RecogniserPhase)

@@ -123,3 +123,10 @@ def test_a_report_fits_a_narrow_screen_and_paper() -> None:
     assert '<meta name="viewport" content="width=device-width' in text
     assert "@media (max-width:620px)" in text
     assert "@media print" in text
+
+
+def test_the_screen_marks_ms_over_the_limit() -> None:
+    marked = scores_table([score(2.37, 1.0, None)], "u")
+    assert "!! over the limit of 1.75" in str(marked.title)
+    assert "[bold red]2.37 !![/]" in list(marked.columns[5].cells)
+    assert "!!" not in str(scores_table([score(1.7, 1.0, None)], "u").title)

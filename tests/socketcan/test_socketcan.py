@@ -117,6 +117,25 @@ def test_the_run_logged_the_same_bus(retuned: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_canopen_node_is_retuned_too(tmp_path: Path) -> None:
+    done = run_inside(sys.executable, "-P", HERE / "retune_job.py", HERE / "zone.toml", tmp_path, SPEED, timeout_s=400)
+    assert done.returncode == 0, done.stdout + done.stderr
+    outcome = json.loads((tmp_path / "outcome.json").read_text())
+    errors = (tmp_path / "run.err").read_text() + (tmp_path / "device.err").read_text()
+    assert (outcome["heard"], outcome["run"], outcome["device"]) == (True, 0, 130), errors
+    with LedgerReader(tmp_path / "run" / "ledger.sqlite") as ledger:
+        rows = list(ledger.rows())
+    orders = [row.body for row in rows if row.kind == "order_of_writes"]
+    assert orders[0]["proved"], orders
+    committed = [row.body for row in rows if row.kind == "committed"]
+    assert committed, errors
+    with can.LogReader(tmp_path / "capture.log") as capture:
+        written = [message.data for message in capture if message.arbitration_id == 0x605 and message.data[0] == 0x23]
+    objects = {int.from_bytes(data[1:3], "little") for data in written}
+    assert {0x6450, 0x6452} <= objects  # by SDO, as any CANopen tool would see it
+
+
+@pytest.mark.slow
 def test_the_runner_hands_on_output_and_status() -> None:
     done = run_inside("sh", "-c", "ip -brief link show vcan0; echo to stderr >&2; exit 5")
     assert done.returncode == 5, done.stderr

@@ -27,7 +27,7 @@ from retuner.files import write_json, write_whole
 from retuner.ledger import Ledger, Recorder
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.watching import OnScreen, Watching
-from retuner.live_view.what_next import narrow_scores, what_next
+from retuner.live_view.what_next import Changed, narrow_scores, what_next
 from retuner.report.console import counted, scores_table, screen_console
 from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
@@ -381,7 +381,10 @@ def _show(
     screen.pause()
     for one in left:
         name = one.loop.name if several else ""
-        screen.table(scores_table(one.scores, one.unit, name), partial(narrow_scores, one.scores, one.unit, name))
+        limit = job.config.loops[job.config.names.index(one.loop.name)].adaptation.ms_nominal
+        screen.table(
+            scores_table(one.scores, one.unit, name, limit), partial(narrow_scores, one.scores, one.unit, name)
+        )
     decisions = sum(len(loop.decisions) for loop in session.loops)
     changes = sum(len(loop.commits) for loop in session.loops)
     done = f"{counted(decisions, 'decision')}, {counted(changes, 'change')} of gains"
@@ -398,9 +401,10 @@ def _tell_what_next(job: _Job, ledger: Ledger, left: Sequence[_Left], screen: Li
         loop, name = one.loop, one.loop.name
         names = loop.table.regions.names
         locked = [region for i, region in enumerate(names) if loop.retuner.trials.phase(i) is TrialPhase.LOCKED]
-        gains = job.folder / one.report.parent / GAINS if loop.commits else None
+        table = job.folder / one.report.parent / GAINS
+        changed = Changed(table, job.options.config) if loop.commits else None
         approval_s = job.config.loops[job.config.names.index(name)].adaptation.approval_s
-        for told in what_next(job.folder, about[name], approval_s, locked, gains, name if several else ""):
+        for told in what_next(job.folder, about[name], approval_s, locked, changed, name if several else ""):
             screen.say(told.why)
             if told.command:
                 screen.command(f"  {told.command}")

@@ -40,8 +40,10 @@ def make_access(config: Config, foreign: Foreign) -> Access:
     mapping = mapping_of(config, foreign)
     if isinstance(foreign, DbcDeviceConfig):
         return DbcAccess(dbc_file(config, foreign), mapping)
-    from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
-
+    try:
+        from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings  # noqa: PLC0415  an extra
+    except ModuleNotFoundError as missing:
+        raise ProfileError(f'needs {missing.name}: pip install "retuner[canopen]"', ("kind",)) from None
     settings = NodeSettings(foreign.start, foreign.heartbeat_s, foreign.own_node)
     return CanOpenAccess(eds_file(config, foreign), mapping, settings)
 

@@ -20,6 +20,7 @@ HYPOTHESES = {
     "external_lead": Entry("what the tone gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
     "stuck_lead": Entry("what the sticking valve gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
     "external_period_s": Entry("period of the tone", "s", "", ""),
+    "wrong_way_lead": Entry("what a gain of the other sign gains", "index", "odds of e^(half of it)", "Schwarz 1978"),
     "stand_travel": Entry("travel of co while pv stands", "co ranges", "from 1 a valve, or a load that drifts", ""),
     "stand_dwell": Entry("longest stand of pv", "tau_I", "from 10 no loop does it", ""),
     "stands": Entry("stands of pv", "count", "", ""),

@@ -135,6 +135,9 @@ T = TrialPhase
 TRIAL_WAITS = {
     T.RESTORING: "the controller to run the verified gains again",
     T.WRITING: "the new gains to be written",
+    T.PAUSED: "the loop to be watched again, a change is on trial",
+    T.ENSURING: "the controller to run the gains on trial",
+    T.HELD: "nothing; a person set these gains, and they are held for a while",
     T.WAITING: "a person to approve what was tried",
     T.LOCKED: "a person to unlock the region",
 }
@@ -210,7 +213,7 @@ class LoopObserver:
         """What a change on trial promises, beside what it was before: IAE per unit of the upset."""
         r = self._retuner
         trial = r.trials.of(r.region or 0)
-        if trial.promise is None or trial.phase not in {T.TRIAL, T.AWAY, T.WAITING}:
+        if trial.promise is None or trial.phase not in {T.TRIAL, T.AWAY, T.PAUSED, T.ENSURING, T.WAITING}:
             return ""
         promise, told = trial.promise.to_dict(), []
         for upset in ("setpoint", "load"):

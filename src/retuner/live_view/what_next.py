@@ -18,14 +18,25 @@ class Next(NamedTuple):
     command: str = ""
 
 
+class Changed(NamedTuple):
+    """A table that has other gains than at the start, and the configuration that they may go back into."""
+
+    gains: Path
+    config: Path
+
+
 def what_next(
-    folder: Path, rows: Iterable[Row], approval_s: float, locked: Iterable[str], gains: Path | None, loop: str = ""
+    folder: Path,
+    rows: Iterable[Row],
+    approval_s: float,
+    locked: Iterable[str],
+    changed: Changed | None,
+    loop: str = "",
 ) -> list[Next]:
     """Proposals that wait, changes that wait for a word, locked regions, the gains to be written back, the report.
 
     rows : of the ledger, about this loop. approval_s : how long a proposal is open. locked : regions that are locked
-    out. gains : the file with the table where it has other gains than at the start. loop : its name, where there are
-    several.
+    out. changed : where the table is. loop : its name, where there are several.
     """
     found, place, of = shown(rows), shlex.quote(str(folder)), f"{loop}, " if loop else ""
     place += f" --loop {shlex.quote(loop)}" if loop else ""
@@ -41,8 +52,14 @@ def what_next(
     for region in locked:
         why = f"{of}{region}: locked out after several undone changes"
         told.append(Next(why, f"retuner approve {place} --unlock {shlex.quote(region)}"))
-    if gains is not None:
-        told.append(Next(f"{of}the gains as they are now: {gains}"))
+    if changed is not None:
+        gains, config = (shlex.quote(str(path)) for path in changed)
+        told.append(
+            Next(
+                f"{of}the gains as they are now, back into the configuration:",
+                f"retuner export {gains} --into {config}",
+            )
+        )
     return told
 
 

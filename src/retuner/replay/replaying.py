@@ -78,6 +78,12 @@ class Replayed:
         return self.difference is None and not self.stopped
 
 
+FOREIGN = (
+    "its controller does not speak the native protocol, and the times of its samples are the host's, which no log has "
+    "to the last digit; only native sessions are decided again"
+)
+
+
 class Replay:
     """A session decided again; see the head of this file. Made for one run()."""
 
@@ -112,6 +118,9 @@ class Replay:
         """
         result, known = self._result, self._session.bus_log_sha256
         log = self._session.bus_log
+        if self._session.config.foreign_device is not None:
+            result.stopped = f"{self._session.folder}: {FOREIGN}"
+            return result
         if not log.is_file():
             raise UserError(f"{log}: no such file; a session is decided again from its bus log")
         parts = log_parts(log)

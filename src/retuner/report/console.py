@@ -13,6 +13,7 @@ from rich.table import Table
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings
+from retuner.decision_page.text import MS_LIMIT
 from retuner.report.report import ms_text
 from retuner.report.scores import RegionScore
 from retuner.streams import LastingStream
@@ -131,11 +132,15 @@ def live_line(decision: Decision, loop: str = "") -> str:
     return f"{head} {'; '.join(told)}{f' [dim]{escape(model)}[/]' if model else ''}"
 
 
-def scores_table(scores: list[RegionScore], unit: str, loop: str = "") -> Table:
-    """Gains, Ms and IAE per region, before and after. loop : its name, where there are several."""
+def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit: float = MS_LIMIT) -> Table:
+    """Gains, Ms and IAE per region, before and after. loop : its name, where there are several. ms_limit : Ms above it
+    is marked.
+    """
     compared = ", against the same run with fixed gains" if any(s.iae_fixed is not None for s in scores) else ""
     whose = f"{loop}: " if loop else ""
-    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the true process; IAE in {unit} s{compared}"
+    over = any((s.ms_after or 0.0) > ms_limit for s in scores)
+    limit = f" (!! over the limit of {ms_limit:g}: see the report)" if over else ""
+    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the true process{limit}; IAE in {unit} s{compared}"
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
     for name in ("region", "commissioned", "final"):
         table.add_column(name, no_wrap=True)
@@ -152,7 +157,7 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "") -> Table:
             short_settings(s.after),
             str(s.changes),
             ms_text(s.ms_before),
-            ms_text(s.ms_after),
+            f"[bold red]{ms_text(s.ms_after)} !![/]" if (s.ms_after or 0.0) > ms_limit else ms_text(s.ms_after),
             fixed,
             retuned,
         )

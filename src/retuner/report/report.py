@@ -201,7 +201,8 @@ def why_over(score: RegionScore, documents: Sequence[Document]) -> str:
     known = number(part(part(newest, "verdict"), "ms"), "nominal" if score.changes else "before")
     seen = f"; on the process as known it was {known:.2f}" if known is not None else ""
     changed = any(words(one, "action") == "commit" for one in own)
-    return f"{'the newest ' if changed else 'nothing was changed; the newest '}{told}{seen}"
+    one_process = "; it knows one process for the region, and this is the worst of the operating points visited"
+    return f"{'the newest ' if changed else 'nothing was changed; the newest '}{told}{seen}{one_process}"
 
 
 def _twins(data: ReportData) -> str:

@@ -48,8 +48,10 @@ from retuner.drivers.protocol.gain_limits import GainBox
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.errors import UserError
 from retuner.ledger import Recorder
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
+SAME_GAINS = 1.00001
+"""Gains closer than this factor are one set, as for the gain writer."""
 REGION_ROOM = 4.0
 """The device takes steps this much larger than those between the commissioned regions: regions get retuned."""
 
@@ -74,8 +76,7 @@ def locks(names: Sequence[str]) -> Locks:
 
 def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
     """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
-    a, loop = config.adaptation, config.loop
-    mode = _permitted(config, mode)
+    a, loop, mode = config.adaptation, config.loop, _permitted(config, mode)
     trial = TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
@@ -314,3 +315,5 @@ def prove_order(
     if foreign is not None and units is not None and isinstance(device, ForeignDevice):
         accepted = UNPROVED_ORDER in foreign.accept
         device.choose_way = OrderOfWrites(retuner, units, record, now, unproved=accepted)
+        if not accepted and retuner.table.lookup is Lookup.HARD:
+            device.fits = lambda gains: any(change_factor(gains, one) <= SAME_GAINS for one in retuner.table.gains)

@@ -182,6 +182,7 @@ class GainWriter:
         running = self.device.running
         if self.open or self.device.writing or not self.device.connected or running is None:
             return
+        self._settle(running)
         wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)
         if wanted is not None and (not self.frozen or wanted.why == Why.RESTORE):
             self._start(running, wanted, now_s)
@@ -191,15 +192,19 @@ class GainWriter:
         write, self._under_way = self._under_way, None
         if not self.machine.take(WriterInput.DONE) or write is None:
             return
+        self._came_about(write, event.seq, event.running)
+
+    def _came_about(self, write: Wanted, seq: int, running: RunningSet) -> None:
+        """A set runs, as read back: recorded, then the table has it."""
         body = {
             "why": write.why,
             "region": self._name(write.region),
-            "sequence": event.seq,
-            "gains": gains_dict(event.gains),
-            "crc": event.running.crc,
+            "sequence": seq,
+            "gains": gains_dict(running.gains),
+            "crc": running.crc,
         }
         mixed = self.retuner.table.lookup == Lookup.INTERPOLATED
-        stored = write.stored if mixed and write.stored is not None else event.gains
+        stored = write.stored if mixed and write.stored is not None else running.gains
         if write.why == Why.RETUNE and mixed:
             body["stored"] = gains_dict(stored)
         self._record("committed", self.t_s, body)
@@ -280,6 +285,22 @@ class GainWriter:
         self._under_way = wanted
         if wanted.why == Why.RETUNE:
             self._pending = None
+
+    def _settle(self, running: RunningSet) -> None:
+        """A write of which nobody knows the end, because the session died in it: what runs tells."""
+        region, trials = self.retuner.region, self.retuner.trials
+        for at in trials.undecided + trials.restoring:
+            trial = trials.of(at)
+            if trial.ran or trial.new is None or self.machine.phase is not WriterPhase.IDLE:
+                continue
+            wanted = Wanted(Why.RETUNE, at, trial.new, None, trial.new)
+            if at == region and change_factor(self._here(wanted).gains, running.gains) <= SAME_GAINS:
+                self._came_about(wanted, running.seq, running)
+            elif trial.phase is TrialPhase.WRITING:
+                reason = "the session ended in the middle of it, and it does not run"
+                body = {"why": Why.RETUNE, "region": self._name(at), "decision": None, "reason": reason}
+                self._record("dropped", self.t_s, body)
+                self.retuner.not_written(at)
 
     def _to_restore(self, running: RunningSet, now_s: float) -> Wanted | None:
         """The verified set, unless it runs: then this is the proof of it.

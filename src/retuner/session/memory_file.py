@@ -18,7 +18,6 @@ from typing import NamedTuple
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
-from retuner.adaptive.trial.phase import TrialPhase
 from retuner.config.model import Config
 from retuner.errors import LedgerError, UserError
 from retuner.files import write_whole
@@ -172,7 +171,10 @@ def _known(before: Path, rows: Sequence[Row]) -> tuple[str, int]:
 
 
 def _tell_again(retuner: Retuner, rows: Sequence[Row]) -> int:
-    """Tell the retuner what happened after its memory was written; how many rows told it something."""
+    """Tell the retuner what happened after its memory was written; how many rows told it something.
+
+    How a write ended that was under way then is told by what the controller runs: see the gain writer.
+    """
     told = 0
     for row in rows:
         if row.kind not in TOLD_AGAIN:
@@ -182,9 +184,6 @@ def _tell_again(retuner: Retuner, rows: Sequence[Row]) -> int:
             feed(retuner, row.kind, row.body, row.clock_s)
         except (KeyError, TypeError, ValueError) as error:
             raise NoMemoryError(f"row {row.seq} of the ledger is not what a session writes: {error}") from error
-    for region in retuner.trials.undecided:  # a write that nobody knows the end of: the table says what shall run
-        if retuner.trials.phase(region) is TrialPhase.WRITING:
-            retuner.not_written(region)
     return told
 
 

@@ -113,6 +113,18 @@ def test_a_cure_whose_write_was_given_up_and_came_through_stays() -> None:
         assert bench.trials.phase(0) is (P.ENSURING if stays else P.RESTORING)
 
 
+def test_where_nobody_watches_a_set_that_was_seen_to_work_stays_if_it_is_robust() -> None:
+    known = StillAllowed((PROCESS,))
+    for before, tried, seen, stays in (
+        ("weak", "right", False, False),
+        ("weak", "right", True, True),
+        ("weak", "swinging", True, False),
+    ):
+        ran = SetsThatRan(SETS[before], SETS[tried], seen=seen)
+        assert way_back(E.STOPPED, ran, known, TrialSettings()).stays is stays
+        assert way_back(E.MANUAL, ran, known, TrialSettings()).stays is (tried == "right")
+
+
 def test_evidence_against_a_set_leads_to_the_most_robust_that_ran() -> None:
     known, worse = StillAllowed((PROCESS,)), E.WORSE
     old, tried = SETS["swinging more"], SETS["swinging"]

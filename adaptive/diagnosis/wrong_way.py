@@ -1,0 +1,62 @@
+"""A controller that acts the wrong way: what it does against an error makes the error grow.
+
+    pv runs away from its setpoint and co goes on in the way that its law says, until it stands at a limit
+
+A load beyond what the output can do looks the same from afar: pv is pushed away, and co goes to its limit against it.
+But then the process with the gain that the controller counts on explains the record, with that one load; where it acts
+the wrong way, a process of the other sign does so, and by far better.
+"""
+
+import numpy as np
+
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
+from retuner.adaptive.identification.candidate import Candidate
+from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.identification.structure_choice import candidates
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import Window
+
+PARTS = 5
+"""The beginning and the end of a record are a fifth of it each."""
+RUNS = 3.0
+"""Ratio of the error at the end to that at the beginning from which it has run away."""
+SIGMAS = 6.0
+"""And it stands out of the noise by so many standard deviations."""
+LEAD = 50.0
+"""By how much the criterion of the other sign must be the smaller one: odds of e^25."""
+EXPLAINED = 0.9
+"""Share of pv's variance that it must explain."""
+MOST_LOADS = 1
+"""Load steps that it may need: what goes the wrong way runs away from the smallest one."""
+
+
+def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:
+    """The verdict, where the record shows it. direction : of the controller, the sign of its gain."""
+    if not _runs_away(window, direction):
+        return None
+    fits = {sign: _best(window, sign, settings) for sign in (direction, -direction)}
+    other = fits[-direction]
+    record = other.fit.misfit.record
+    explained = 1 - float(np.var(record.pv - other.fit.explained) / np.var(record.pv))
+    lead = fits[direction].criterion - other.criterion
+    if lead < LEAD or explained < EXPLAINED or other.fit.misfit.loads > MOST_LOADS:
+        return None
+    reason = (
+        "the controller acts the wrong way: pv goes where co pushes it, away from the setpoint, and co pushes on; turn "
+        "its action round (direct, reverse), or the sign of its gain"
+    )
+    return Diagnosis(Cause.UNKNOWN, 0.9, {"wrong_way_lead": lead}, reason)
+
+
+def _runs_away(window: Window, direction: int) -> bool:
+    """Whether the error grows, and co moves against it as a controller of that direction does, farther and farther."""
+    error, part = window.sp - window.pv, max(len(window.pv) // PARTS, 2)
+    end = float(np.mean(error[-part:]))
+    before = float(np.sqrt(np.mean(error[:part] ** 2)))
+    moved = float(np.mean(window.co[-part:]) - np.mean(window.co[:part]))
+    grown = abs(end) > RUNS * before and abs(end) > SIGMAS * noise_sigma(window.pv)
+    return grown and moved * end * direction > 0
+
+
+def _best(window: Window, sign: int, settings: FitSettings) -> Candidate:
+    return candidates(window, (sign,), settings.choice, settings.most_samples)[0]

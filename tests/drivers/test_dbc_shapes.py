@@ -1,0 +1,210 @@
+"""DBCs of other shapes than the ODrive's: big-endian, multiplexed, extended, doubled names, guarded, damaged."""
+
+import struct
+from pathlib import Path
+
+import can
+import pytest
+
+from retuner.drivers.dbc.access import DbcAccess
+from retuner.drivers.dbc.checksums import ALGORITHMS
+from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
+from retuner.drivers.profiles.access import Heard, ProfileError
+from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, Protection, SignalOf
+from retuner.schedule.gains import PidGains
+from retuner.schedule.vendor_units import Quantity
+
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: host drive
+BO_ 2566844929 Motion: 8 drive
+ SG_ Speed : 7|16@0- (0.001,0) [-30|30] "" host
+ SG_ Current : 23|16@0- (0.01,5) [0|0] "A" host
+
+BO_ 2566844930 Parameter: 8 host
+ SG_ Id M : 0|8@1+ (1,0) [0|0] "" drive
+ SG_ P m1 : 8|16@1+ (0.001,0) [0|10] "" drive
+ SG_ I m2 : 8|32@1- (1,0) [0|0] "" drive
+ SG_ D m3 : 15|16@0+ (0.5,0) [0|0] "" drive
+
+BO_ 2566844931 Report: 8 drive
+ SG_ Id M : 0|8@1+ (1,0) [0|0] "" host
+ SG_ P m1 : 8|16@1+ (0.001,0) [0|10] "" host
+ SG_ I m2 : 8|32@1- (1,0) [0|0] "" host
+ SG_ D m3 : 15|16@0+ (0.5,0) [0|0] "" host
+
+BO_ 300 Target: 8 host
+ SG_ Speed : 0|16@1- (0.001,0) [-30|30] "" drive
+ SG_ Enable : 16|1@1+ (1,0) [0|1] "" drive
+ SG_ Count : 52|4@1+ (1,0) [0|15] "" drive
+ SG_ Crc : 56|8@1+ (1,0) [0|255] "" drive
+
+BO_ 301 Twin: 8 drive
+ SG_ A : 0|8@1+ (1,0) [0|0] "" host
+
+BO_ 302 Twin: 8 drive
+ SG_ A : 0|8@1+ (1,0) [0|0] "" host
+
+BO_ 303 Broken: 2 drive
+ SG_ A : 0|16@1+ (1,0) [0|0] "" host
+ SG_ B : 8|16@1+ (1,0) [0|0] "" host
+
+SIG_VALTYPE_ 2566844930 I : 1;
+SIG_VALTYPE_ 2566844931 I : 1;
+"""
+SPEED, CURRENT = SignalOf("Motion", "Speed"), SignalOf("Motion", "Current", 2.0)
+EXTENDED = 2566844929 & 0x1FFFFFFF
+
+
+def gain(quantity: Quantity, name: str) -> GainAt:
+    return GainAt(quantity, SignalOf("Parameter", name), SignalOf("Report", name), 1.0)
+
+
+MAPPING = DeviceMapping(
+    SPEED,
+    CURRENT,
+    (gain(Quantity.KP, "P"), gain(Quantity.KI, "I"), gain(Quantity.KD, "D")),
+    setpoint=SignalOf("Target", "Speed"),
+    protected=(Protection("Target", "Count", "Crc", "crc8_sae_j1850", 0x1234),),
+    fixed={"Target.Enable": 1.0},
+)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> DbcFile:
+    path = tmp_path / "drive.dbc"
+    path.write_text(DBC)
+    return DbcFile(read_dbc_file(path), path.name)
+
+
+def sent(access: DbcAccess) -> list[can.Message]:
+    return list(access.due(0.0))
+
+
+def test_big_endian_scaled_and_offset_numbers_of_an_extended_message(file: DbcFile) -> None:
+    access = DbcAccess(file, MAPPING)
+    data = struct.pack(">hh", -1234, 300) + bytes(4)
+    told = access.take(can.Message(arbitration_id=EXTENDED, is_extended_id=True, data=data))
+    heard = {one.name: one.value for one in told if isinstance(one, Heard)}
+    assert heard == {"pv": pytest.approx(-1.234), "co": pytest.approx(2.0 * (3.0 + 5.0))}
+    assert access.take(can.Message(arbitration_id=EXTENDED & 0x7FF, is_extended_id=False, data=data)) == ()
+
+
+def test_multiplexed_gains_are_a_message_each_with_their_selector(file: DbcFile) -> None:
+    access = DbcAccess(file, MAPPING)
+    assert not access.units.atomic
+    numbers = access.units.numbers(PidGains(1.23449, 0.1, 7.3))
+    assert numbers == {"kp": pytest.approx(1.234), "ki": struct.unpack("<f", struct.pack("<f", 0.1))[0], "kd": 7.5}
+    access.put(numbers)
+    p, i, d = sent(access)
+    assert p.data[0] == 1
+    assert struct.unpack_from("<H", p.data, 1)[0] == 1234
+    assert i.data[0] == 2
+    assert struct.unpack_from("<f", i.data, 1)[0] == numbers["ki"]
+    assert d.data[0] == 3
+    assert struct.unpack_from(">H", d.data, 1)[0] == 15
+    assert all(message.is_extended_id for message in (p, i, d))
+
+
+def test_read_back_is_what_was_written_bit_for_bit(file: DbcFile) -> None:
+    access = DbcAccess(file, MAPPING)
+    numbers = access.units.numbers(PidGains(1.23449, 0.1, 7.3))
+    access.put(numbers)
+    read: dict[str, float] = {}
+    for message in sent(access):
+        report = can.Message(arbitration_id=EXTENDED + 2, is_extended_id=True, data=message.data)
+        read |= {one.name: one.value for one in access.take(report) if isinstance(one, Heard)}
+    assert read == numbers
+
+
+def test_a_guarded_message_counts_and_carries_its_checksum(file: DbcFile) -> None:
+    access = DbcAccess(file, MAPPING)
+    frames = []
+    for _ in range(17):
+        access.put({"setpoint": 2.5})
+        frames += sent(access)
+    assert [frame.data[6] >> 4 for frame in frames] == [*range(16), 0]
+    for frame in frames:
+        assert struct.unpack_from("<hB", frame.data)[:2] == (2500, 1)
+        assert frame.data[7] == ALGORITHMS["crc8_sae_j1850"](bytes(frame.data[:7]) + b"\x34\x12")
+
+
+def test_numbers_out_of_the_dbcs_range_are_refused(file: DbcFile) -> None:
+    access = DbcAccess(file, MAPPING)
+    with pytest.raises(ValueError, match="setpoint: 31 is outside -30 to 30"):
+        access.put({"setpoint": 31.0})
+    with pytest.raises(ValueError, match="kp: 11 is outside 0 to 10"):
+        access.units.numbers(PidGains(11.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "check"),
+    [
+        ("crc8", 0xF4),
+        ("crc8_sae_j1850", 0x4B),
+        ("crc8_autosar", 0xDF),
+        ("crc16_ccitt", 0x29B1),
+        ("crc16_xmodem", 0x31C3),
+        ("sum8", 0xDD),
+        ("xor8", 0x31),
+    ],
+)
+def test_checksums_have_their_catalogued_check_values(name: str, check: int) -> None:
+    assert ALGORITHMS[name](b"123456789") == check
+
+
+WRONG = [
+    (SignalOf("Twin", "A"), r"2 messages 'Twin'; name one by its identifier: 0x12d, 0x12e"),
+    (SignalOf("Broken", "A"), "drive.dbc: The signal B does not fit in message Broken"),
+    (SignalOf("0x7FF", "A"), "no message '0x7FF'"),
+    (SignalOf("Motion", "speed"), "has no signal 'speed'; there is Speed, Current"),
+]
+
+
+@pytest.mark.parametrize(("at", "told"), WRONG)
+def test_what_cannot_be_found_is_told(file: DbcFile, at: SignalOf, told: str) -> None:
+    with pytest.raises(ProfileError, match=told):
+        DbcAccess(file, DeviceMapping(at, CURRENT, MAPPING.gains))
+
+
+def test_a_doubled_name_is_found_by_its_identifier(file: DbcFile) -> None:
+    access = DbcAccess(file, DeviceMapping(SignalOf("0x12e", "A"), CURRENT, MAPPING.gains))
+    told = access.take(can.Message(arbitration_id=302, is_extended_id=False, data=b"\7" * 8))
+    assert Heard("pv", 7.0) in told
+
+
+def test_a_checksum_that_cannot_be_is_refused(file: DbcFile) -> None:
+    for algorithm, told in (("crc99", "no algorithm 'crc99'; there is sum8"), ("crc16_ccitt", "needs 16 that begin")):
+        mapping = DeviceMapping(
+            SPEED, CURRENT, MAPPING.gains, protected=(Protection("Target", "Count", "Crc", algorithm),)
+        )
+        with pytest.raises(ProfileError, match=told):
+            DbcAccess(file, mapping)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        b"",
+        b"\x00\xff" * 500,
+        b"hello",
+        DBC[: len(DBC) // 2].encode(),
+        DBC.replace("SG_", "SG").encode(),
+        DBC.replace("7|16", "7|999").encode(),
+        DBC.replace("(0.001,0)", "(0,0)").encode(),
+        DBC.replace("(0.001,0)", "(1e999,0)").encode(),
+        DBC.replace("BO_ 2566844929", "BO_ -3").encode(),
+    ],
+)
+def test_a_damaged_dbc_is_one_line_or_works(damage: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.dbc"
+    path.write_bytes(damage)
+    told = ""
+    try:
+        access = DbcAccess(DbcFile(read_dbc_file(path), path.name), MAPPING)
+        access.put({"setpoint": 1.0})
+    except ProfileError as error:
+        told = str(error)
+    assert "\n" not in told
+    assert told.startswith((str(path), "damaged.dbc: ")) or DBC.encode()[:3000] == damage[:3000]
