@@ -3,7 +3,8 @@
     python benchmarks/simulation.py                                   100 seeds, some seconds
     python benchmarks/simulation.py --seeds 10000 --steps 10000       1e8 steps: `make nightly`
     python benchmarks/simulation.py --first-seed 4711 --seeds 1       one seed again
-    python benchmarks/simulation.py --firmware                        drivers/firmware, compiled here, is the device
+    python benchmarks/simulation.py --device firmware                 drivers/firmware, compiled here, is the device
+    python benchmarks/simulation.py --device both                     and must answer as the virtual one does
 
 With --state FILE a campaign that was stopped goes on where it was, as long as the code is the same. Exit status 1 when
 a promise was broken, or when a naive protocol over the same bus was not seen to fail.
@@ -16,7 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from bus_simulation.campaign import Campaign
+from bus_simulation.campaign import DEVICES, Campaign
 from bus_simulation.naive import KIND, NaiveWorld
 
 NAIVE_STEPS = 20_000
@@ -29,7 +30,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=1000, help="controller samples per seed")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--state", type=Path, default=None, help="file that keeps what is done")
-    parser.add_argument("--firmware", action="store_true", help="the firmware in C in place of the virtual device")
+    parser.add_argument("--device", choices=DEVICES, default="virtual", help="the firmware in C, or both side by side")
     options = parser.parse_args()
     if min(options.seeds, options.steps, options.processes) < 1 or options.first_seed < 0:
         parser.error("--seeds, --steps and --processes must be 1 or more, --first-seed 0 or more")
@@ -39,7 +40,7 @@ def main() -> int:
 
 def _real(options: argparse.Namespace) -> bool:
     """The protocol itself; whether a promise was broken."""
-    campaign = Campaign(options.first_seed, options.seeds, options.steps, options.state, firmware=options.firmware)
+    campaign = Campaign(options.first_seed, options.seeds, options.steps, options.state, device=options.device)
     done_before = len(campaign.done)
     try:
         for outcome in campaign.run(options.processes):

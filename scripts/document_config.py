@@ -17,9 +17,10 @@ from retuner.config.setting import Section
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
 HEAD = """# Configuration
 
-One TOML file describes one loop. `retuner init FILE` writes a commented one, `retuner check FILE` names file, line, key
-and limit of everything that is wrong with one. Numbers must be finite; a key that is not listed here is refused. Unit
-"pv" is the loop's own engineering unit. This page is written by scripts/document_config.py.
+One TOML file describes one loop, or [several](several-loops.md) as `[[loop]]` tables with the same keys. `retuner
+init FILE` writes a commented one, `retuner check FILE` names file, line, key and limit of everything that is wrong.
+Numbers must be finite; a key that is not listed here is refused. Unit "pv" is the loop's own engineering unit. This
+page is written by scripts/document_config.py.
 """
 
 

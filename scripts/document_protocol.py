@@ -50,7 +50,7 @@ BOX = GainBox(kp_max=20.0, ki_max=2.0, kd_max=5.0, ratio_max=10.0, direction=1)
 KEY = bytes(range(16))
 TRIAL = 4
 NONCES = (0x0123456789AB, 0xA5A5A5A5A5A5, 0x000000000001, 0xFFFFFFFFFFFF, 0x314159265358, 0x271828182845)
-BEFORE = 2  # of them are drawn before the boot at which a case begins
+BEFORE = 1  # of them is drawn before the boot at which a case begins
 CODEC = Codec(NODE)
 
 

@@ -269,10 +269,13 @@ SETPOINT_LEFT = 0.2
 def _outweighs(verdict: Diagnosis, seen: Screening, stood: Standing, settings: DiagnosisSettings) -> bool:
     """Whether a rival's verdict counts for more than that pv stands: a valve of one band, or a regular oscillation.
 
-    Squares under triangles for a few rounds are a valve of one band, or a load that ramps under a fast loop.
+    Squares under triangles for a few slow rounds are a valve of one band, or a load that ramps under a fast loop.
     """
+    if verdict.cause == Cause.STICTION and stood.sticks:
+        return verdict.confidence > settings.standing.sure
     if verdict.cause == Cause.STICTION:
-        return stood.sticks or verdict.evidence.get("valve_turns", 0.0) >= settings.confirming_turns
+        confirmed = verdict.evidence.get("valve_turns", 0.0) >= settings.confirming_turns
+        return confirmed or stood.dwell < settings.slow_rounds
     return verdict.cause == Cause.EXTERNAL and seen.oscillates
 
 

@@ -32,9 +32,10 @@ class DiagnosisSettings:
         those after them can confirm it.
     confirming_turns : where pv stands for long between slips that are no faster than the loop, so many turns are
         needed; 6 to 20, default 10 (a load's slow triangle under a fast loop draws the same for a few rounds).
+        slow_rounds : and this is how long pv stands for that, in tau_I; 15 to 60, default 30.
     slips_asked : what a tone must leave, in times the noise, for a valve of free slips to be asked; default 1.15.
-        slips_explain : what that may leave itself; 1.5 to 5, default 3. fewest_slips : default 4. slips_travel : of co
-        while the valve stands, in its ranges; 1 to 4, default 2.
+        slips_explain : what that may leave itself; 1.5 to 4, default 2.4. fewest_slips : default 4.
+        slips_travel : of co while the valve stands, in its ranges; 1 to 4, default 2.
     rival_explains : a tone that leaves more than this many times the noise is none; 1.2 to 5, default 2.
     oscillating_residual : a linear explanation that leaves more than this many times the noise is put against its
         rivals even where nothing oscillates regularly; 1.05 to 3, default 1.12.
@@ -72,8 +73,9 @@ class DiagnosisSettings:
     turns_per_change: float = 2.0
     fewest_turns: int = 4
     confirming_turns: int = 10
+    slow_rounds: float = 30.0
     slips_asked: float = 1.15
-    slips_explain: float = 3.0
+    slips_explain: float = 2.4
     fewest_slips: int = 4
     slips_travel: float = 2.0
     rival_explains: float = 2.0

@@ -65,6 +65,7 @@ class StandingSettings:
     silent : units of tau_I for which a setpoint step is not answered by a stuck valve; default 8. answered : share of
         the step that counts as an answer; default 0.3. pushed : share of its range that co travels meanwhile, the kick
         left out; default 0.4. step_sigmas : smallest setpoint step, in standard deviations; default 5.
+    sure : confidence that slips faster than the loop could be give to stiction; default 0.8.
     dead_travel, dead_dwell : travel and dwell of the one leg in which pv does not answer at all; default 0.9 and 20.
     """
 
@@ -84,6 +85,7 @@ class StandingSettings:
     answered: float = 0.3
     pushed: float = 0.4
     step_sigmas: float = 5.0
+    sure: float = 0.8
     dead_travel: float = 0.9
     dead_dwell: float = 20.0
 

@@ -119,7 +119,7 @@ def _in_order(loop: Loop, found: Found) -> Found:
         return found
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
     room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
-    if room > settings.cause.slack:
+    if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
         slow = replace(verdict, reason=f"{told}, and perhaps slower than need be: {verdict.reason}")
         return replace(found, diagnosis=slow)
     reason = f"{told}; how fast it could be the record does not show: {verdict.reason}"

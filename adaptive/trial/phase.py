@@ -79,9 +79,7 @@ P, E = TrialPhase, TrialEvent
 
 UNDOS = (E.WORSE, E.RUNAWAY)
 """Causes that speak against the tried set: each doubles the cool-down, and many lock the region."""
-BLIND = (E.DEVICE_REVERTED, E.DEVICE_STOPPED, E.STOPPED)
-"""Causes that say nothing of the set, after which nobody watches it for a time that nobody knows."""
-WATCHED_ON = (
+SILENT = (
     E.SATURATED,
     E.MANUAL,
     E.GAP,
@@ -89,12 +87,15 @@ WATCHED_ON = (
     E.LINK_LOST,
     E.LEASE_LOST,
     E.RESTARTED,
+    E.DEVICE_REVERTED,
+    E.DEVICE_STOPPED,
     E.WRITE_UNKNOWN,
     E.LEFT_INTERPOLATED,
     E.TIMED_OUT,
+    E.STOPPED,
 )
-"""Causes that say nothing of the set, after which it is watched on, or again."""
-ABORTS = (*UNDOS, *BLIND, *WATCHED_ON, E.ORDERED_BACK)
+"""Causes that say nothing of the set."""
+ABORTS = (*UNDOS, *SILENT, E.ORDERED_BACK)
 """Causes that end an undecided trial where the tried set does not stay."""
 UNSURE = (
     E.LINK_LOST,

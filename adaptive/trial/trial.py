@@ -56,8 +56,7 @@ class Trial:
         if self.old is None:
             raise ValueError("nothing was ever changed here")
         swung = self.promise.decay_seen if self.promise else None
-        seen = self.kept + self.silent > 0
-        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, seen)
+        return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung)
 
     def with_earlier(self, gains: PidGains | None) -> "Trial":
         """The same with one more set that ran here."""

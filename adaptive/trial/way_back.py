@@ -5,13 +5,9 @@
 The less, the more robust. A set whose Ms is at most harmless_ms on every model counts as robust: among such sets it is
 not Ms that decides. The commissioned set has no privilege, nor has the one before.
 
-    watched on (manual mode, a gap, saturation, ...)   the tried set stays unless the one before is more robust
-    nobody watches (the session ends, ...)             the same where a response was seen under the tried set; else the
-                                                       more robust of the two by Ms itself: the one before was seen to
-                                                       work, and the tried one would be neither seen nor undone
-    evidence against it (worse, runaway)               the set before; where that is not robust on the models that the
-                                                       evidence leaves, the most robust of all that ran, the tried one
-                                                       among them
+    a cause that says nothing of the set       the tried set stays, unless the one before is more robust
+    evidence against it (worse, runaway)       the set before; where that is not robust on the models that the evidence
+                                               leaves, the most robust of all that ran, the tried one among them
 
 Models on which the tried set is robust do not count after evidence against it: they are refuted. Where both are no
 robust sets, those that ran before are asked as well. Without a model the set before has been seen to work and the tried
@@ -27,7 +23,7 @@ from typing import NamedTuple
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.trial.phase import BLIND, UNDOS, TrialEvent
+from retuner.adaptive.trial.phase import UNDOS, TrialEvent
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.weighed import Numbers
 from retuner.schedule.gains import PidGains
@@ -85,15 +81,13 @@ class WayBackNumbers(Numbers):
 class SetsThatRan(NamedTuple):
     """before : the set before the trial. tried : None while it is not known to have run. earlier : the newest first.
 
-    swung : ratio of successive peaks that was seen of the set before, None when nothing was. seen : a response came and
-    went under the tried set and did not speak against it.
+    swung : ratio of successive peaks that was seen of the set before, None when nothing was.
     """
 
     before: PidGains
     tried: PidGains | None
     earlier: tuple[PidGains, ...] = ()
     swung: float | None = None
-    seen: bool = False
 
 
 class WayBack(NamedTuple):
@@ -113,10 +107,9 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
     left = [i for i, ms in enumerate(ms_tried) if cause not in UNDOS or ms > settings.harmless_ms]
     if not left:
         return _without_model(cause, ran, ran.tried)
-    floor = 0.0 if cause in BLIND and not ran.seen else settings.harmless_ms
 
     def robustness(ms: Sequence[float]) -> Robustness:
-        return Robustness.of((ms[i] for i in left), floor)
+        return Robustness.of((ms[i] for i in left), settings.harmless_ms)
 
     tried, before = robustness(ms_tried), robustness(ms_before)
     stays = tried < before or (tried == before and cause not in UNDOS)

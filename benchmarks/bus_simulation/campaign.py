@@ -14,6 +14,7 @@ from bus_simulation.firmware import FIRMWARE, FirmwareDevice
 from bus_simulation.truth import ViolationError
 from bus_simulation.world import World
 from retuner import drivers
+from retuner.drivers.controller.virtual_device import VirtualDevice
 
 BATCH = 10  # seeds that a process takes at a time
 
@@ -26,10 +27,18 @@ class Outcome(NamedTuple):
     broken: str
 
 
-def run_seed(job: tuple[int, int, bool]) -> Outcome:
-    """One run of (seed, steps, whether the firmware in C is the device)."""
-    seed, steps, firmware = job
-    world = World(seed, FirmwareDevice) if firmware else World(seed)
+DEVICES: dict[str, tuple[type, type | None]] = {
+    "virtual": (VirtualDevice, None),
+    "firmware": (FirmwareDevice, None),
+    "both": (VirtualDevice, FirmwareDevice),
+}
+"""What is the device, and what is told the same beside it and must answer the same."""
+
+
+def run_seed(job: tuple[int, int, str]) -> Outcome:
+    """One run of (seed, steps, which of DEVICES)."""
+    seed, steps, device = job
+    world = World(seed, *DEVICES[device])
     try:
         return Outcome(seed, dict(world.run(steps)), "")
     except ViolationError as error:
@@ -61,24 +70,24 @@ class Campaign:
     Parameters
     ----------
     first, seeds, steps : seeds first .. first + seeds - 1, each so many steps.
-    state : file that keeps what is done; None for none. firmware : whether the firmware in C is the device.
+    state : file that keeps what is done; None for none. device : which of DEVICES.
     """
 
-    def __init__(self, first: int, seeds: int, steps: int, state: Path | None, *, firmware: bool = False) -> None:
-        self.first, self.seeds, self.steps, self._firmware = first, seeds, steps, firmware
+    def __init__(self, first: int, seeds: int, steps: int, state: Path | None, *, device: str = "virtual") -> None:
+        self.first, self.seeds, self.steps, self._device = first, seeds, steps, device
         self._state = state
         self.done: set[int] = set()
         self.counts: Counter[str] = Counter()
         self.broken: dict[int, str] = {}
         self.busy_s = 0.0
-        self._key = f"{fingerprint()} {steps}{' firmware' if firmware else ''}"
+        self._key = f"{fingerprint()} {steps} {device}"
         if state is not None and state.exists():
             self._load(json.loads(state.read_text(encoding="utf-8")))
 
     def run(self, processes: int) -> Iterator[Outcome]:
         """Run what is not done yet; outcomes as they come."""
         todo = [
-            (seed, self.steps, self._firmware)
+            (seed, self.steps, self._device)
             for seed in range(self.first, self.first + self.seeds)
             if seed not in self.done
         ]

@@ -9,6 +9,7 @@ import can
 from bus_simulation import truth as t
 from bus_simulation.bus import Bus
 from bus_simulation.truth import Ran, Truth, ViolationError
+from bus_simulation.twin import Twin
 from retuner.drivers.controller.gain_memory import Slot
 from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.drivers.protocol.codec import COMMAND_BITS
@@ -45,8 +46,8 @@ class DeviceEnd:
     nothing while its receive buffer fills.
     """
 
-    def __init__(self, bus: Bus, device: VirtualDevice, truth: Truth, rng: Random) -> None:
-        self.bus, self.device, self.truth, self._rng = bus, device, truth, rng
+    def __init__(self, bus: Bus, device: VirtualDevice, truth: Truth, rng: Random, twin: Twin | None = None) -> None:
+        self.bus, self.device, self.truth, self._rng, self._twin = bus, device, truth, rng, twin
         self._way = bus.ways[NAME]
         self.fuse = SAFE
         self.down = self.hung = 0
@@ -76,6 +77,8 @@ class DeviceEnd:
         self.fuse -= 1
         latest = pages.latest
         replies = self.device.receive(message)
+        if self._twin is not None:
+            self._twin.receive(message, replies)
         if (pages.latest - latest) % SEQUENCES > LEAP:
             self.truth.driven = True
         if pages.running is not self._running:
@@ -91,6 +94,8 @@ class DeviceEnd:
             self.down, self.hung = max(self.down - 1, 0), max(self.hung - 1, 0)
             return
         messages = self.device.step(2.0 * self.slow)
+        if self._twin is not None:
+            self._twin.step(messages, 2.0 * self.slow)
         if self.device.pages.running is not self._running:
             self._changed()
         self._send(messages)
@@ -113,6 +118,8 @@ class DeviceEnd:
         if rng.random() < 0.3:
             self._tear()
         device.restart()
+        if self._twin is not None:
+            self._twin.restart()
         running = device.pages.running
         now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
         t.restarted_on_a_confirmed_set(self.truth, now)
@@ -127,7 +134,10 @@ class DeviceEnd:
         if len(there) == len(slots):
             newest = max(there, key=lambda slot: slot.generation)
             torn = Slot(newest.generation, newest.content, newest.crc ^ 1 << self._rng.randrange(32))
-            slots[slots.index(newest)] = torn
+            place = slots.index(newest)
+            slots[place] = torn
+            if self._twin is not None:
+                self._twin.device.pages.slots[place] = torn
 
     def _changed(self) -> None:
         """Another set runs: swapped in, or the confirmed one come back."""

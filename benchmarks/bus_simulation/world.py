@@ -15,6 +15,7 @@ from bus_simulation.device_end import DeviceEnd, LagPlant
 from bus_simulation.host_end import HostEnd
 from bus_simulation.intruder import Intruder
 from bus_simulation.truth import Ran, Truth
+from bus_simulation.twin import Drawn, Twin
 from bus_simulation.weather import CALM, CHANGE_EVERY, draw
 from retuner.drivers.controller.virtual_device import VirtualDevice, VirtualDeviceSettings
 from retuner.drivers.device import WriteDone
@@ -35,10 +36,11 @@ class World:
 
     Parameters
     ----------
-    seed : decides everything. make : the device, of the virtual one's interface.
+    seed : decides everything. make : the device, of the virtual one's interface. twin : another
+        implementation that is told the same and must answer the same, byte for byte.
     """
 
-    def __init__(self, seed: int, make: Callable[..., VirtualDevice] = VirtualDevice) -> None:
+    def __init__(self, seed: int, make: Callable[..., VirtualDevice] = VirtualDevice, twin: type | None = None) -> None:
         rng = self.rng = Random(seed)
         key = rng.randbytes(16) if rng.random() < 0.3 else None
         second = rng.random() < 0.25
@@ -54,8 +56,10 @@ class World:
             key=key,
             heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
         )
-        self.device = make(settings, LagPlant(), nonce=lambda: rng.getrandbits(48))
-        self.far = DeviceEnd(self.bus, self.device, self.truth, rng)
+        drawn = Drawn(rng)
+        self.device = make(settings, LagPlant(), nonce=drawn.first)
+        other = None if twin is None else Twin(self.device, lambda plant: twin(settings, plant, nonce=drawn.second))
+        self.far = DeviceEnd(self.bus, self.device, self.truth, rng, other)
         eager, same_owner = rng.choice((0.02, 0.1, 0.3)), rng.random() < 0.3
         self.hosts = [
             HostEnd(name, self.bus, self.truth, rng, key=key, same_owner=same_owner, eager=eager) for name in hosts

@@ -1,14 +1,17 @@
 """One open bus for all the loops on it: frames are read once and handed to the node that they belong to.
 
 A bus per loop would make every loop read every other loop's frames: with n loops n times the work. Up to 63 nodes can
-share a link; each gets a port, which is all that a CanDevice needs of a link.
+share a link; each gets a port, which is all that a CanDevice needs of a link. A port reads the link when it is asked,
+unless a thread does it (link_reader.py); both hold the lock while they use the link.
 """
 
+import threading
 from collections import deque
 
 import can
 
 from retuner.drivers.bus.bus import CanLink
+from retuner.drivers.bus.link_faults import FaultNews
 from retuner.drivers.bus.link_settings import LinkSettings
 from retuner.drivers.device import LinkState
 from retuner.drivers.protocol.codec import COMMAND_BITS
@@ -29,6 +32,8 @@ class LinkShare:
 
     def __init__(self, link: CanLink) -> None:
         self.link = link
+        self.lock = threading.RLock()
+        self.read_by_thread = False
         self.unclaimed = 0  # frames to nodes without a port: other traffic on the bus
         self._ports: dict[int, LinkPort] = {}
         self._whole: list[LinkPort] = []
@@ -50,10 +55,16 @@ class LinkShare:
         self._whole.append(LinkPort(self))
         return self._whole[-1]
 
-    def pump(self) -> None:
-        """Take what has arrived and sort it."""
+    def news(self) -> list[FaultNews]:
+        """See CanLink."""
+        with self.lock:
+            return self.link.news()
+
+    def pump(self) -> int:
+        """Take what has arrived and sort it; how many frames."""
         ports = self._ports
-        for message in self.link.receive_all():
+        messages = self.link.receive_all()
+        for message in messages:
             for whole in self._whole:
                 whole.give(message)
             port = ports.get(message.arbitration_id >> COMMAND_BITS)
@@ -61,6 +72,7 @@ class LinkShare:
                 self.unclaimed += 1
             else:
                 port.give(message)
+        return len(messages)
 
 
 class LinkPort:
@@ -83,7 +95,13 @@ class LinkPort:
 
     def send(self, message: can.Message) -> bool:
         """Send a frame; False when the bus did not take it."""
-        return self._share.link.send(message)
+        with self._share.lock:
+            return self._share.link.send(message)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether frames have come for this node that nobody has taken yet."""
+        return bool(self._waiting)
 
     def expect_silence(self) -> None:
         """See CanLink; it holds for the whole shared link."""
@@ -102,9 +120,11 @@ class LinkPort:
 
     def receive_all(self, limit: int = WAITING_MAX) -> list[can.Message]:
         """The node's frames that have arrived, oldest first, at most limit."""
-        self._share.pump()
-        waiting = self._waiting
-        if len(waiting) > limit:
-            return [waiting.popleft() for _ in range(limit)]
-        self._waiting = deque()
+        with self._share.lock:
+            if not self._share.read_by_thread or not self._waiting:  # a process that was held up: what came meanwhile
+                self._share.pump()  # may still be where the thread has not been yet, and is no silence
+            waiting = self._waiting
+            if len(waiting) > limit:
+                return [waiting.popleft() for _ in range(limit)]
+            self._waiting = deque()
         return list(waiting)

@@ -94,7 +94,6 @@ class VirtualDevice:
         """State after power-on: in auto, at rest at the present pv."""
         self.pages.boot(self.epoch)
         self.lease.boot()
-        self.code.boot()
         self.sample = 0
         self.refused = 0
         self.sp = self.pv = self.plant.pv
@@ -122,6 +121,7 @@ class VirtualDevice:
     def restart(self) -> None:
         """Power off and on: the plant goes on, the firmware begins anew from its store."""
         self.epoch = (self.epoch + 1) % EPOCHS
+        self.code.boot()
         self._boot()
 
     def step(self, dt_s: float | None = None) -> list[can.Message]:

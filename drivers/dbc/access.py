@@ -63,6 +63,9 @@ class DbcAccess:
             self._written["setpoint"] = place = self._place(mapping.setpoint, ("setpoint",))
             self._require_holds(place, ("setpoint",))
         self._guards = self._take_guards()
+        for name in mapping.fixed:
+            message, _, signal = name.partition(".")
+            file.place(message, signal, ("fixed",))
 
     def _place(self, at: object, key: Key) -> SignalPlace:
         assert isinstance(at, SignalOf)

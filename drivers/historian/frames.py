@@ -1,5 +1,6 @@
 """Tables that are no text: Parquet, and frames of pandas, polars and arrow, none of which need be installed."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,8 +66,8 @@ def _objects(name: str, values: np.ndarray) -> Column:
     return ["" if v is None else str(v) for v in values]
 
 
-def table_of_parquet(path: Path) -> RawTable:
-    """The table of a Parquet file.
+def table_of_parquet(path: Path, wanted: Callable[[Sequence[str]], Sequence[str]] | None = None) -> RawTable:
+    """The table of a Parquet file; wanted : which of its columns are read, all where it is None.
 
     Raises
     ------
@@ -82,8 +83,27 @@ def table_of_parquet(path: Path) -> RawTable:
         raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
     try:
         with pq.ParquetFile(path) as file:
-            frame = file.read()
+            frame = file.read(columns=None if wanted is None else list(wanted(file.schema_arrow.names)))
     except (OSError, pa.ArrowException) as error:
         raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
     columns = tuple(_column(name, frame.column(name)) for name in frame.column_names)
     return RawTable(str(path), tuple(frame.column_names), columns, [f": row {i + 1}" for i in range(frame.num_rows)])
+
+
+def parquet_names(path: Path) -> list[str]:
+    """The columns of a Parquet file, nothing of it read.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    except ImportError:
+        raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
+    try:
+        return list(pq.read_schema(path).names)
+    except (OSError, pa.ArrowException) as error:
+        raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error

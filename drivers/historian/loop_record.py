@@ -20,7 +20,7 @@ from retuner.drivers.historian.raw_table import RawTable, read_text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.row_order import Trend, joined
 from retuner.drivers.historian.table_signals import TableSignals, signals_of
-from retuner.drivers.recorded.recording import LARGEST, Recording, RecordingError
+from retuner.drivers.recorded.recording import Recording, RecordingError
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TAGS_SHOWN = 8
@@ -29,11 +29,16 @@ WHOLE = RecordForm()
 
 @dataclass(frozen=True, slots=True)
 class LoopRecord:
-    """A record with what was assumed in reading it. tag : of the loop, "" where the record names none."""
+    """A record with what was assumed in reading it.
+
+    tag : of the loop, "" where the record names none. begin_s : when it begins, s since 1970; None where its times
+    are of no calendar.
+    """
 
     recording: Recording
     assumed: tuple[Assumption, ...]
     tag: str = ""
+    begin_s: float | None = None
 
 
 class _Loop(NamedTuple):
@@ -62,19 +67,43 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
         raise RecordingError("no file in the folder; give text (.csv, .txt) or .parquet")
     read = [signals_of(table, form, in_automatic=in_automatic) for table in tables]
     loop = _chosen(_together(read), form, tables[0])
+    return _record(loop, read, form)
+
+
+def read_loops(sources: Iterable[object], form: RecordForm = WHOLE) -> dict[str, LoopRecord | RecordingError]:
+    """Every loop of the sources by its tag; one that cannot be read is there with the reason.
+
+    Raises
+    ------
+    RecordingError
+        A source cannot be read at all.
+    """
+    read = [signals_of(table, form, in_automatic=True) for source in sources for table in _tables(source, form)]
+    found: dict[str, LoopRecord | RecordingError] = {}
+    for tag, trends in _together(read).items():
+        if {"pv", "co"} <= trends.keys():
+            try:
+                found[tag] = _record(_Loop(tag, trends), read, form)
+            except RecordingError as error:
+                found[tag] = error
+    return found
+
+
+def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> LoopRecord:
+    """One loop's signals on one clock."""
     for role, trend in loop.trends.items():
         if not len(trend.t_s):
-            raise RecordingError(f"{tables[0].source}: {role} has no value that is known; name another column")
+            raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
     t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
     assumed = _told_once([*(a for one in read for a in one.assumed), *told])
-    source = tables[0].source if len(tables) == 1 else f"{tables[0].source} and {len(tables) - 1} more"
+    source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
     if form.sp is not None and "sp" not in values:
         values["sp"] = np.full(len(t_s), form.sp)
     if len(t_s) < 3:
         raise RecordingError(f"{source}: a record needs at least 3 samples, this one has {len(t_s)}")
-    origin = 0.0 if abs(t_s[0]) < LARGEST and _counted_from_zero(t_s) else float(t_s[0])
+    origin = 0.0 if _counted_from_zero(t_s) else float(t_s[0])
     recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
-    return LoopRecord(recording, assumed, loop.tag)
+    return LoopRecord(recording, assumed, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]))
 
 
 def _counted_from_zero(t_s: FloatArray) -> bool:

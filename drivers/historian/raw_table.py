@@ -58,15 +58,15 @@ class RawTable:
     assumed: tuple[Assumption, ...] = ()
 
 
-def read_text_table(path: Path, form: RecordForm) -> RawTable:
-    """The table of a text file.
+def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None) -> RawTable:
+    """The table of a text file; most_bytes : read no more than so many from its begin, which tells the form.
 
     Raises
     ------
     RecordingError
         It cannot be read, is no text, or has no rows of values.
     """
-    text, assumed = _decoded(path, form)
+    text, assumed = _decoded(path, form, most_bytes)
     if "\0" in text:
         number = text[: text.index("\0")].count("\n") + 1
         raise RecordingError(f"{path}:{number}: a NUL byte; this is no text file")
@@ -82,12 +82,12 @@ def read_text_table(path: Path, form: RecordForm) -> RawTable:
     return RawTable(str(path), names, columns, [f":{number}" for number, _ in body], (*assumed, *told))
 
 
-def _decoded(path: Path, form: RecordForm) -> tuple[str, tuple[Assumption, ...]]:
+def _decoded(path: Path, form: RecordForm, most_bytes: int | None) -> tuple[str, tuple[Assumption, ...]]:
     """The file as text: by its mark, else as UTF-8 where it is that, else by its bytes as Windows writes them."""
     try:
         if path.is_file() and path.stat().st_size > SIZE_MAX:
             raise RecordingError(f"{path}: larger than {SIZE_MAX} bytes; cut the record into pieces")
-        data = path.read_bytes() if path.is_file() else None
+        data = _read(path, most_bytes) if path.is_file() else None
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
     if data is None:
@@ -101,6 +101,15 @@ def _decoded(path: Path, form: RecordForm) -> tuple[str, tuple[Assumption, ...]]
                     f"{path}: byte {error.start} is no {form.encoding}; give the right encoding"
                 ) from error
     raise AssertionError("any bytes are Latin-1")
+
+
+def _read(path: Path, most_bytes: int | None) -> bytes:
+    """The file's bytes; of a begin whole lines only."""
+    if most_bytes is None or path.stat().st_size <= most_bytes:
+        return path.read_bytes()
+    with path.open("rb") as stream:
+        begin = stream.read(most_bytes)
+    return begin[: begin.rfind(b"\n") + 1] or begin
 
 
 def _encodings(data: bytes, form: RecordForm) -> list[tuple[str, tuple[Assumption, ...]]]:

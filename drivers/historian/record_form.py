@@ -27,7 +27,6 @@ TIME_UNITS = MappingProxyType({"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "mi
 """Units of a time given as a number, in seconds."""
 DECIMALS = (".", ",")
 DELIMITERS = MappingProxyType({",": ",", ";": ";", "\t": "\t", "tab": "\t", "|": "|", " ": " ", "space": " "})
-NONE = MappingProxyType[str, str]({})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +48,7 @@ class RecordForm:
         A value out of its range; the message names it.
     """
 
-    columns: Mapping[str, str] = field(default_factory=lambda: NONE)
+    columns: Mapping[str, str] = field(default_factory=dict)
     tag: str = ""
     sp: float | None = None
     dt_s: float | None = None

@@ -30,7 +30,7 @@ from retuner.drivers.host.requests import HostRequests
 from retuner.drivers.host.running_set import Belief, RunningBelief
 from retuner.drivers.host.write_protocol import WritePhase
 from retuner.drivers.protocol import frames
-from retuner.drivers.protocol.checksum import lease_stamp
+from retuner.drivers.protocol.checksum import STAMP_SAMPLES, lease_stamp
 from retuner.drivers.protocol.codec import Codec, FrameError, Refusal, Refused, schema
 from retuner.drivers.protocol.frames import PROTOCOL_VERSION, Identity
 from retuner.drivers.state_machine import StateMachine
@@ -87,6 +87,11 @@ def mismatch(identity: Identity, sample_time_s: float) -> str:
     if abs(identity.sample_time - sample_time_s) > TOLERANCE * sample_time_s:
         return f"its sample time is {identity.sample_time:g} s, configured are {sample_time_s:g} s; make them equal"
     return ""
+
+
+SLOWER_SAMPLES = STAMP_SAMPLES // 4
+"""By so many samples a device may be behind its sample time, over a time in which nobody looked; a stamp that is older
+than the device's time by less than STAMP_SAMPLES counts, one that is younger does not."""
 
 
 class ConnectPhase(Enum):
@@ -396,6 +401,19 @@ class CanDevice:
         confirmed = self._requests.confirm()
         self._send_due(now_s)
         return confirmed
+
+    def keep_lease(self, now_s: float) -> None:
+        """Prolong the lease if it is time, from whatever thread: the link's clock calls this beside the polls.
+
+        A host that does not poll does not see how far the device has counted; it has gone on by its sample time.
+        """
+        epoch, sample = self._belief.epoch, self._joiner.device_sample
+        if self.phase is not ConnectPhase.CONNECTED or epoch is None or sample is None:
+            return
+        unseen = int((now_s - self._sample_s) / self.settings.sample_time_s) if self._sample_s > float("-inf") else 0
+        stamp = lease_stamp(epoch, sample + max(unseen - SLOWER_SAMPLES, 0))
+        for frame in self._requests.lease.prolong(now_s, stamp):
+            self._send(frame)
 
     def release(self, now_s: float) -> None:
         """Give the lease back, so that another host need not wait until it runs out; for the end of a session."""

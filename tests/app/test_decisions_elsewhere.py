@@ -7,6 +7,7 @@ import pickle
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,8 @@ from retuner.adaptive.supervision.pipeline_types import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
 from retuner.commands import run as run_command
-from retuner.decisions.decider import LATE, LOST, Answer, DecideHere
+from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
+from retuner.decisions.shared_workers import DecisionWorkers
 from retuner.decisions.worker import DecideInWorker
 from retuner.drivers.clock import SimulatedClock
 from retuner.replay.recorded_trend import recorded_columns
@@ -73,7 +75,7 @@ def test_a_later_decision_is_entered_at_its_sample_and_replayed_byte_for_byte(
     assert json.loads(capsys.readouterr().out)["identical"] is True
 
 
-def waited(worker: DecideInWorker) -> Answer:
+def waited(worker: Decider) -> Answer:
     """What the worker says, within a patience that a busy machine does not exhaust."""
     end_s = time.monotonic() + PATIENCE_S
     for number in itertools.count(1):
@@ -95,6 +97,20 @@ def test_the_worker_answers_as_this_process_would(asked: tuple[Retuner, Question
         assert worker.answer(2) is None
     assert there.trouble == ""
     assert pickle.dumps(there.result) == pickle.dumps(pickle.loads(pickle.dumps(here)))
+
+
+def test_loops_share_a_worker_and_each_gets_the_answer_to_its_newest_question(asked: tuple[Retuner, Question]) -> None:
+    _, question = asked
+    with DecisionWorkers(2, processes=1) as workers:
+        one, other, silent = (workers.decider(PATIENCE_S) for _ in range(3))
+        one.ask(question)
+        other.ask(replace(question, sample_number=7))
+        other.ask(question)  # the question before it waits for the worker, and is not asked any more
+        found = [waited(one), waited(other)]
+        assert silent.answer(1) is None
+        assert [one.answer(2), other.answer(2)] == [None, None]
+    assert [answer.trouble for answer in found] == ["", ""]
+    assert pickle.dumps(found[0].result) == pickle.dumps(found[1].result)
 
 
 def test_a_worker_that_is_killed_costs_this_decision_and_not_the_next(asked: tuple[Retuner, Question]) -> None:

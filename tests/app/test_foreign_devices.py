@@ -9,6 +9,7 @@ import pytest
 
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase, after
 from retuner.cli import main
+from retuner.config.loading import load_config
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.device import DeviceStopped
 from retuner.drivers.plants.plant import Plant
@@ -84,6 +85,7 @@ BAD = [
     (GAINS, "gains = { scale = 0.0 }", "device.gains.kp : "),
     (GAINS, "gains = { scal = 50.0 }", "device.gains.scal is not a known key; did you mean scale?"),
     ("node = 0", "node = 99", "has no identifier"),
+    ("node = 0", 'node = 0\nfixed = { "Axis0_Set_Input_Vel.Torque" = 1.0 }', "has no signal 'Torque'; there is Input_"),
     ('accept = ["no_read_back"]', 'accept = ["anything"]', "device.accept"),
 ]
 
@@ -144,6 +146,15 @@ def test_a_controller_that_runs_what_no_region_has_is_not_written_over(
     assert main(["run", str(EXAMPLES / "cia404.toml"), "--out", str(tmp_path / "run"), "--no-compare"]) == 2
     told = capsys.readouterr().err.splitlines()[-1]
     assert "it runs kp = 3, ki = 0.02, kd = 0 (parallel), which no region has" in told
+
+
+def test_another_number_for_an_action_replaces_that_of_the_profile(tmp_path: Path) -> None:
+    path = tmp_path / "loop.toml"
+    text = (EXAMPLES / "cia404.toml").read_text()
+    path.write_text(text.replace('profile = "cia404"', 'profile = "cia404"\ngains = { kp = { object = "6450:1" } }'))
+    device = load_config(path).foreign_device
+    assert device is not None
+    assert [str(gain.quantity) for gain in device.gains.gains()] == ["kp", "tn", "tv"]
 
 
 def test_without_the_package_the_line_says_what_to_install(

@@ -21,6 +21,7 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
+        "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -29,7 +30,8 @@ ORDER = (
         "profiles", "dbc", "canopen",
     )),
     "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "ledger",
-    "decisions", "", "decision_page", "report", "experiment", "session", "live_view", "replay", "serve", "gain_export",
+    "decisions", "",
+    "decision_page", "report", "experiment", "audit", "session", "live_view", "replay", "serve", "gain_export",
     "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,

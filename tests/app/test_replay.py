@@ -5,6 +5,7 @@ import re
 import shutil
 import sqlite3
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from retuner.adaptive.fit.engine import engine_name
 from retuner.cli import main
 from retuner.drivers.bus import bus_log
 from retuner.drivers.bus.bus_log import log_parts
@@ -282,3 +284,45 @@ def test_a_log_with_other_bytes_in_it_never_passes_for_the_session(session: Path
         assert main(["replay", str(session)]) == int(other != whole)
     finally:
         (session / "bus.blf").write_bytes(whole)
+
+
+def by_another_engine(session: Path, to: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A copy of a session that another engine has recorded, with its decisions changed."""
+
+    def changed(row: Row) -> dict[str, Any]:
+        body = row.body
+        if row.kind == "session":
+            body["versions"]["engine"] = "abacus 1"
+        elif row.kind == "decision":
+            change(body)
+        return body
+
+    return rewritten(session, to, changed)
+
+
+def test_another_engine_is_asked_for_the_same_verdicts_and_not_for_the_same_bytes(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def rounded(body: dict[str, Any]) -> None:
+        body["numbers"] = {**body["numbers"], "rounded": 1e-9}
+
+    copy = by_another_engine(session, tmp_path / "rounded", rounded)
+    status, found = replayed(copy, capsys)
+    assert (status, found["identical"], found["same_verdicts"]) == (0, False, True)
+    assert found["engines"] == {"then": "abacus 1", "here": engine_name()}
+    assert main(["replay", str(copy)]) == 0
+    said = capsys.readouterr().out
+    assert "the same verdicts" in said
+    assert f"by engine {engine_name()} instead of abacus 1" in said
+
+
+def test_another_engine_that_decides_otherwise_is_found(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def other(body: dict[str, Any]) -> None:
+        if body["gains_after"]:
+            body["gains_after"]["kp"] *= 1.05
+
+    status, found = replayed(by_another_engine(session, tmp_path / "other", other), capsys)
+    assert (status, found["same_verdicts"]) == (1, False)
+    assert found["first_difference"]["key"] == "gains_after.kp"

@@ -16,6 +16,7 @@ from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
+from retuner.session.ledger_rows import feed
 from retuner.session.order_queue import OrderDesk
 from retuner.session.orders import Order, OrderBox, OrderKind, put_order
 
@@ -128,3 +129,22 @@ def test_off_takes_back_what_is_on_trial_and_nothing_is_written_until_the_mode_i
     assert desk.order(OrderKind.MODE, mode="trial")["accepted"]
     assert retuner.settings.mode_of(0) is Mode.TRIAL
     assert [row["by"] for kind, row in desk.wire.rows if kind == "order"] == ["Ada", "Ada"]
+
+
+def test_a_replay_takes_the_mode_from_the_row(desk: Desk) -> None:
+    desk.order(OrderKind.MODE, mode="off")
+    (row,) = (body for kind, body in desk.wire.rows if kind == "order")
+    again = Wire(mode=Mode.TRIAL)
+    assert feed(again.session.retuner, "order", row, 50.0) is None
+    assert again.session.retuner.settings.region_modes == desk.wire.session.retuner.settings.region_modes
+    again.close()
+
+
+def test_a_mode_of_no_region_is_refused_and_one_region_leaves_the_other(desk: Desk) -> None:
+    put_order(desk.folder, Order(OrderKind.MODE, "Ada", "2030-01-31T12:00:00Z", region="low", mode="advise"))
+    put_order(desk.folder, Order(OrderKind.MODE, "Ada", "2030-01-31T12:00:01Z", region="nowhere", mode="off"))
+    desk.wire.run(60)
+    told = [(body["accepted"], body["reason"]) for kind, body in desk.wire.rows if kind == "order"]
+    assert told == [(True, ""), (False, "there is no region nowhere; there are low, high")]
+    settings = desk.wire.session.retuner.settings
+    assert [settings.mode_of(i) for i in range(2)] == [Mode.ADVISE, Mode.TRIAL]

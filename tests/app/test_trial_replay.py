@@ -50,7 +50,7 @@ directory = "out"
 """A sluggish loop: its first response ends three seconds before the run does."""
 
 
-def test_an_undecided_change_is_taken_back_at_the_end_and_decided_again_by_a_replay(
+def test_an_undecided_change_that_is_robust_stays_at_the_end_and_is_decided_again_by_a_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -62,9 +62,11 @@ def test_an_undecided_change_is_taken_back_at_the_end_and_decided_again_by_a_rep
         assert reader.verify().ok
     bodies = dict(rows)
     told = [kind for kind, _ in rows if kind in {"trial", "abort", "restore", "restored"}]
-    assert told == ["trial", "abort", "restore", "restored"]
-    assert bodies["restored"]["gains"] == bodies["trial"]["verified"] == bodies["restore"]["gains"]
+    assert told == ["trial", "abort", "restored"]
+    assert bodies["restored"]["gains"] == bodies["trial"]["gains"]
+    assert bodies["decision"]["code"] == "kept_stopped"
+    assert bodies["decision"]["gains_after"] == bodies["trial"]["gains"]
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["scores"][0]["after"] == summary["scores"][0]["before"]
+    assert summary["scores"][0]["after"] != summary["scores"][0]["before"]
     assert main(["replay", "out"]) == 0
     assert "identical" in capsys.readouterr().out

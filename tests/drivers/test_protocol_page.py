@@ -27,7 +27,7 @@ def device(make: Any, case: dict[str, Any]) -> Any:
     told = dict(VECTORS["settings"])
     epoch, pv, co = (told.pop(name) for name in ("epoch", "pv", "co"))
     challenges = [int(text, 16) for text in told.pop("challenges_in_order")]
-    nonces = iter(challenges if make is FirmwareDevice else [0, 0, *challenges])  # it boots before it restarts
+    nonces = iter(challenges if make is FirmwareDevice else [0, *challenges])  # it boots before it restarts
     plant = type("Rest", (), {"pv": pv, "step": lambda *_: pv, "steady_co": lambda *_: co})()
     given = {**told, "gains": PidGains(*told["gains"]), "box": GainBox(**told["box"])}
     key = None if case["key"] is None else bytes.fromhex(case["key"])

@@ -25,7 +25,7 @@ OTHER = PidGains(2.0, 0.125, 0.5)
 
 @pytest.mark.parametrize("first", range(0, sized(20, 40), 10))
 def test_no_promise_is_broken(first: int) -> None:
-    outcomes = [run_seed((seed, STEPS, False)) for seed in range(first, first + 10)]
+    outcomes = [run_seed((seed, STEPS, "both")) for seed in range(first, first + 10)]
 
     assert [f"seed {o.seed}: {o.broken}" for o in outcomes if o.broken] == []
     total = sum((Counter(o.counts) for o in outcomes), Counter())
@@ -38,7 +38,7 @@ def test_no_promise_is_broken(first: int) -> None:
 
 @pytest.mark.parametrize("first", range(100, 100 + sized(10, 20), 10))
 def test_no_promise_is_broken_with_the_firmware_in_c(first: int) -> None:
-    outcomes = [run_seed((seed, STEPS, True)) for seed in range(first, first + 10)]
+    outcomes = [run_seed((seed, STEPS, "firmware")) for seed in range(first, first + 10)]
     assert [f"seed {o.seed}: {o.broken}" for o in outcomes if o.broken] == []
     total = sum((Counter(o.counts) for o in outcomes), Counter())
     assert total["done"] > 100
@@ -60,8 +60,8 @@ def test_naive_protocols_fail_over_the_same_bus(per_gain: bool) -> None:
     assert counts["finite_and_inside_the_box"] > 20
 
 
-def seeds_until_broken(seeds: int = 40) -> str:
-    return next((o.broken for seed in range(seeds) if (o := run_seed((seed, STEPS, False))).broken), "")
+def seeds_until_broken(seeds: int = 40, device: str = "virtual") -> str:
+    return next((o.broken for seed in range(seeds) if (o := run_seed((seed, STEPS, device))).broken), "")
 
 
 def test_a_device_that_does_not_fence_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

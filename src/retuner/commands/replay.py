@@ -58,14 +58,14 @@ def replay(
 def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:
     """Decide again in each loop; the exit status."""
     results = [(one, Replay(one).run()) for one in recorded]
-    identical = all(result.identical for _, result in results)
+    identical, agreed = (all(getattr(one, name) for _, one in results) for name in ("identical", "agrees"))
     if as_json:
         documents = [document(one, result) for one, result in results]
         whole = documents[0] if len(documents) == 1 else {"identical": identical, "loops": documents}
         sys.stdout.write(json.dumps(whole, indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.writelines(f"{line}\n" for one, result in results for line in told(one, result))
-    return 0 if identical else 1
+    return 0 if agreed else 1
 
 
 def document(session: RecordedSession, result: Replayed) -> dict[str, object]:
@@ -74,6 +74,8 @@ def document(session: RecordedSession, result: Replayed) -> dict[str, object]:
         "session": str(session.folder),
         "loop": session.config.loop.name,
         "identical": result.identical,
+        "same_verdicts": result.agrees,
+        "engines": {"then": result.engines[0], "here": result.engines[1]} if result.engines else None,
         "samples": result.samples,
         "compared": result.compared,
         "first_difference": result.difference.to_dict() if result.difference else None,
@@ -86,9 +88,15 @@ def document(session: RecordedSession, result: Replayed) -> dict[str, object]:
 def told(session: RecordedSession, result: Replayed) -> list[str]:
     """The result in lines for a person."""
     counted = f"{result.compared} decision{'s' * (result.compared != 1)} on {result.samples:,} samples"
+    ongoing = "" if session.end is not None else " (the session was killed, or goes on)"
     if result.identical:
-        ongoing = "" if session.end is not None else " (the session was killed, or goes on)"
         return [f"{session.folder}: identical: {counted}, byte for byte as recorded{ongoing}"]
+    if result.engines is not None and result.agrees:
+        then, here = result.engines
+        return [
+            f"{session.folder}: the same verdicts: {counted}, by engine {here} instead of {then}; "
+            f"{result.rounded} differ in rounding alone{ongoing}"
+        ]
     if result.difference is None:
         return [f"{session.folder}: not compared to the end: {result.stopped}; {counted} are as recorded"]
     d = result.difference
@@ -98,6 +106,8 @@ def told(session: RecordedSession, result: Replayed) -> list[str]:
         f"recorded {d.recorded!r}, replayed {d.replayed!r}; {max(result.compared - 1, 0)} decisions before it are equal"
     ]
     others = differences(session.versions)
+    if result.engines is not None:
+        lines.append(f"engine {result.engines[0]} then, {result.engines[1]} here: verdicts are compared, not bytes")
     if others:
         lines.append(f"byte identity is claimed for equal versions only; others here: {'; '.join(others)}")
     return lines

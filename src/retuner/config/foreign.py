@@ -277,7 +277,7 @@ class ForeignConfig(Section):
             raise CrossCheckError([Problem(("profile",), f'= "{name}" is no profile; there is {known}')])
         if ready["kind"] != given.get("kind"):
             raise CrossCheckError([Problem(("profile",), f'= "{name}" is for kind = "{ready["kind"]}"')])
-        return merged(ready, given)
+        return merged(_without_rivals(ready, given.get("gains")), given)
 
 
 class DbcDeviceConfig(ForeignConfig):
@@ -359,6 +359,14 @@ def _common(device: DbcDeviceConfig | CanOpenDeviceConfig, pv_span: float, co_sp
         "co_span": co_span,
         "stops": tuple(one.states() for one in device.stop),
     }
+
+
+def _without_rivals(ready: Mapping[str, Any], gains: object) -> dict[str, Any]:
+    """The profile without its gains of an action for which another number is given."""
+    own = set(gains) if isinstance(gains, Mapping) else set[str]()
+    rivals = {name for quantities in ACTIONS.values() if own & {*quantities} for name in quantities} - own
+    kept = {name: value for name, value in ready["gains"].items() if name not in rivals}
+    return {**ready, "gains": kept}
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,9 +7,11 @@ from retuner.adaptive.guard.write_order import ChosenWay, gentlest_way, proved_w
 from retuner.adaptive.supervision.guard_request import allowed_models
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.drivers.device import WriteRefusedError
-from retuner.ledger import Recorder
 from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import VendorUnits, Way
+
+Record = Callable[[str, float, Mapping[str, object]], None]
+"""What keeps a row for good: its kind, the time, the body."""
 
 
 class OrderOfWrites:
@@ -22,7 +24,7 @@ class OrderOfWrites:
     """
 
     def __init__(
-        self, retuner: Retuner, units: VendorUnits, record: Recorder, now: Callable[[], float], *, unproved: bool
+        self, retuner: Retuner, units: VendorUnits, record: Record, now: Callable[[], float], *, unproved: bool
     ) -> None:
         self._retuner, self._units, self._record, self._now, self._unproved = retuner, units, record, now, unproved
 

@@ -71,7 +71,10 @@ def main(nice: int, memory_bytes: int) -> None:
     sys.stdout = sys.stderr  # nothing else may get among the answers
     from retuner.adaptive.supervision.pipeline import decide  # noqa: PLC0415  a second of imports, at low priority
     from retuner.adaptive.supervision.pipeline_types import Question  # noqa: PLC0415
+    from retuner.decisions.warm_up import warm_up  # noqa: PLC0415
 
+    with contextlib.suppress(MemoryError):
+        warm_up()
     while True:
         try:
             question = receive(questions)

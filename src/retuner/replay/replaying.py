@@ -9,10 +9,12 @@ it did then; and it says the time of the last one, so a log that lacks frames is
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
+from typing import Any
 
+from retuner.adaptive.fit.engine import engine_name
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.pipeline import decide
@@ -63,7 +65,9 @@ class Replayed:
     """What a replay has come to.
 
     samples : taken from the log. decisions : made again. compared : of these with the ledger. difference : the first.
-    stopped : why the rest could not be compared; empty when all was.
+    stopped : why the rest could not be compared; empty when all was. engines : the one of then and the one here, where
+    they are two; then verdicts are compared and not bytes. rounded : decisions of the same verdict, but not the same
+    bytes.
     """
 
     samples: int = 0
@@ -71,11 +75,20 @@ class Replayed:
     compared: int = 0
     difference: Difference | None = None
     stopped: str = ""
+    engines: tuple[str, str] | None = None
+    rounded: int = 0
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every decision of the ledger was made again, and no other: with the same bytes, or, by another
+        engine, with the same verdict.
+        """
+        return self.difference is None and not self.stopped
 
     @property
     def identical(self) -> bool:
         """Whether every decision of the ledger was made again with the same bytes, and no other."""
-        return self.difference is None and not self.stopped
+        return self.agrees and not self.rounded
 
 
 FOREIGN = (
@@ -106,7 +119,8 @@ class Replay:
         self._next = 0
         self._t_s = 0.0
         self._waiting: list[Decision] = []  # made again, and not yet met in the ledger
-        self._result = Replayed()
+        here, then = engine_name(), session.versions.get("engine", "")
+        self._result = Replayed(engines=(then, here) if then and then != here else None)
 
     def run(self) -> Replayed:
         """Take the whole log, or what there is of it.
@@ -138,7 +152,7 @@ class Replay:
             self._take_frames()
         except RecordingError as error:
             result.stopped = str(error)
-        if result.identical and self._next < len(self._rows):
+        if result.agrees and self._next < len(self._rows):
             row = self._rows[self._next]
             result.stopped = (
                 f"{log}: ends after sample {result.samples}, and row {row.seq} of the ledger stands after sample "
@@ -158,7 +172,7 @@ class Replay:
             self._t_s = joined.sample.t_s
             self._decided(self._look(joined.sample))
             self._rows_here()
-            if not self._result.identical:
+            if not self._result.agrees:
                 return
 
     def _look(self, sample: LoopSample) -> Decision | None:
@@ -195,7 +209,7 @@ class Replay:
                 self._result.stopped = (
                     f"row {row.seq} of the ledger is not what a session of this release writes: {error}"
                 )
-            if not self._result.identical:
+            if not self._result.agrees:
                 return
         if self._waiting:
             made = self._waiting[0]
@@ -224,14 +238,33 @@ class Replay:
             return
         made = self._waiting.pop(0)
         self._result.compared += 1
-        if made.canonical() != canonical(recorded):
-            key, then, now = first_difference(recorded, json.loads(made.canonical()))
-            self._result.difference = Difference(made.number, row.seq, key, then, now)
+        if made.canonical() == canonical(recorded):
+            return
+        again = json.loads(made.canonical())
+        if self._result.engines is not None:
+            key, then, now = first_difference(verdict_of(recorded), verdict_of(again))
+            if not key:
+                self._result.rounded += 1
+                return
+        else:
+            key, then, now = first_difference(recorded, again)
+        self._result.difference = Difference(made.number, row.seq, key, then, now)
 
     def _log_trouble(self) -> str:
         """What the ledger says of trouble with the log."""
         rows = [r.seq for r in self._session.rows if r.kind == "bus" and r.body.get("fault") == LinkFault.LOG]
         return f"; row {rows[0]} tells that the log could not be written" if rows else ""
+
+
+def verdict_of(decision: Mapping[str, Any]) -> dict[str, object]:
+    """What a decision comes to: what is done where, for which cause, and with which gains, to three digits."""
+    gains = decision.get("gains_after") or {}
+    diagnosis = decision.get("diagnosis") or {}
+    return {
+        **{name: decision.get(name) for name in ("number", "t_s", "region", "action", "code", "basis")},
+        "cause": diagnosis.get("cause"),
+        "gains_after": {name: f"{value:.3g}" for name, value in gains.items()},
+    }
 
 
 def first_difference(then: object, now: object, path: str = "") -> tuple[str, object, object]:

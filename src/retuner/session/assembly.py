@@ -15,6 +15,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config import Config
+from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import BoilerPlantConfig, OvenPlantConfig
 from retuner.config.described import (
     advice_only,
@@ -74,10 +75,9 @@ def locks(names: Sequence[str]) -> Locks:
     return Locks(kc="kc" in names, tau_i="tau_i" in names, tau_d="tau_d" in names)
 
 
-def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
-    """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
-    a, loop, mode = config.adaptation, config.loop, _permitted(config, mode)
-    trial = TrialSettings(
+def trial_settings(a: AdaptationConfig) -> TrialSettings:
+    """Of trial and undo."""
+    return TrialSettings(
         responses=a.trial_responses,
         level=a.trial_level,
         inconclusive=a.trial_inconclusive,
@@ -86,6 +86,12 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         cool_down_s=a.cool_down_s,
         lock_out_after=a.lock_out_after,
     )
+
+
+def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSettings:
+    """The retuner's settings; mode overrides the configured one. A device that is only watched is only advised on."""
+    a, loop = config.adaptation, config.loop
+    mode = _permitted(config, mode)
     return RetunerSettings(
         sample_time_s=loop.sample_time_s,
         pv_span=loop.pv_max - loop.pv_min,
@@ -96,7 +102,7 @@ def retuner_settings(config: Config, mode: Mode | None = None) -> RetunerSetting
         wait_s=a.wait_s,
         setpoint_weight=loop.b,
         filter_s=loop.tau_f_s,
-        trial=trial,
+        trial=trial_settings(a),
         guard=guard_settings(config),
         locks=locks(a.locked),
         region_locks=tuple(

@@ -9,6 +9,7 @@ Loops on one bus share its link (shared_link.py), so each frame is read once, ho
 """
 
 import itertools
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -21,10 +22,13 @@ from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.drivers.bus.bus import CanLink, LinkSettings
 from retuner.drivers.bus.link_faults import FaultNews
+from retuner.drivers.bus.link_reader import LinkReader
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.bus.shared_link import LinkPort, LinkShare
 from retuner.drivers.clock import Clock, MonotonicClock, SimulatedClock
 from retuner.drivers.controller.device_process import DeviceOnBus
+from retuner.drivers.device import Device
+from retuner.drivers.host.connection import CanDevice
 from retuner.experiment.runner import Bench
 from retuner.session.assembly import link_settings, make_device, make_far_side
 from retuner.session.outputs import log_of_bus
@@ -38,24 +42,31 @@ _channels = itertools.count()
 class HostBus(NamedTuple):
     """An end of one bus. loops : indexes of those that hang on it. ports : theirs, in the same order."""
 
-    link: CanLink
+    link: CanLink | LinkShare
     loops: tuple[int, ...]
     ports: tuple[CanLink | LinkPort, ...]
+
+
+class ReadBus(NamedTuple):
+    """One that a thread reads."""
+
+    link: LinkShare
+    loops: tuple[int, ...]
+    ports: tuple[LinkPort, ...]
 
 
 class HostBuses:
     """The host's ends of all buses of a session."""
 
-    def __init__(self, buses: Sequence[HostBus]) -> None:
+    def __init__(self, buses: Sequence[HostBus | ReadBus]) -> None:
         self.buses = tuple(buses)
+
+    def keep_leases(self, devices: Sequence[Device]) -> None:
+        """Nothing beside the polls keeps the leases here; `LiveBuses` has a timer for them."""
 
     def port(self, loop: int) -> FramePort:
         """Where a loop's host sends and receives."""
         return next(port for bus in self.buses for i, port in zip(bus.loops, bus.ports, strict=True) if i == loop)
-
-    def wait_until(self, t_s: float) -> None:
-        """Return when a frame may be there, or the clock has reached t_s."""
-        self.buses[0].link.wait_until(t_s)
 
     def news(self) -> list[tuple[int, list[FaultNews]]]:
         """What the links have to tell, for each loop on them."""
@@ -63,17 +74,16 @@ class HostBuses:
         return [(loop, news) for bus, news in told if news for loop in bus.loops]
 
 
-def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> HostBus:
+def _share(link: CanLink, config: SessionConfig, loops: tuple[int, ...]) -> HostBus | ReadBus:
     """A link for its loops: itself for one, a port each for several."""
-    if len(loops) == 1:
-        return HostBus(link, loops, (link,))
-    share = LinkShare(link)
-    foreign = [config.loops[i].foreign_device is not None for i in loops]
-    ports = (
-        share.whole() if is_foreign else share.port(config.loops[i].bus.node)
-        for i, is_foreign in zip(loops, foreign, strict=True)
-    )
-    return HostBus(link, loops, tuple(ports))
+    return HostBus(link, loops, (link,)) if len(loops) == 1 else _ports(LinkShare(link), config, loops)
+
+
+def _ports(share: LinkShare, config: SessionConfig, loops: tuple[int, ...]) -> ReadBus:
+    """A port for each loop on a shared link; one of every frame for a foreign controller."""
+    ones = [config.loops[i] for i in loops]
+    ports = (share.port(one.bus.node) if one.foreign_device is None else share.whole() for one in ones)
+    return ReadBus(share, loops, tuple(ports))
 
 
 class BenchLink(CanLink):
@@ -142,10 +152,12 @@ def virtual_bench(
         periods_s = [one.loop.sample_time_s for one in config.loops]
         turn = _Turns(clock, [devices[i] for i in range(len(periods_s))], periods_s).turn
         if first is not None:
-            with opened(config, settings, clock, before(log)) as buses:
+            with opened(settings, clock, before(log)) as links:
+                buses = _hosts(links, config)
                 _answer_at_once(config, buses, devices)
                 first(VirtualBench(buses, clock, turn))
-        with opened(config, settings, clock, log) as buses:
+        with opened(settings, clock, log) as links:
+            buses = _hosts(links, config)
             _answer_at_once(config, buses, devices)
             yield VirtualBench(buses, clock, turn)
 
@@ -153,8 +165,9 @@ def virtual_bench(
 def _answer_at_once(config: SessionConfig, buses: HostBuses, devices: Mapping[int, DeviceOnBus]) -> None:
     """Have the foreign devices of a bench answer when they are asked."""
     for bus in buses.buses:
-        if isinstance(bus.link, BenchLink):
-            bus.link.answering = [devices[i] for i in bus.loops if config.loops[i].foreign_device is not None]
+        link = bus.link.link if isinstance(bus.link, LinkShare) else bus.link
+        if isinstance(link, BenchLink):
+            link.answering = [devices[i] for i in bus.loops if config.loops[i].foreign_device is not None]
 
 
 @contextmanager
@@ -183,9 +196,7 @@ def before(log: Path | None) -> Path | None:
 
 
 @contextmanager
-def opened(
-    config: SessionConfig, settings: Sequence[LinkSettings], clock: Clock, log: Path | None
-) -> Iterator[HostBuses]:
+def opened(settings: Sequence[LinkSettings], clock: Clock, log: Path | None) -> Iterator[list[CanLink]]:
     """The host's ends of the buses, each with its log.
 
     Raises
@@ -194,11 +205,15 @@ def opened(
         A bus or a log cannot be opened.
     """
     with ExitStack() as stack:
-        links = [
+        yield [
             stack.enter_context(BenchLink(one, clock, log_of_bus(log, number) if log else None))
             for number, one in enumerate(settings)
         ]
-        yield HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
+
+
+def _hosts(links: Sequence[CanLink], config: SessionConfig) -> HostBuses:
+    """The loops' ends of links that nobody else reads."""
+    return HostBuses([_share(link, config, loops) for link, loops in zip(links, config.buses, strict=True)])
 
 
 def _settings(config: SessionConfig, loops: Sequence[int], speed: float = 1.0) -> LinkSettings:
@@ -207,11 +222,65 @@ def _settings(config: SessionConfig, loops: Sequence[int], speed: float = 1.0) -
     return replace(wanted[0], silent_after_s=max(one.silent_after_s for one in wanted))
 
 
+LONGEST_PAUSE_S = 0.005
+"""Longest time for which frames gather before they are taken together, s of the machine's time."""
+
+
+class LiveBuses(HostBuses):
+    """Buses in real time, each read by a thread of its own (link_reader.py).
+
+    Parameters
+    ----------
+    buses : with their readers. clock : theirs. came : set by the readers when frames have come.
+    """
+
+    def __init__(
+        self, buses: Sequence[ReadBus], readers: Sequence[LinkReader], clock: Clock, came: threading.Event
+    ) -> None:
+        super().__init__(buses)
+        self._read = tuple(buses)
+        self._readers, self._clock, self._came = readers, clock, came
+
+    def heard(self) -> set[int]:
+        """The loops for which frames have come that they have not taken yet."""
+        return {i for bus in self._read for i, port in zip(bus.loops, bus.ports, strict=True) if port.waiting}
+
+    def keep_leases(self, devices: Sequence[Device]) -> None:
+        """Have the readers keep the leases of these devices, one a loop in the order of the loops."""
+        for bus, reader in zip(self._read, self._readers, strict=True):
+            own = (devices[i] for i in bus.loops)
+            reader.timers = [device.keep_lease for device in own if isinstance(device, CanDevice)]
+
+    def wait_until(self, t_s: float) -> None:
+        """Return when frames have come, or the clock has reached t_s."""
+        for reader in self._readers:
+            if reader.defect is not None:
+                defect, reader.defect = reader.defect, None
+                raise defect
+        self._came.wait(self._clock.left_s(t_s))
+        self._came.clear()
+
+
 @contextmanager
-def live_buses(config: SessionConfig, speed: float, clock: Clock, log: Path | None = None) -> Iterator[HostBuses]:
-    """The configured buses in real time; errors as opened."""
-    with opened(config, [_settings(config, loops, speed) for loops in config.buses], clock, log) as buses:
-        yield buses
+def live_buses(
+    config: SessionConfig, speed: float, clock: MonotonicClock, log: Path | None = None
+) -> Iterator[LiveBuses]:
+    """The configured buses in real time.
+
+    Raises
+    ------
+    DeviceError
+        A bus or its log cannot be opened.
+    """
+    settings = [_settings(config, loops, speed) for loops in config.buses]
+    shortest_s = min(one.loop.sample_time_s for one in config.loops)
+    pause_s = min(shortest_s / POLLS_PER_SAMPLE, LONGEST_PAUSE_S * clock.speed)
+    came = threading.Event()
+    with opened(settings, clock, log) as links, ExitStack() as stack:
+        shares = [LinkShare(link) for link in links]
+        buses = [_ports(share, config, loops) for share, loops in zip(shares, config.buses, strict=True)]
+        readers = [stack.enter_context(LinkReader(share, clock, pause_s, came)) for share in shares]
+        yield LiveBuses(buses, readers, clock, came)
 
 
 # Where an experiment takes place: a device and a turn, which lets some time pass and says what time it is. The turn of

@@ -34,6 +34,11 @@ SHORT = 8
 """Hexadecimal digits of a hash by which people are told of a proposal."""
 
 
+LOOK_EVERY_S = 0.25
+"""Seconds between two looks into the folder of orders: a look at every one of 100 samples a second costs as much as all
+else that is done with the sample."""
+
+
 class Change(NamedTuple):
     """What a decision stood for: its region, and the gains before it."""
 
@@ -193,6 +198,7 @@ class OrderDesk:
         self._before = before
         self._queue: deque[tuple[Found, Before | None]] = deque()
         self._waiting: list[Waiting] = []
+        self._look_at_s = float("-inf")
         self._rejected: set[str] = set()
 
     def take(self, t_s: float) -> tuple[Decision, ...]:
@@ -200,7 +206,9 @@ class OrderDesk:
         if self._before is not None:
             before, self._before = self._before, None
             self._queue += [(found, before) for found in before.box.take()]
-        self._queue += [(found, None) for found in self._box.take()]
+        if t_s >= self._look_at_s:
+            self._look_at_s = t_s + LOOK_EVERY_S
+            self._queue += [(found, None) for found in self._box.take()]
         here = next((order for order in self._waiting if self._is_here(order)), None)
         decision = None
         if here is not None:

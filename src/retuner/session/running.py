@@ -16,6 +16,7 @@ from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
 from retuner.decisions.shared_workers import DecisionWorkers
+from retuner.decisions.warm_up import warm_up
 from retuner.drivers.bus.link_settings import FramePort
 from retuner.drivers.clock import Clock, MonotonicClock
 from retuner.drivers.host.can_settings import OWNERS
@@ -40,7 +41,7 @@ def nothing(kind: str, t_s: float, body: object) -> None:
     del kind, t_s, body
 
 
-def to_the_end(session: Session, once: Callable[[], None]) -> None:
+def to_the_end(session: Session | LoopSession, once: Callable[[], None]) -> None:
     """Turn until the session is over. Ctrl-C lets it end: an undecided change is taken back first; a second one does
     not wait for that (the controller's own trial time, or the next session, then does it). A defect of ours lets it end
     in the same way, before it is told.
@@ -58,7 +59,7 @@ def to_the_end(session: Session, once: Callable[[], None]) -> None:
         raise
 
 
-def _end(session: Session, once: Callable[[], None]) -> None:
+def _end(session: Session | LoopSession, once: Callable[[], None]) -> None:
     """The turns that a session which was told to end still needs."""
     if session.seen:
         try:
@@ -247,7 +248,7 @@ class Run:
         DeviceError
             A bus does not open, or nobody (or the wrong one) answers at first.
         """
-        clock: Clock = MonotonicClock(speed)
+        clock = MonotonicClock(speed)
         pause_s = min(one.loop.sample_time_s for one in self.config.loops) / POLLS_PER_SAMPLE
         if self._pretunes:
             with live_buses(self.config, speed, clock, before(self._log)) as buses:
@@ -257,11 +258,12 @@ class Run:
             DecisionWorkers(len(deadlines_s)) as workers,
             live_buses(self.config, speed, clock, self._log) as buses,
         ):
+            warm_up()  # entering a decision imports what making one does, and by then there are samples to take
             session = self._begin(buses, [workers.decider(s) for s in deadlines_s], speed, remember=True)
 
             def once() -> None:
                 with unstoppable():
-                    session.poll(clock.now_s())
+                    session.poll(clock.now_s(), buses.heard())
                     self._faults(buses)
                 buses.wait_until(clock.now_s() + pause_s)
 
@@ -279,6 +281,7 @@ class Run:
             loop.begin(buses.port(i), decider, speed, remember=remember)
             for i, (loop, decider) in enumerate(zip(self._loops, deciders, strict=True))
         ]
+        buses.keep_leases([loop.device for loop in loops])
         self.session = Session(loops, self.observer.said)
         return self.session
 

@@ -8,7 +8,7 @@ A session is driven by `poll(now_s)` and never waits. Each loop goes its own way
 whose controller was never there, does not hold the others up; a ledger that fails ends all of them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
 from retuner.adaptive.signals.sample import LoopSample
@@ -99,6 +99,7 @@ class Session:
         """Loops whose controller was never there, by name, with the reason."""
         self._say = say
         self._watched = list(self.loops)
+        self._polled_s = dict.fromkeys(range(len(self.loops)), float("-inf"))
 
     @property
     def finished(self) -> bool:
@@ -108,7 +109,7 @@ class Session:
     @property
     def seen(self) -> bool:
         """Whether a sample has come, of any loop."""
-        return any(loop.samples for loop in self.loops)
+        return any(loop.seen for loop in self.loops)
 
     @property
     def frozen(self) -> str:
@@ -128,8 +129,11 @@ class Session:
         """Time of the newest sample, s."""
         return max(loop.writer.t_s for loop in self.loops)
 
-    def poll(self, now_s: float) -> int:
+    def poll(self, now_s: float, heard: Collection[int] | None = None) -> int:
         """Take what the devices have to tell; returns the number of samples among it.
+
+        heard : indexes of the loops for which frames have come, None where that is not known; the others are looked
+        after once in a sample time.
 
         Raises
         ------
@@ -137,9 +141,13 @@ class Session:
             Before the first connection: nobody answers for any loop, or the wrong controller does.
         """
         samples = 0
-        for loop in tuple(self._watched):
-            if loop.finished and len(self.loops) > 1:
+        for i, loop in enumerate(self.loops):
+            quiet = heard is not None and i not in heard
+            if quiet and now_s - self._polled_s[i] < loop.retuner.settings.sample_time_s:
                 continue
+            if loop.name in self.absent or (loop.finished and len(self.loops) > 1):
+                continue
+            self._polled_s[i] = now_s
             try:
                 samples += loop.poll(now_s)
             except DeviceError as error:

@@ -6,13 +6,12 @@ import pytest
 
 from retuner.adaptive.trial.phase import (
     ABORTS,
-    BLIND,
+    SILENT,
     TO_BE_SEEN,
     TRANSITIONS,
     UNDECIDED,
     UNDOS,
     UNSURE,
-    WATCHED_ON,
     TrialEvent,
     TrialPhase,
     after,
@@ -88,7 +87,7 @@ def test_a_locked_region_waits_for_a_person() -> None:
 
 
 def test_every_cause_is_of_one_kind_and_every_phase_can_be_reached() -> None:
-    assert sorted(ABORTS) == sorted({*UNDOS, *BLIND, *WATCHED_ON, E.ORDERED_BACK})
+    assert sorted(ABORTS) == sorted({*UNDOS, *SILENT, E.ORDERED_BACK})
     assert len(set(ABORTS)) == len(ABORTS)
-    assert set(UNSURE) < {*BLIND, *WATCHED_ON}
+    assert set(UNSURE) < set(SILENT)
     assert set(TRANSITIONS.values()) == set(TrialPhase)

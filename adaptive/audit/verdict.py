@@ -1,0 +1,181 @@
+"""The verdict of a loop over time, from the causes of its stretches: what it is, since when, how often, and what to do.
+
+Each stretch names a cause with a confidence c. The surest stretch that names a fault stands as it is; stretches of one
+loop are no independent records, so each further one counts half, for it or against it:
+
+    odds = c1 / (1 - c1)  x product over further ones that name it of sqrt(c / (1 - c))
+                          x product over those that say "in order", or another fault, of sqrt((1 - c) / c)
+
+"Unknown" says nothing either way. A stretch in which nothing happens (noise) does not clear a valve that sticks when it
+moves, so of what is no fault only "ok" speaks against.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+from retuner.adaptive.audit.loop_screen import LoopScreen
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.adaptive.indexes.condition import Condition
+
+HALF = 0.5
+"""What a further stretch counts."""
+CONVINCED = 0.5
+"""Joined confidence from which a fault is told."""
+MOST_SURE = 0.98
+"""No more is claimed of any stretch: something else may always be the case."""
+SWINGS = 0.5
+"""Share of the stretches in which an oscillation lasts from which the loop swings."""
+
+
+class Action(StrEnum):
+    """What to do about a loop."""
+
+    RETUNE = "retune"
+    VALVE = "valve to the workshop"
+    UPSTREAM = "look upstream"
+    SIZE = "look at its size or its load"
+    SIGNAL = "look at the sensor or the tag"
+    AUTOMATIC = "ask why it is in manual"
+    RECORD = "a record with a setpoint step"
+    LOOK = "look at it"
+    NOTHING = "nothing"
+
+
+EFFORT = MappingProxyType(
+    {
+        Action.RETUNE: 1.0,
+        Action.AUTOMATIC: 1.0,
+        Action.SIGNAL: 2.0,
+        Action.UPSTREAM: 2.0,
+        Action.LOOK: 3.0,
+        Action.VALVE: 3.0,
+        Action.SIZE: 5.0,
+        Action.RECORD: 4.0,
+        Action.NOTHING: 10.0,
+    }
+)
+"""Work of a visit, in units of one retune at the desk; a judgement, to be fixed by the plant."""
+FOR_CAUSE = MappingProxyType(
+    {
+        Cause.AGGRESSIVE: Action.RETUNE,
+        Cause.SLUGGISH: Action.RETUNE,
+        Cause.SLOW_INTEGRATING: Action.RETUNE,
+        Cause.STICTION: Action.VALVE,
+        Cause.EXTERNAL: Action.UPSTREAM,
+        Cause.SATURATION: Action.SIZE,
+    }
+)
+FOR_CONDITION = MappingProxyType(
+    {
+        Condition.DEAD_PV: Action.SIGNAL,
+        Condition.DEAD_CO: Action.AUTOMATIC,
+        Condition.MANUAL: Action.AUTOMATIC,
+        Condition.NO_RESPONSE: Action.SIGNAL,
+        Condition.NOT_CONTROLLING: Action.LOOK,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StretchVerdict:
+    """What one stretch says: its time from the record's begin, s; cause, confidence, and the sentence."""
+
+    begin_s: float
+    end_s: float
+    cause: Cause
+    confidence: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class LoopVerdict:
+    """What is behind a loop's behaviour over all of its record.
+
+    cause : or unknown. confidence : joined over the stretches, 0 to 1. action : what to do. reason : one sentence.
+    since_s : begin of the first stretch that shows it, from the begin of the record; None where nothing is shown.
+    seen, looked_at : stretches that show it, and all. avoidable : share of the error's variance that the action may
+    take away, 0 to 1. rank : benefit times certainty over effort.
+    """
+
+    cause: Cause
+    confidence: float
+    action: Action
+    reason: str
+    since_s: float | None
+    seen: int
+    looked_at: int
+    avoidable: float
+    rank: float
+
+
+def joined_confidence(cause: Cause, stretches: Sequence[StretchVerdict]) -> float:
+    """How sure a cause is over several stretches; see the head of this file."""
+    naming = sorted((_logit(s.confidence) for s in stretches if s.cause == cause), reverse=True)
+    against = [
+        _logit(s.confidence) for s in stretches if s.cause != cause and (s.cause == Cause.OK or s.cause in FOR_CAUSE)
+    ]
+    if not naming:
+        return 0.0
+    odds = naming[0] + HALF * sum(naming[1:]) - HALF * sum(against)
+    return min(1 / (1 + math.exp(-odds)), MOST_SURE)
+
+
+def _logit(confidence: float) -> float:
+    """ln of the odds of a confidence, bounded."""
+    sure = min(max(confidence, 1 - MOST_SURE), MOST_SURE)
+    return math.log(sure / (1 - sure))
+
+
+def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
+    """The verdict of a loop.
+
+    Parameters
+    ----------
+    screen : its whole record. stretches : those that were diagnosed, in the order of time.
+    """
+    condition = FOR_CONDITION.get(screen.condition)
+    faults = {s.cause for s in stretches} & FOR_CAUSE.keys()
+    if condition is not None and not faults:
+        return _of_condition(screen, condition, len(stretches))
+    best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)
+    if best is not None and joined_confidence(best, stretches) >= CONVINCED:
+        return _of_fault(best, screen, stretches)
+    if any(s.cause in {Cause.OK, Cause.NOISE} for s in stretches) and screen.swinging < SWINGS:
+        calm = [s for s in stretches if s.cause in {Cause.OK, Cause.NOISE}]
+        sure = 1 - joined_confidence(best, stretches) if best is not None else max(s.confidence for s in calm)
+        sure, count = min(sure, MOST_SURE), len(calm)
+        return LoopVerdict(calm[-1].cause, sure, Action.NOTHING, calm[-1].reason, None, count, len(stretches), 0.0, 0.0)
+    return _unknown(screen, stretches)
+
+
+def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
+    """No loop is at work."""
+    reason = f"no loop is at work in its record: {screen.condition}"
+    return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
+
+
+def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
+    """A fault, with what it costs."""
+    showing = [s for s in stretches if s.cause == cause]
+    sure = joined_confidence(cause, stretches)
+    action = FOR_CAUSE[cause]
+    clearest = max(showing, key=lambda s: s.confidence)
+    avoidable = screen.harris * max(len(showing) / len(stretches), screen.swinging if cause not in TUNING_CAUSES else 0)
+    rank = sure * avoidable / EFFORT[action] ** 0.5
+    return LoopVerdict(
+        cause, sure, action, clearest.reason, showing[0].begin_s, len(showing), len(stretches), avoidable, rank
+    )
+
+
+def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
+    """Nothing can be named; a loop that swings is worth a look all the same."""
+    newest = stretches[-1] if stretches else None
+    reason = newest.reason if newest is not None else "no stretch of its record says anything"
+    swings = screen.swinging >= SWINGS
+    action = Action.LOOK if swings else Action.RECORD
+    rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0
+    avoidable = screen.harris * screen.strength if swings else 0.0
+    return LoopVerdict(Cause.UNKNOWN, 0.5, action, reason, None, 0, len(stretches), avoidable, rank)

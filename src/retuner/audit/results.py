@@ -1,0 +1,158 @@
+"""The outcome of an audit: the ranked list, loops that swing together, what changed; as a page, as JSON, as Parquet.
+
+The page holds the rows of the list; each loop's trends stand in a file of their own and are loaded when it is opened,
+so that ten thousand loops open as fast as ten. It needs no server and no network.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+
+from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped
+from retuner.adaptive.audit.verdict import SWINGS
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.audit.loop_row import SCHEMA, Row
+from retuner.files import write_whole
+
+PICTURES = ("trend", "stretches")
+WORSE = 1.2
+"""Ratio of ranks from which a loop became worse, or better."""
+
+
+def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], list[CommonSwing]]:
+    """Rows without pictures, the loop to visit first at the top, with their groups and changes.
+
+    Parameters
+    ----------
+    rows : of an audit. before : of an earlier one, to say what changed.
+    """
+    listed = [{k: v for k, v in row.items() if k not in PICTURES} for row in rows]
+    groups = common_swings([s for s in map(_swinging, listed) if s is not None])
+    group_of = grouped(groups)
+    earlier = {str(row["tag"]): row for row in before}
+    for row in listed:
+        group = group_of.get(str(row["tag"]))
+        row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
+        row["root"] = group.root if group else None
+        if before:
+            row["change"] = change(row, earlier.get(str(row["tag"])))
+    _from_the_root(listed)
+    listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
+    for place, row in enumerate(listed, start=1):
+        row["place"] = place
+    return listed, groups
+
+
+def _swinging(row: Row) -> Swinging | None:
+    """A loop that swings, for the groups."""
+    screen = row.get("screen")
+    if not isinstance(screen, Mapping) or not screen.get("period_s") or screen["swinging"] < SWINGS:
+        return None
+    cause = row["cause"]
+    own = cause in {str(c) for c in TUNING_CAUSES}
+    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), cause == str(Cause.STICTION), own)
+
+
+def _from_the_root(rows: Sequence[Row]) -> None:
+    """A loop that swings with another from which it comes is visited after that one."""
+    for row in rows:
+        root = row["root"]
+        if root is not None and root != row["tag"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
+            row["action"] = f"look at {root} first"
+            row["rank"] = 0.5 * _number(row, "rank")
+
+
+def _number(row: Row, name: str) -> float:
+    """A number of a row; 0 where it has none."""
+    value = row.get(name)
+    return float(value) if isinstance(value, (int, float)) else 0.0
+
+
+def change(row: Row, earlier: Row | None) -> str:
+    """What became of a loop since an earlier audit, in a word or two."""
+    if earlier is None:
+        return "new"
+    now, then = _number(row, "rank"), _number(earlier, "rank")
+    if now > WORSE * then and row["cause"] != earlier["cause"]:
+        return f"worse: was {earlier['cause']}"
+    if now > WORSE * then:
+        return "worse"
+    if then > WORSE * now:
+        return "better"
+    return "same"
+
+
+def summary(rows: Sequence[Row], refused: int) -> str:
+    """The audit in a sentence."""
+    counted = Counter(str(row["action"]) for row in rows)
+    parts = ", ".join(f"{count} {action}" for action, count in counted.most_common())
+    more = f"; {refused} files are no record" if refused else ""
+    return f"{len(rows)} loops: {parts}{more}."
+
+
+def write_results(
+    folder: Path, rows: Iterable[Row], before: Sequence[Row], refused: Sequence[tuple[Path, str]]
+) -> list[Row]:
+    """Write the page, audit.json, and audit.parquet where pyarrow is installed; the ranked rows."""
+    listed, groups = ranked(_with_pictures(folder, rows), before)
+    told = summary(listed, len(refused))
+    document = {
+        "schema": SCHEMA,
+        "summary": told,
+        "rows": listed,
+        "groups": [{"period_s": g.period_s, "tags": g.tags, "root": g.root, "why": g.why} for g in groups],
+        "refused": [{"file": str(path), "reason": reason} for path, reason in refused],
+    }
+    write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    page = {**document, "rows": [_for_the_page(row) for row in listed], "since": bool(before)}
+    write_whole(folder / "audit-data.js", "const AUDIT = " + _script(page) + ";\n")
+    write_whole(folder / "index.html", files("retuner.templates").joinpath("audit.html").read_text(encoding="utf-8"))
+    _write_parquet(folder / "audit.parquet", listed)
+    return listed
+
+
+def _with_pictures(folder: Path, rows: Iterable[Row]) -> Iterable[Row]:
+    """The rows, each written with its trends into a file of its own on the way."""
+    (folder / "loops").mkdir(exist_ok=True)
+    for number, row in enumerate(rows, start=1):
+        row["file"] = f"{number}.js"
+        write_whole(folder / "loops" / f"{number}.js", f"loop({_script(row)});\n")
+        yield row
+
+
+def _script(value: object) -> str:
+    """A value as JavaScript that no tag's name can leave."""
+    return (
+        json.dumps(value, allow_nan=False)
+        .replace("<", "\\u003c")
+        .replace("\u2028", "\\u2028")
+        .replace("\u2029", "\\u2029")
+    )
+
+
+def _for_the_page(row: Row) -> Row:
+    """What the list shows of a loop."""
+    screen = row.get("screen")
+    period_s = screen.get("period_s") if isinstance(screen, Mapping) else None
+    shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "loss_per_day", "since", "change", "file")
+    looked_at = _number(row, "looked_at")
+    share = _number(row, "seen") / looked_at if looked_at else None
+    return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share}
+
+
+def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
+    """The list as a table, one level deep; nothing where pyarrow is not installed."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    except ImportError:
+        return
+    flat = []
+    for row in rows:
+        screen = row.get("screen")
+        plain = {k: v for k, v in row.items() if not isinstance(v, (Mapping, list))}
+        flat.append(plain | ({f"screen_{k}": v for k, v in screen.items()} if isinstance(screen, Mapping) else {}))
+    names = dict.fromkeys(name for row in flat for name in row)
+    pq.write_table(pa.table({name: [row.get(name) for row in flat] for name in names}), path)

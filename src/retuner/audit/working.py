@@ -1,0 +1,112 @@
+"""The work of an audit spread over processes: of this machine, or of a dask cluster; results are kept as they come.
+
+A task whose process dies is tried once more by itself; if that dies as well, its loops are rows that say so. Ctrl-C
+keeps what is done.
+"""
+
+import os
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from importlib import import_module
+from multiprocessing import get_context
+from typing import Any
+
+from retuner.audit.catalogue import Task
+from retuner.audit.loop_row import AuditSettings, Row, audit_task, failed
+from retuner.errors import UserError
+
+AHEAD = 3
+"""Tasks that are given out beyond those at work, a process."""
+Work = Callable[[Task], list[Row]]
+
+
+def processes() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def on_this_machine(
+    tasks: Sequence[Task], settings: AuditSettings, jobs: int, work: Work | None = None
+) -> Iterator[tuple[Task, list[Row]]]:
+    """Tasks with their rows as they are done.
+
+    Parameters
+    ----------
+    jobs : processes; 1 does all in this one. work : what is done with a task, audit_task by itself.
+    """
+    do = work or partial(audit_task, settings=settings)
+    if jobs == 1:
+        for task in tasks:
+            yield task, do(task)
+        return
+    left, again = list(reversed(tasks)), list[Task]()
+    while left:
+        broken = yield from _until_broken(left, do, jobs)
+        again += broken
+    for task in again:
+        yield task, _by_itself(task, do)
+
+
+def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task, list[Row]], None, list[Task]]:
+    """Work with one pool until all is done or one of its processes dies; what was at work then is given back."""
+    running: dict[Future[list[Row]], Task] = {}
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_quiet) as pool:
+        try:
+            while left or running:
+                while left and len(running) < jobs * AHEAD:
+                    task = left.pop()
+                    running[pool.submit(do, task)] = task
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    rows = future.result()
+                    yield running.pop(future), rows
+        except BrokenProcessPool:
+            return list(running.values())
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return []
+
+
+def _by_itself(task: Task, do: Work) -> list[Row]:
+    """A task in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_quiet) as pool:
+        try:
+            return pool.submit(do, task).result()
+        except BrokenProcessPool:
+            return [failed(tag, "its process died twice, for want of memory perhaps") for tag in task.tags]
+
+
+def _quiet() -> None:
+    """A process of the pool leaves Ctrl-C to the one that waits for it, and takes one core."""
+    import signal  # noqa: PLC0415  only here
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
+def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -> Iterator[tuple[Task, list[Row]]]:
+    """The same on a dask cluster, which tries tasks of dead workers again.
+
+    Raises
+    ------
+    UserError
+        dask.distributed is not installed, or nobody answers at the address.
+    """
+    try:
+        cluster: Any = import_module("distributed")  # an extra, loaded when wanted
+    except ImportError:
+        raise UserError('--scheduler needs dask.distributed; pip install "retuner[cluster]"') from None
+    try:
+        client = cluster.Client(address, timeout=10)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UserError(f"--scheduler {address}: nobody answers there: {error}") from error
+    with client:
+        futures = {client.submit(audit_task, task, settings, pure=False, retries=2): task for task in tasks}
+        for future in cluster.as_completed(list(futures)):
+            task = futures[future]
+            broken = future.exception()
+            rows = [failed(tag, f"its worker: {broken}") for tag in task.tags] if broken else future.result()
+            yield task, rows

@@ -1,0 +1,123 @@
+"""retuner audit: which loops of a plant deserve a visit, out of a folder of its trends."""
+
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
+from retuner.audit.loop_row import AuditSettings, Row, is_fault
+from retuner.audit.result_store import ResultStore, rows_of, signature
+from retuner.audit.results import write_results
+from retuner.audit.working import on_a_cluster, on_this_machine, processes
+from retuner.commands.options import Json, signed_by
+from retuner.commands.recorded.record_form import FormOptions, record_form
+from retuner.errors import UserError, user_input
+from retuner.report.console import screen_console
+
+app = typer.Typer(add_completion=False)
+SHOWN = 10
+"""Loops that are told on the screen; the page has all."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditOptions(FormOptions):
+    """Rank the loops of a plant by what a visit would bring; nothing is written to any controller."""
+
+    sources: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Folders, files or patterns of trends.")]
+    out: Annotated[Path, typer.Option(help="Folder of the page and the results; an audit in it goes on.")] = Path(
+        "audit"
+    )
+    tag_pattern: Annotated[
+        str, typer.Option(help=r"Tag in the names of files without tags: ^([A-Z]+\d+)_", metavar="REGEX")
+    ] = ""
+    stretches: Annotated[int, typer.Option(help="Stretches of each record that are diagnosed at most.")] = 4
+    since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
+    jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
+    as_json: Json = False
+
+
+@app.command(epilog="Example: retuner audit trends/ --out audit/ --stretches 6")
+@signed_by(AuditOptions)
+def audit(options: AuditOptions) -> int:
+    """Audit; the exit status: 0, or 1 when no loop could be judged.
+
+    Raises
+    ------
+    UserError, RecordingError
+        A source or an option cannot be used.
+    """
+    with user_input("--stretches"):
+        settings = AuditSettings(options.stretches, record_form(options))
+    before = rows_of(options.since) if options.since is not None else []
+    found = _catalogued(options, settings)
+    with ResultStore(options.out) as store:
+        stopped = _work(found, settings, options, store)
+        rows = write_results(options.out, store.rows(), before, found.refused)
+    _tell(rows, found, options)
+    if stopped:
+        left = len(found.tags) - len(rows)
+        sys.stderr.write(f"stopped: {left} loops are left; the same command goes on\n")
+        raise KeyboardInterrupt
+    return 0 if any("failed" not in row for row in rows) else 1
+
+
+def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
+    """The plant's loops."""
+    files = files_of(options.sources)
+    try:
+        re.compile(options.tag_pattern)
+    except re.error as error:
+        raise UserError(f"--tag-pattern {options.tag_pattern}: {error}; give a regular expression") from error
+    found = catalogue(files, settings.form, options.tag_pattern)
+    if not found.tasks:
+        why = f"; {found.refused[0][1]}" if found.refused else ""
+        raise UserError(f"{options.sources[0]}: no loop in {len(files)} files{why}")
+    return found
+
+
+def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, store: ResultStore) -> bool:
+    """Do what is not done yet; whether it was stopped by Ctrl-C, with what was done kept."""
+    done = store.done()
+    signed = {task: signature(task, settings) for task in found.tasks}
+    left = [task for task in found.tasks if any(done.get(tag) != signed[task] for tag in task.tags)]
+    store.drop_others(set(found.tags))
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    quiet = options.as_json or not sys.stderr.isatty()
+    with Progress(*columns, console=screen_console(stderr=True), disable=quiet) as bar:
+        shown = bar.add_task("loops", total=len(found.tags), completed=len(found.tags) - sum(len(t.tags) for t in left))
+        try:
+            for task, rows in _done(left, settings, options):
+                store.keep(rows, signed[task])
+                bar.advance(shown, len(task.tags))
+        except KeyboardInterrupt:
+            return True
+    return False
+
+
+def _done(left: Sequence[Task], settings: AuditSettings, options: AuditOptions) -> Iterator[tuple[Task, list[Row]]]:
+    """Tasks with their rows as they are done."""
+    if options.scheduler:
+        return on_a_cluster(left, settings, options.scheduler)
+    jobs = options.jobs or processes()
+    return on_this_machine(left, settings, min(jobs, max(len(left), 1)))
+
+
+def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
+    """The first of the list."""
+    if options.as_json:
+        sys.stdout.write((options.out / "audit.json").read_text(encoding="utf-8"))
+        return
+    for path, reason in found.refused[:SHOWN]:
+        sys.stderr.write(f"left out: {reason if str(path) in reason else f'{path}: {reason}'}\n")
+    worth = [row for row in rows if is_fault(row)]
+    sys.stdout.write(f"{len(worth)} of {len(rows)} loops deserve a visit\n")
+    for row in worth[:SHOWN]:
+        sys.stdout.write(f"{row['place']:>4}  {row['tag']:<20}  {row['action']}: {row['reason']}\n")
+    sys.stdout.write(f"the page: {options.out / 'index.html'}\n")

@@ -1,0 +1,138 @@
+"""What an audit says of a whole record: numbers of known signals, stretches, verdicts over time, common swings."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.audit.common_swing import Swinging, common_swings
+from retuner.adaptive.audit.loop_screen import DAY_S, LoopScreen, harris_index, screen_loop
+from retuner.adaptive.audit.verdict import Action, StretchVerdict, joined_confidence, loop_verdict
+from retuner.adaptive.audit.windows import stretches_of_interest
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.signals.sample import Window
+
+N = 4000
+T = np.arange(N) * 10.0
+RNG = np.random.default_rng(5)
+
+
+def record(error: np.ndarray, co: np.ndarray | None = None, t_s: np.ndarray = T) -> Window:
+    walk = np.cumsum(RNG.normal(size=len(t_s)))
+    return Window(t_s, np.full(len(t_s), 50.0), 50.0 - error, walk if co is None else co)
+
+
+def test_the_numbers_of_a_sine_are_its_own() -> None:
+    period_s, amplitude = 600.0, 2.0
+    wave = amplitude * np.sin(2 * np.pi * T / period_s)
+    screen = screen_loop(record(wave + 0.01 * RNG.normal(size=N), co=5 * np.cos(2 * np.pi * T / period_s)))
+
+    assert screen.period_s == pytest.approx(period_s, rel=0.01)
+    assert screen.swinging == 1.0
+    assert screen.error_std == pytest.approx(amplitude / math.sqrt(2), rel=0.01)
+    assert screen.iae_per_day == pytest.approx(2 * amplitude / math.pi * DAY_S, rel=0.01)
+    assert screen.reversals_per_day == pytest.approx(2 * DAY_S / period_s, rel=0.05)
+    assert screen.effort_per_day == pytest.approx(20 * DAY_S / period_s, rel=0.02)
+
+
+def test_a_gap_is_no_time_on_record() -> None:
+    error = RNG.normal(size=N)
+    whole = screen_loop(record(error))
+    torn = screen_loop(record(error, t_s=T + np.where(np.arange(N) > N // 2, 5e5, 0.0)))
+
+    assert (whole.gaps, torn.gaps) == (0, 1)
+    assert torn.span_s == pytest.approx(whole.span_s, rel=0.01)
+    assert torn.iae_per_day == pytest.approx(whole.iae_per_day, rel=0.01)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("delay", [1, 3])
+def test_the_harris_index_of_an_autoregressive_error_is_the_analytic_one(phi: float, delay: int) -> None:
+    shocks = RNG.normal(size=60_000)
+    error = np.zeros_like(shocks)
+    for i in range(1, len(error)):
+        error[i] = phi * error[i - 1] + shocks[i]
+    least = (1 - phi**2) * sum(phi ** (2 * i) for i in range(delay))
+
+    assert harris_index(error, delay) == pytest.approx(1 - least, abs=0.02)
+
+
+def test_a_dead_signal_has_no_avoidable_error() -> None:
+    screen = screen_loop(record(np.zeros(N)))
+
+    assert screen.condition == Condition.DEAD_PV
+    assert screen.harris == 0.0
+    assert loop_verdict(screen, []).action == Action.SIGNAL
+
+
+@given(st.integers(1, 6), st.floats(100, 3000), st.integers(0, N - 2))
+def test_stretches_are_whole_apart_and_in_order(most: int, period_s: float, torn: int) -> None:
+    window = record(np.sin(T / 90), t_s=T + np.where(np.arange(N) > torn, 1e5, 0.0))
+    parts = stretches_of_interest(window, period_s, most)
+
+    assert 1 <= len(parts) <= most
+    for a, b in pairwise(parts):
+        assert a.t_s[-1] < b.t_s[0]
+    if len(parts) > 1:
+        assert max(float(np.max(np.diff(part.t_s))) for part in parts) < 1e5
+
+
+def test_a_stretch_is_taken_where_the_setpoint_moves() -> None:
+    long = np.arange(20_000) * 10.0
+    sp = np.where(long < 100_000, 50.0, 52.0)
+    window = Window(long, sp, sp + RNG.normal(size=len(long)), np.cumsum(RNG.normal(size=len(long))))
+    parts = stretches_of_interest(window, None, 3)
+
+    assert any(part.t_s[0] < 100_000 < part.t_s[-1] for part in parts)
+    assert parts[-1].t_s[-1] == long[-1]
+
+
+def seen(cause: Cause, confidence: float, begin_s: float = 0.0) -> StretchVerdict:
+    return StretchVerdict(begin_s, begin_s + 100, cause, confidence, f"because of {cause}")
+
+
+CALM = LoopScreen(4000, 4e4, 0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.5, 0.1, 1.0, None, 0.0, 0.0, 0.0, Condition.NORMAL)
+
+
+@given(st.floats(0.5, 0.99), st.floats(0.5, 0.99))
+def test_what_agrees_makes_surer_and_what_contradicts_less_sure(one: float, two: float) -> None:
+    alone = joined_confidence(Cause.STICTION, [seen(Cause.STICTION, one)])
+    both = joined_confidence(Cause.STICTION, [seen(Cause.STICTION, one), seen(Cause.STICTION, two)])
+    against = joined_confidence(Cause.STICTION, [seen(Cause.STICTION, one), seen(Cause.OK, two)])
+    unsaid = joined_confidence(Cause.STICTION, [seen(Cause.STICTION, one), seen(Cause.UNKNOWN, two)])
+
+    assert against <= alone <= both <= 0.98
+    assert unsaid == alone
+
+
+def test_the_verdict_tells_since_when_and_how_often() -> None:
+    stretches = [seen(Cause.OK, 0.8), seen(Cause.AGGRESSIVE, 0.9, 500), seen(Cause.AGGRESSIVE, 0.95, 900)]
+    told = loop_verdict(CALM, stretches)
+
+    assert (told.cause, told.action, told.since_s) == (Cause.AGGRESSIVE, Action.RETUNE, 500)
+    assert (told.seen, told.looked_at) == (2, 3)
+    assert told.rank > 0
+
+
+def test_a_loop_in_order_is_not_visited_and_an_unknown_swing_is_looked_at() -> None:
+    calm = loop_verdict(CALM, [seen(Cause.OK, 0.9), seen(Cause.NOISE, 0.8)])
+    assert (calm.action, calm.rank) == (Action.NOTHING, 0.0)
+    unknown = [seen(Cause.UNKNOWN, 0.5)]
+    assert loop_verdict(CALM, unknown).action == Action.RECORD
+    swings = loop_verdict(replace(CALM, swinging=1.0, strength=0.8, period_s=60.0), unknown)
+    assert (swings.action, swings.rank > 0) == (Action.LOOK, True)
+
+
+def test_loops_of_one_period_swing_together_and_the_valve_is_the_root() -> None:
+    loops = [Swinging("A", 100.0, 0.1), Swinging("B", 102.0, 0.05, sticks=True), Swinging("C", 101.0, 0.02)]
+    groups = common_swings([*loops, Swinging("D", 300.0, 0.5)])
+
+    assert [group.tags for group in groups] == [("B", "A", "C")]
+    assert groups[0].root == "B"
+    assert common_swings([loops[0], loops[2]])[0].root == "A"
+    assert common_swings([loops[0], Swinging("E", 100.0, 0.09)])[0].root is None

@@ -1,0 +1,195 @@
+"""retuner audit: what a plant's files hold, rows that are kept, the ranked page, and what breaks on the way."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from audit_work import dies_or_works
+
+from retuner.audit.catalogue import Task, catalogue, files_of
+from retuner.audit.loop_row import AuditSettings, Row, audit_task, drawn
+from retuner.audit.result_store import ResultStore, rows_of
+from retuner.audit.results import change, ranked, write_results
+from retuner.audit.working import on_a_cluster, on_this_machine
+from retuner.cli import main
+from retuner.drivers.historian.record_form import RecordForm
+from retuner.drivers.recorded.recording import RecordingError, read_recording
+from retuner.errors import UserError
+
+DATA = Path(__file__).parent.parent / "data"
+VALVE = DATA / "plant" / "FIC20102_1016_12.csv"
+FORM = RecordForm()
+RNG = np.random.default_rng(3)
+
+
+def table(path: Path, names: str, columns: int, rows: int = 300) -> Path:
+    noise = RNG.normal(size=(rows, columns)) + 50
+    lines = [",".join([str(10 * i), *(f"{v:.3f}" for v in row)]) for i, row in enumerate(noise)]
+    path.write_text(names + "\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Path:
+    folder = tmp_path / "plant"
+    (folder / "unit").mkdir(parents=True)
+    table(folder / "unit" / "wide.csv", "t,A.SP,A.PV,A.OP,B.SP,B.PV,B.OP,C.PV", 7)
+    table(folder / "D.PV.csv", "t,value", 1)
+    table(folder / "D.OP.csv", "t,value", 1)
+    table(folder / "FIC7_monday.csv", "t,sp,pv,co", 3)
+    table(folder / "FIC7_tuesday.csv", "t,sp,pv,co", 3)
+    (folder / "notes.txt").write_text("no record\n", encoding="utf-8")
+    (folder / "half.csv").write_text("t,sp,pv,co\n0,1,2", encoding="utf-8")
+    return folder
+
+
+def test_the_catalogue_finds_loops_in_whatever_holds_them(plant: Path) -> None:
+    found = catalogue(files_of([plant]), FORM, r"^([A-Z]+\d+)_")
+    by_tags = {task.tags: task for task in found.tasks}
+
+    assert set(by_tags) == {("A", "B"), ("D",), ("FIC7",)} | {tags for tags in by_tags if tags == ("half",)}
+    assert len(by_tags["FIC7",].files) == 2
+    assert by_tags["FIC7",].separate
+    assert {path.name for path in by_tags["D",].files} == {"D.PV.csv", "D.OP.csv"}
+    assert any("notes.txt" in reason for _, reason in found.refused)
+    assert any(reason.startswith("C: no co") for _, reason in found.refused)
+
+
+def test_a_long_table_is_looked_through_for_its_tags(tmp_path: Path) -> None:
+    rows = [f"X.{role},{10 * i},{50 + i % 3}" for i in range(30) for role in ("PV", "SP", "OP")]
+    path = tmp_path / "long.csv"
+    path.write_text("tag,time,value\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+    assert catalogue([path], FORM).tags == ("X",)
+
+
+def test_files_are_found_by_pattern_and_a_missing_one_is_told(plant: Path) -> None:
+    assert [p.name for p in files_of([plant / "FIC7_*.csv"])] == ["FIC7_monday.csv", "FIC7_tuesday.csv"]
+    with pytest.raises(RecordingError, match="no such file or folder"):
+        files_of([plant / "nowhere"])
+
+
+def test_a_real_valve_is_sent_to_the_workshop_and_never_retuned() -> None:
+    (row,) = audit_task(Task(("FIC20102",), (VALVE,), separate=True), AuditSettings(2))
+
+    assert (row["cause"], row["action"]) == ("stiction", "valve to the workshop")
+    assert row["settings"] is None
+    json.dumps(row, allow_nan=False)
+
+
+def test_a_record_that_cannot_be_used_is_a_row_with_the_reason(plant: Path) -> None:
+    rows = audit_task(Task(("D",), (plant / "D.PV.csv", plant / "D.OP.csv")), AuditSettings(1))
+    assert "no setpoint" in str(rows[0]["failed"])
+    rows = audit_task(Task(("half",), (plant / "half.csv",), separate=True), AuditSettings(1))
+    assert "half.csv" in str(rows[0]["failed"])
+
+
+def test_a_trend_is_drawn_without_losing_a_peak() -> None:
+    window = read_recording(VALVE).window()
+    thin = drawn(window, 100)
+
+    assert len(thin["pv"]) <= 100
+    assert max(thin["pv"]) == pytest.approx(float(window.pv.max()), rel=1e-5)
+    assert min(thin["co"]) == pytest.approx(float(window.co.min()), rel=1e-5)
+
+
+def row(tag: str, rank: float, cause: str = "aggressive", **more: object) -> Row:
+    return {"schema": 1, "tag": tag, "rank": rank, "cause": cause, "action": "retune", "avoidable": 0.5, **more}
+
+
+def swinging(period_s: float) -> dict[str, object]:
+    return {"period_s": period_s, "swinging": 1.0}
+
+
+def test_rows_are_ranked_and_what_comes_from_another_loop_waits_for_it() -> None:
+    rows = [
+        row("upset", 0.9, "external", screen=swinging(100.0)),
+        row("valve", 0.5, "stiction", screen=swinging(101.0)),
+        row("calm", 0.0, "ok"),
+    ]
+    listed, groups = ranked(rows, [row("valve", 0.1, "ok"), row("calm", 0.0, "ok")])
+
+    assert [r["tag"] for r in listed] == ["valve", "upset", "calm"]
+    assert listed[1]["action"] == "look at valve first"
+    assert groups[0].root == "valve"
+    assert [r["change"] for r in listed] == ["worse: was ok", "new", "same"]
+    assert change(row("x", 0.1), row("x", 0.5)) == "better"
+
+
+def test_names_cannot_leave_the_page(tmp_path: Path) -> None:
+    write_results(tmp_path, [row("</script><script>alert(1)", 0.5, reason="<b>")], [], [])
+
+    assert "</script><script>alert" not in (tmp_path / "audit-data.js").read_text(encoding="utf-8")
+    assert "<" not in (tmp_path / "loops" / "1.js").read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "audit.json").read_text(encoding="utf-8"))["rows"][0]["place"] == 1
+
+
+def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = tmp_path / "plant", tmp_path / "out"
+    folder.mkdir()
+    table(folder / "A.csv", "t,sp,pv,co", 3)
+    (folder / "B.csv").write_text("t,sp,pv,co\n0,1,2,3\n", encoding="utf-8")
+    arguments = ["audit", str(folder), "--out", str(out), "--jobs", "1", "--stretches", "1"]
+    assert main([*arguments, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert {r["tag"] for r in document["rows"]} == {"A", "B"}
+    with ResultStore(out) as store:
+        before = store.done()
+    table(folder / "A.csv", "t,sp,pv,co", 3, rows=310)
+    assert main([*arguments, "--since", str(out)]) == 0
+    assert "deserve a visit" in capsys.readouterr().out
+    with ResultStore(out) as store:
+        after = store.done()
+    assert after["B"] == before["B"]
+    assert after["A"] != before["A"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--stretches", "0"], "stretches = 0: give 1 to 24"),
+        (["--since", "nowhere"], "no audit in it"),
+        (["--tag-pattern", "("], "--tag-pattern"),
+    ],
+)
+def test_wrong_options_end_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    table(tmp_path / "A.csv", "t,sp,pv,co", 3)
+    assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+
+
+def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "x.csv").write_text("nothing here\n", encoding="utf-8")
+    assert main(["audit", str(tmp_path)]) == 2
+    assert "no loop in 1 files" in capsys.readouterr().err
+    with ResultStore(tmp_path / "old") as store:
+        store.keep([{**row("A", 1.0), "schema": 99}], "x")
+    with pytest.raises(UserError, match="of schema 99"):
+        rows_of(tmp_path / "old")
+
+
+def test_a_process_that_dies_costs_its_own_loop_only() -> None:
+    tasks = [Task((name,), ()) for name in ("a", "killer", "b", "c")]
+    rows = {str(r["tag"]): r for _, some in on_this_machine(tasks, AuditSettings(), 2, dies_or_works) for r in some}
+
+    assert set(rows) == {"a", "killer", "b", "c"}
+    assert "died twice" in str(rows["killer"]["failed"])
+    assert all("failed" not in rows[name] for name in "abc")
+
+
+def test_a_cluster_does_the_same_work() -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+    task = Task(("FIC20102",), (VALVE,), separate=True)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        ((done, rows),) = on_a_cluster([task], AuditSettings(1), cluster.scheduler_address)
+    assert done == task
+    assert rows[0]["cause"] == "stiction"
