@@ -7,6 +7,9 @@ and what it would change. What a decision asks for is put in force without a bum
 (COMMIT), `restored` after what was taken back (RESTORE). A loop that leaves the second one out stays on a bad set; one
 that just stops leaves a change undecided: `abort` says what is to run then. Where somebody else sets gains beside it,
 tell that as well: `retuner.edited(gains)`; they are kept.
+
+A decision takes a tenth of a second to a second. Where that may not hold up the loop, give the retuner to a
+`BackgroundRetuner`: its `observe` never waits, the decision comes with a later sample.
 """
 
 from retuner import GainTable, LoopSample, PidGains, Retuner, RetunerSettings

@@ -220,11 +220,9 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
     explained = left < settings.second_explained
-    if left > (settings.explained_steps if steps > 1 else settings.explained) or loads >= (
-        settings.many_loads_beside if steps else settings.many_loads
-    ):
-        reason = f"an unexplained disturbance: {loads:.0f} load steps and still {left:.1f} times the noise is left"
-        return Doubt(Cause.UNKNOWN, reason, explained)
+    unexplained = _unexplained(steps, loads, left, settings)
+    if unexplained:
+        return Doubt(Cause.UNKNOWN, unexplained, explained)
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
@@ -244,6 +242,15 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         reason = "the process that fits would be unstable with the gains in force, and the record does not grow"
         return Doubt(Cause.UNKNOWN, reason)
     return None
+
+
+def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSettings) -> str:
+    """Why the loop by itself does not explain a record, or only with load steps enough for any; empty when it does."""
+    if left > (settings.explained_steps if steps > 1 else settings.explained):
+        return f"an unexplained disturbance: {loads:.0f} load steps and still {left:.1f} times the noise is left"
+    if loads >= (settings.many_loads_beside if steps else settings.many_loads):
+        return f"an unexplained disturbance: it takes {loads:.0f} load steps to explain the record; so many explain any"
+    return ""
 
 
 def _explained(best: Candidate, noise_share: float) -> float:

@@ -193,6 +193,19 @@ def factor_text(log: float) -> str:
     return f"{math.exp(log):.2f}" if log < MOST_LOG else "over 1000"
 
 
+MOST_DIGITS = 6
+"""Digits after which two factors are told as they are."""
+
+
+def factors_text(log: float, limit: float) -> tuple[str, str]:
+    """A logarithm and the limit that it is over, as factors with digits enough to tell them apart."""
+    for digits in range(2, MOST_DIGITS):
+        texts = f"{math.exp(min(log, MOST_LOG)):.{digits}f}", f"{math.exp(limit):.{digits}f}"
+        if texts[0] != texts[1]:
+            break
+    return (texts[0] if log < MOST_LOG else factor_text(log)), texts[1]
+
+
 @dataclass(frozen=True, slots=True)
 class ModelEstimate:
     """The outcome of identification of one record.

@@ -30,6 +30,7 @@ from retuner.adaptive.identification.estimate import (
     ModelEstimate,
     RivalModel,
     factor_text,
+    factors_text,
     gain_spread,
     proper_covariance,
 )
@@ -376,16 +377,17 @@ def _judge(
         )
     gain_std = max(log.gain_uncertainty(record.sample_time_s), gain_spread(around, record.sample_time_s))
     if gain_std > settings.gain_std_limit:
+        known, needed = factors_text(gain_std, settings.gain_std_limit)
         return False, (
-            f"the controller gain that follows is known to a factor of {factor_text(gain_std)}; "
-            f"{factor_text(settings.gain_std_limit)} is needed: the record moves the process too little"
+            f"the controller gain that follows is known to a factor of {known}; {needed} is needed: the record moves "
+            "the process too little"
         )
     plain = without_second_lag(model)
     lag_std = log.lag_uncertainty()
     if plain.theta_s < plain.tau1_s < 8 * plain.theta_s and lag_std > settings.lag_std_limit:
         return (
             False,
-            f"the lag is known to a factor of {factor_text(lag_std)}; {factor_text(settings.lag_std_limit)} is needed",
+            "the lag is known to a factor of {}; {} is needed".format(*factors_text(lag_std, settings.lag_std_limit)),
         )
     return True, f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 
