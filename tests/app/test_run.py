@@ -278,9 +278,7 @@ def test_a_ledger_that_fails_changes_nothing_more_and_ends_the_run_in_one_line(
     assert isinstance(database, cantools.database.Database)
     commit = database.get_message_by_name("COMMIT").frame_id & 0x1F
     commits = sum(frame.arbitration_id & 0x1F == commit for frame in can.BLFReader(out / "bus.blf"))
-    taken_back = failing == "committed"  # the one thing that is done without a row: the way back to the verified set
-    assert commits == kinds.count("intent") + taken_back == summary["revision"]
-    assert not taken_back or summary["scores"][0]["after"] == summary["scores"][0]["before"]
+    assert commits == kinds.count("intent") == summary["revision"]  # what was written had been recorded before
 
 
 def test_a_bus_log_that_fails_is_told_and_the_run_goes_on(quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -353,15 +351,5 @@ def test_a_signal_in_the_middle_of_a_row_waits_until_what_the_row_tells_of_is_do
         assert reader.verify().ok
         rows = list(reader.rows())
     kinds = [row.kind for row in rows]
-    assert kinds[kinds.index("committed") :] == [
-        "committed",
-        "trial",
-        "abort",
-        "decision",
-        "restore",
-        "intent",
-        "committed",
-        "restored",
-        "end",
-    ]
-    assert json.loads(rows[-2].text)["gains"] == summary["scores"][0]["after"] == summary["scores"][0]["before"]
+    assert kinds[kinds.index("committed") :] == ["committed", "trial", "abort", "decision", "restored", "end"]
+    assert json.loads(rows[-2].text)["gains"] == summary["scores"][0]["after"] != summary["scores"][0]["before"]
