@@ -121,7 +121,7 @@ def _data(recorded: RecordedSession, rows: list[Row], columns: Columns) -> Repor
         facts=_facts(recorded),
         stopped=recorded.end is None or bool(recorded.end.get("interrupted")),
         advice=[words(one, "sentence") for one in parts(summary, "advice")],
-        ms_limit=config.adaptation.ms_nominal,
+        ms_limit=config.adaptation.ms_marked,
     )
 
 

@@ -344,7 +344,7 @@ def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: Loop
         facts=_facts(job, ledger, trend.name, i) | ({"not restored": loop.left_open} if loop.left_open else {}),
         stopped=config.scenario is not None and not loop.scenario.finished,
         advice=[one.sentence for one in advice_of(loop)],
-        ms_limit=config.adaptation.ms_nominal,
+        ms_limit=config.adaptation.ms_marked,
     )
     write_whole(folder / REPORT, render(data))
     return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder))
@@ -381,7 +381,7 @@ def _show(
     screen.pause()
     for one in left:
         name = one.loop.name if several else ""
-        limit = job.config.loops[job.config.names.index(one.loop.name)].adaptation.ms_nominal
+        limit = job.config.loops[job.config.names.index(one.loop.name)].adaptation.ms_marked
         screen.table(
             scores_table(one.scores, one.unit, name, limit), partial(narrow_scores, one.scores, one.unit, name)
         )

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Literal
 
+from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.config.learning import AdmissionConfig, LimitsConfig, PatternConfig
 from retuner.config.setting import Many, Problem, Section, setting
 
@@ -189,6 +190,11 @@ class AdaptationConfig(Section):
         default=None,
         source="user",
     )
+
+    @property
+    def ms_marked(self) -> float:
+        """Ms from which a loop is marked as not robust: of the true process, where it is known, 1.8 by design."""
+        return max(self.ms_nominal, CauseSettings().ms_high)
 
     def problems(self) -> Iterator[Problem]:
         """Limits that leave room."""

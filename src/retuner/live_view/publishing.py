@@ -24,7 +24,7 @@ def head_of(config: Config, table: GainTable, *, several: bool = False) -> dict[
         "pv": [loop.pv_min, loop.pv_max],
         "co": [loop.co_min_pct, loop.co_max_pct],
         "sample_time_s": loop.sample_time_s,
-        "ms_limit": config.adaptation.ms_nominal,
+        "ms_limit": config.adaptation.ms_marked,
         "approval_s": config.adaptation.approval_s,
         "regions": list(regions.names),
         "axes": [{"label": axis.label, "unit": axis.unit, "bounds": list(axis.bounds)} for axis in regions.axes],

@@ -177,7 +177,7 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
         )
     note = (
         "Settings in series form unless marked. Ms is the peak of the sensitivity on the true process, the largest "
-        f"over the operating points visited; the limit is {data.ms_limit:g} ([adaptation] ms_nominal)."
+        f"over the operating points visited; the limit is {data.ms_limit:g}."
     )
     return table(heads, rows) + paragraph(note, "muted")
 
