@@ -566,5 +566,4 @@ $("login").addEventListener("click", async () => {
   await post("/api/logout", {}).catch(() => {});
   setActing(false);
 });
-get("/api/who").then((who) => { state.readOnly = who.read_only; setActing(who.acting); if (who.read_only) $("login").hidden = true; }).catch(() => {});
-route();
+get("/api/who").then((who) => { state.readOnly = who.read_only; setActing(who.acting); if (who.read_only) $("login").hidden = true; }).catch(() => {}).finally(route); // a token in the address counts after it
