@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.historian.raw_table import Column, RawTable
 from retuner.drivers.recorded.recording import RecordingError
 
@@ -23,18 +23,15 @@ def table_of_frame(frame: object) -> RawTable:
     RecordingError
         A column can be made neither numbers nor times nor text.
     """
-    reset = getattr(frame, "reset_index", None)
-    assumed: tuple[Assumption, ...] = ()
-    if reset is not None:
-        index = frame.index  # type: ignore[attr-defined]
+    given: Any = frame  # of whichever library: nothing is imported to name its type
+    if hasattr(given, "reset_index"):
+        index = given.index
         if index.name is not None or np.asarray(index).dtype.kind == "M":
-            frame = reset(names="t") if index.name is None else reset()
-    names = list(getattr(frame, "column_names", None) or frame.columns)  # type: ignore[attr-defined]
-    columns = [_column(str(name), frame[name]) for name in names]  # type: ignore[index]
+            given = given.reset_index(names="t") if index.name is None else given.reset_index()
+    names = list(getattr(given, "column_names", None) or given.columns)
+    columns = [_column(str(name), given[name]) for name in names]
     size = len(columns[0]) if columns else 0
-    return RawTable(
-        "the frame", tuple(map(str, names)), tuple(columns), [f": row {i + 1}" for i in range(size)], assumed
-    )
+    return RawTable("the frame", tuple(map(str, names)), tuple(columns), [f": row {i + 1}" for i in range(size)])
 
 
 def _column(name: str, series: object) -> Column:
