@@ -15,8 +15,8 @@ from retuner.drivers.recorded.recording import NUMBER, RecordingError
 COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?")
 THOUSANDS = MappingProxyType(
     {
-        ".": re.compile(r"[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+"),
-        ",": re.compile(r"[+-]?[0-9]{1,3}(?:\.[0-9]{3})+,[0-9]+"),
+        ".": re.compile(r"[+-]?[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?"),
+        ",": re.compile(r"[+-]?[1-9][0-9]{0,2}(?:\.[0-9]{3})+(?:,[0-9]+)?"),
     }
 )
 THREE_AFTER = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
@@ -78,6 +78,8 @@ def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> Floa
 
 def _number(table: RawTable, place: int, row: int, text: str, decimal: str, missing: frozenset[str]) -> float:
     """One field."""
+    if text.lower() in missing:
+        return np.nan
     if decimal == "." and NUMBER.fullmatch(text):
         return float(text)
     plain = text.removesuffix("%")
@@ -88,7 +90,7 @@ def _number(table: RawTable, place: int, row: int, text: str, decimal: str, miss
         plain = plain.replace(",", "")
     if NUMBER.fullmatch(plain):
         return float(plain)
-    if text.lower() in missing or SYSTEM_STATE.fullmatch(text):
+    if SYSTEM_STATE.fullmatch(text):
         return np.nan
     why = f" is no number; if it stands for a missing value say --bad {quoted(text[:40])}"
     if decimal == "." and COMMA.fullmatch(text):

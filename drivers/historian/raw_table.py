@@ -75,6 +75,7 @@ def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None)
         raise RecordingError(f"{path}: there is nothing in it; give a record with time, pv and co")
     delimiter = DELIMITERS.get(form.delimiter) or _delimiter([line for _, line in _sample(lines)])
     rows = [(number, _fields(path, number, line, delimiter)) for number, line in lines]
+    rows = [(number, fields) for number, fields in rows if any(field.strip() for field in fields)]
     header, body, cut = _shape(path, rows, form)
     assumed += cut
     names, told = _names(header, len(body[0][1]))
@@ -185,6 +186,8 @@ def _shape(path: Path, rows: Rows, form: RecordForm) -> tuple[list[list[str]], R
     if form.header is not None:
         first = max(first, sum(number <= form.header for number, _ in rows))
     before, body = rows[:first], rows[first:]
+    if not body:
+        raise RecordingError(f"{path}: header = {form.header}: no rows after it; lines are counted from 1")
     told: tuple[Assumption, ...] = ()
     if len(body) > 1 and len(body[-1][1]) != width:
         told = (Assumption("the last line is cut: left out"),)
@@ -195,7 +198,20 @@ def _shape(path: Path, rows: Rows, form: RecordForm) -> tuple[list[list[str]], R
             raise RecordingError(f"{path}:{number}: {len(fields)} fields, other rows have {width}{hint}")
     if form.header is not None:
         return [fields for number, fields in before if number == form.header], body, told
+    _refuse_shifted(path, before, body, width)
     return [fields for _, fields in before if width in {len(fields), len(fields) + 1}], body, told
+
+
+def _refuse_shifted(path: Path, before: Rows, body: Rows, width: int) -> None:
+    """Refuse a header with a name less than the rows have fields, where their last field is not just a delimiter."""
+    if any(len(fields) == width for _, fields in before) or not any(fields[-1].strip() for _, fields in body):
+        return
+    for number, fields in before:
+        if len(fields) == width - 1 and known_roles(fields):
+            raise RecordingError(
+                f"{path}:{number}: {width - 1} names over rows of {width} fields (a comma in a stamp, row numbers?); "
+                "give each column its name, or --record with header = 0, and --columns t=1,pv=2,..."
+            )
 
 
 def _names(candidates: list[list[str]], width: int) -> tuple[tuple[str, ...], tuple[Assumption, ...]]:

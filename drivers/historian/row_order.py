@@ -37,13 +37,16 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
     """
     told: list[Assumption] = []
     places = np.flatnonzero(np.isfinite(t_s))
+    if len(places) < len(t_s):
+        told.append(Assumption(f"{len(t_s) - len(places)} rows without a stamp: left out"))
     steps = np.diff(t_s[places])
     if len(steps) and np.mean(steps <= 0) > 1 - FEW and np.any(steps < 0):
         places = places[::-1]
         told.append(Assumption("newest first: turned round"))
         steps = np.diff(t_s[places])
     back = np.flatnonzero(steps < 0)
-    if len(back) > FEW * len(places):
+    displaced = _displaced(t_s[places]) if len(back) else 0
+    if displaced > FEW * len(places):
         i = places[back[0] + 1]
         raise RecordingError(
             f"{source}: sample {i + 1}: t = {t_s[i]:.12g} follows {t_s[places[back[0]]]:.12g}; time must increase, "
@@ -51,9 +54,19 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
         )
     if len(back):
         places = places[np.argsort(t_s[places], kind="stable")]
-        told.append(Assumption(f"{len(back)} rows out of order: put in place"))
+        told.append(Assumption(f"{displaced} rows out of order: put in place"))
     places, stamps, more = _distinct(places, t_s[places])
     return places, stamps, told + more
+
+
+def _displaced(t_s: FloatArray) -> int:
+    """Rows that stand in a wrong place: those before the latest until then, or those after the earliest from then on.
+
+    One step back may be a late row; it is a second record where many rows after it are early.
+    """
+    late = np.sum(t_s < np.maximum.accumulate(t_s))
+    early = np.sum(t_s > np.minimum.accumulate(t_s[::-1])[::-1])
+    return int(min(late, early))
 
 
 def _distinct(places: np.ndarray, stamps: FloatArray) -> tuple[np.ndarray, FloatArray, list[Assumption]]:

@@ -4,7 +4,7 @@ A wide table has a column for each signal; a long one has a row for each value, 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 import numpy as np
@@ -161,6 +161,8 @@ def _stamps(table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form:
             "or say --dt with the seconds between rows"
         )
     _refuse_repeated(table, place)
+    if "t" not in form.columns:
+        _refuse_other_clocks(table, times)
     column = table.columns[place]
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
         return Stamps(np.where(np.isnat(column), np.nan, column.astype("datetime64[ns]").astype(np.int64) / 1e9))
@@ -170,6 +172,17 @@ def _stamps(table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form:
         days = [str(d) for d in apart] if apart is not None else None
         return from_text(text, days, form, table.source)
     return from_numbers(numbers(table, place, decimal, form), table.names[place], _unit(table.names[place]), form)
+
+
+def _refuse_other_clocks(table: RawTable, times: Sequence[int]) -> None:
+    """Refuse times of several tags that differ between the rows: each signal has a clock of its own there."""
+    tags = {named(table.names[place]).tag for place in times}
+    first, *others = [[str(field).strip() for field in table.columns[place]] for place in times] or [[]]
+    if len(tags) > 1 and any(other != first for other in others):
+        names = ", ".join(table.names[place] for place in times[:3])
+        raise RecordingError(
+            f"{table.source}: each signal has times of its own ({names}); give a file for each signal, as FIC101.PV.csv"
+        )
 
 
 def _written_out(fields: Sequence[str]) -> bool:
@@ -199,8 +212,8 @@ def _by_content(table: RawTable) -> int | None:
 def _good(table: RawTable, places: Sequence[int], form: RecordForm, told: list[Assumption]) -> np.ndarray:
     """Rows whose quality is good."""
     rows = np.ones(len(table.places), dtype=bool)
-    named_so = form.columns.get("quality")
-    places = [table.names.index(named_so)] if named_so in table.names else places
+    named_so = _column(table, "quality", form, ())
+    places = places if named_so is None else [named_so]
     for place in places:
         rows &= good(table, place, form)
     if not rows.all():
@@ -271,19 +284,43 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     assert value_at is not None
     tags = np.array([str(field).strip() for field in table.columns[tag_at]])
     decimal, mark = decimal_mark(table, [value_at], form)
-    values = numbers(table, value_at, decimal, form)
     stamps = _stamps(table, {"": plain}, form, decimal)
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
     told += [*mark, *stamps.assumed]
-    for name in np.unique(tags):
-        read = named(str(name))
-        role = "co" if read.role == "mv" else read.role
-        if role not in SIGNALS or (form.tag and read.tag.lower() != form.tag.lower()):
-            continue
-        mine = np.flatnonzero((tags == name) & np.isfinite(values) & good_rows)
-        rows, t_s, more = in_order(stamps.t_s[mine], table.source)
+    for tag, role, name in _signals_named(table, sorted(set(tags)), form):
+        of_it = np.flatnonzero(tags == name)
+        values = numbers(_rows(table, of_it), value_at, decimal, form)
+        fine = np.isfinite(values) & good_rows[of_it]
+        rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
         told += more
-        known.setdefault(read.tag, {})[role] = Trend(t_s, values[mine][rows])
-        told.append(Assumption(f"{role} is {quoted(str(name))}"))
+        known.setdefault(tag, {})[role] = Trend(t_s, values[fine][rows])
+        told.append(Assumption(f"{role} is {quoted(name)}"))
     return TableSignals(table.source, known, tuple(told))
+
+
+def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> list[tuple[str, str, str]]:
+    """Tag, role and name of the signals among the names of a long table.
+
+    Raises
+    ------
+    RecordingError
+        Two names are the same signal of a loop.
+    """
+    found = []
+    for tag, roles in loops(names).items():
+        if form.tag and tag.lower() != form.tag.lower():
+            continue
+        for role in SIGNALS:
+            places = roles.get(role, [])
+            if len(places) > 1:
+                both = " and ".join(quoted(names[place]) for place in places[:2])
+                raise RecordingError(f"{table.source}: {both} may both be {role} of {tag}; leave one out of the export")
+            found += [(tag, role, names[place]) for place in places]
+    return found
+
+
+def _rows(table: RawTable, rows: np.ndarray) -> RawTable:
+    """Some rows of a table."""
+    columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[row] for row in rows] for c in table.columns)
+    return replace(table, columns=columns, places=[table.places[row] for row in rows])

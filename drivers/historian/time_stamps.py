@@ -56,6 +56,7 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
     ----------
     values : nan where missing. name : of the column. unit : that its name tells, or "".
     """
+    values = np.where(np.isfinite(values), values, np.nan)
     if form.time_unit or unit in TIME_UNITS:
         return Stamps(values * TIME_UNITS[form.time_unit or unit])
     typical = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
@@ -166,17 +167,22 @@ def _at(day: datetime, clock: re.Match[str]) -> datetime:
         if not 1 <= hour <= 12:
             raise _UnfitError(clock[0])
         hour = hour % 12 + (12 if clock["half"][0] in "Pp" else 0)
-    if hour > 24 or minute > 59 or second > 60:
-        raise _UnfitError(clock[0])
     fraction = float(f"0.{clock['f']}") if clock["f"] else 0.0
-    moment = day + timedelta(hours=hour, minutes=minute, seconds=second + fraction)
-    zone = clock["zone"]
-    if not zone:
-        return moment
-    if zone[0] not in "+-":
-        return moment.replace(tzinfo=UTC)
-    offset = timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
-    return moment.replace(tzinfo=timezone(-offset if zone[0] == "-" else offset))
+    if hour > 24 or minute > 59 or second > 60 or (hour == 24 and minute + second + fraction > 0):
+        raise _UnfitError(clock[0])
+    try:
+        moment = day + timedelta(hours=hour, minutes=minute, seconds=second + fraction)
+        return moment.replace(tzinfo=_zone(clock["zone"])) if clock["zone"] else moment
+    except (OverflowError, ValueError):
+        raise _UnfitError(clock[0]) from None
+
+
+def _zone(text: str) -> timezone:
+    """A zone as a stamp writes it: Z, +01:00."""
+    if text[0] not in "+-":
+        return UTC
+    offset = timedelta(hours=int(text[1:3]), minutes=int(text[-2:]))
+    return timezone(-offset if text[0] == "-" else offset)
 
 
 def _digits(text: str) -> datetime:

@@ -384,3 +384,70 @@ def test_a_form_validates_what_it_is_given() -> None:
     for wrong in ({"sp": np.inf}, {"dt_s": 0.0}, {"header": -1}, {"encoding": "klingon"}, {"time_unit": "fortnight"}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             replace(RecordForm(), **wrong)
+
+
+LONG_T = np.arange(300) * 10.0
+AGAIN = [
+    *(f"{t},50,{50 + i % 3},30" for i, t in enumerate(LONG_T)),
+    *(f"{t},50,{60 + i % 3},30" for i, t in enumerate(LONG_T)),
+]
+OWN = [t.replace(":00", ":03") for t in stamps("%Y-%m-%d %H:%M:%S")]
+STAMPED = stamps("%Y-%m-%d %H:%M:%S")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("t,sp,pv,co\n" + "\n".join(AGAIN), "time must increase, so cut the file where another record begins"),
+        (text("Time,SP,PV,OP", stamps("%Y-%m-%d %H:%M:%S,120"), SP, PV, CO), "4 names over rows of 5 fields"),
+        (text("t,sp,pv,co", range(N), T, SP, PV, CO), "4 names over rows of 5 fields"),
+        (text("F1.PV Time,F1.PV,F1.OP Time,F1.OP", STAMPED, PV, OWN, CO), "each signal has times of its own"),
+        (text("Time,SP,PV,OP", ["9999-12-31 24:00:00"] * N, SP, PV, CO), "is of no usual form"),
+        (text("Time,SP,PV,OP", stamps("%Y-%m-%dT%H:%M:%S+99:99"), SP, PV, CO), "is of no usual form"),
+        (text("Time,SP,PV,OP", [f"2024-03-14 24:{i:02d}:00" for i in range(N)], SP, PV, CO), "is of no usual form"),
+        (text("Tag,t,Value", ["A.OP", "A.OUT", "A.PV"] * 20, T, PV), '"A.OP" and "A.OUT" may both be co of A'),
+    ],
+)
+def test_what_would_be_read_wrong_in_silence_is_refused(
+    written: Callable[..., Path], content: str, message: str
+) -> None:
+    with pytest.raises(RecordingError) as refused:
+        read_loop_record([written(content)])
+
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_option_that_a_refusal_names_answers_it(written: Callable[..., Path]) -> None:
+    whole = [str(i) for i in range(N)]
+    path = written(text("t;sp;pv;co", whole, ["1,150"] * N, [f"1,{100 + i}" for i in range(N)], whole, sep=";"))
+
+    assert read_loop_record([path], RecordForm(decimal=".")).recording.pv[1] == 1101.0
+    assert read_loop_record([path], RecordForm(decimal=",")).recording.pv[1] == 1.101
+    with pytest.raises(RecordingError, match="no rows after it"):
+        read_loop_record([path], RecordForm(decimal=".", header=99))
+    with pytest.raises(RecordingError, match='no column "fit"'):
+        read_loop_record([path], RecordForm(decimal=".", columns={"quality": "fit"}))
+
+
+def test_a_number_that_stands_for_a_missing_value_is_left_out_where_that_is_said(written: Callable[..., Path]) -> None:
+    path = written(text("t,sp,pv,co", T, SP, [-9999 if i == 7 else v for i, v in enumerate(PV)], CO))
+
+    assert read_loop_record([path], RecordForm(bad=("-9999",))).recording.pv.min() > 0
+
+
+def test_blank_lines_of_a_spreadsheet_are_no_rows_and_a_missing_stamp_is_told(written: Callable[..., Path]) -> None:
+    blank = read_loop_record([written(text("t,sp,pv,co", T, SP, PV, CO) + ",,,\n" * 50)])
+    total = read_loop_record([written(text("t,sp,pv,co", T, SP, PV, CO) + ",52,50,30\n")])
+
+    is_the_loop(blank)
+    assert blank.assumed == ()
+    is_the_loop(total)
+    assert in_a_line(total.assumed) == "1 rows without a stamp: left out"
+
+
+def test_a_long_table_may_hold_text_of_other_tags(written: Callable[..., Path]) -> None:
+    both = [("A.SP", SP), ("A.PV", PV), ("A.OP", CO), ("A.MODE", ["AUTO"] * N)]
+    rows = [f"{name},{t},{column[i]}" for i, t in enumerate(T) for name, column in both]
+
+    is_the_loop(read_loop_record([written("Tag,t,Value\n" + "\n".join(rows))]))
