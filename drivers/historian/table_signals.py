@@ -6,6 +6,7 @@ A wide table has a column for each signal; a long one has a row for each value, 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from retuner.drivers.historian.cells import decimal_mark, good, numbers
 from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.row_order import Trend, in_order
-from retuner.drivers.historian.tags import TIME_UNIT, loops, named
+from retuner.drivers.historian.tags import TIME_UNIT, last_word, loops, named
 from retuner.drivers.historian.time_stamps import DIGITS, Stamps, from_numbers, from_text
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
 
@@ -25,6 +26,10 @@ BESIDE = ("t", "date", "quality", "mode", "tag")
 """Roles of columns that hold no signal."""
 MANUAL = ("man", "hand", "off", "iman", "lo", "track", "init")
 """How words of modes begin in which the controller has not the valve."""
+OWN_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {"sp": frozenset({"sp", "sv"}), "pv": frozenset({"pv"}), "co": frozenset({"co", "op", "out", "output"})}
+)
+"""What control systems call a signal itself, beside which a read-back or a target may stand."""
 SILENT = frozenset({"sp", "pv", "co"})
 """Column names that need no telling."""
 
@@ -107,11 +112,29 @@ def _signal_places(
         if form.tag and tag and tag.lower() != form.tag.lower():
             continue
         for role in SIGNALS:
-            place = _column(table, role, form, roles.get(role, []))
+            place = _column(table, role, form, _plainest(table, role, roles.get(role, []), form))
             if place is not None:
                 places.setdefault(tag, {})[role] = place
                 _refuse_repeated(table, place)
     return places or _by_file_name(table, found, form)
+
+
+def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordForm) -> Sequence[int]:
+    """Of several columns that may be a signal the one that is called by its own letters: PV beside an actual value.
+
+    Raises
+    ------
+    RecordingError
+        None is, or two are, and nobody named one.
+    """
+    names = {table.names[place] for place in places}
+    plain = [p for p in places if last_word(table.names[p]) in OWN_WORDS[role]]
+    if len(names) < 2 or role in form.columns:
+        return places
+    if len(plain) != 1:
+        both = " or ".join(quoted(table.names[place]) for place in places[:3])
+        raise RecordingError(f"{table.source}: {role} may be {both}; say --columns {role}=NAME")
+    return plain
 
 
 def _refuse_repeated(table: RawTable, place: int) -> None:
@@ -232,6 +255,9 @@ def _automatic(
         return everything
     manual = np.array([column[row].strip().lower().startswith(MANUAL) for row in clock.rows])
     if not manual.any() or manual.all():
+        words = sorted({field.strip() for field in column})
+        if len(words) > 1 and any(NUMBER.fullmatch(word) for word in words):
+            told.append(Assumption(f"mode is in numbers ({', '.join(words[:3])}): not used, all rows taken"))
         return everything
     edges = np.flatnonzero(np.diff(np.r_[1, manual, 1]))
     begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda stretch: stretch[1] - stretch[0])

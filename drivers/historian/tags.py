@@ -61,6 +61,12 @@ def named(name: str) -> Named:
     return Named("", "", inside)
 
 
+def last_word(name: str) -> str:
+    """The last word of a column's name without its unit, in small letters."""
+    parts = [part for part in APART.split(UNIT.sub("", name)) if part]
+    return parts[-1].lower() if parts else ""
+
+
 def _before(bare: str, parts: Sequence[str], taken: int) -> str:
     """What stands before the words of the role: the loop."""
     if len(parts) == taken:

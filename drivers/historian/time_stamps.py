@@ -18,11 +18,12 @@ import numpy as np
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import TIME_UNITS, RecordForm
-from retuner.drivers.recorded.recording import RecordingError
+from retuner.drivers.recorded.recording import NUMBER, RecordingError
 
 DATES = (
     "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y",
     "%d/%m/%y", "%m/%d/%y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d %Y", "%b %d, %Y", "%Y%m%d",
+    "%y-%m-%d", "%y/%m/%d", "%y.%m.%d",
 )  # fmt: skip
 """Forms of a date, in the codes of strptime."""
 TIME_OF_DAY = re.compile(
@@ -35,6 +36,10 @@ EPOCHS = MappingProxyType({"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e1
 """Range of numbers that count from 1970, from 2001 to 2096, by unit."""
 SPREADSHEET_DAYS = (30_000.0, 60_000.0)
 """Days since 1899-12-30 from 1982 to 2064: a spreadsheet's stamps as numbers."""
+SPREADSHEET_1970 = 25_569.0
+MATLAB_DAYS = (723_000.0, 755_000.0)
+"""Days of MATLAB's datenum from 1979 to 2067, which counts from the year 0."""
+MATLAB_1970 = 719_529.0
 DAY_S = 86_400.0
 HOUR_S = 3600.0
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -58,18 +63,33 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
     """
     values = np.where(np.isfinite(values), values, np.nan)
     if form.time_unit or unit in TIME_UNITS:
-        return Stamps(values * TIME_UNITS[form.time_unit or unit])
-    typical = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+        counted_in = form.time_unit or unit
+        origin = _days_at_1970(values) if counted_in == "d" else 0.0
+        return Stamps((values - origin) * TIME_UNITS[counted_in])
+    typical = _typical(values)
     for known, (low, high) in EPOCHS.items():
         if low <= typical <= high:
             told = Assumption(f"time counted from 1970 in {known}", f'time_unit = "{known}"')
             return Stamps(values * TIME_UNITS[known], (told,))
     step = float(np.nanmedian(np.abs(np.diff(values)))) if len(values) > 1 else 1.0
-    if SPREADSHEET_DAYS[0] <= typical <= SPREADSHEET_DAYS[1] and 0 < step < 1.0 / 24:
-        return Stamps(values * DAY_S, (Assumption("time in days of a spreadsheet", 'time_unit = "d"'),))
+    origin = _days_at_1970(values)
+    if origin and 0 < step < 1.0 / 24:
+        whose = "a spreadsheet" if origin == SPREADSHEET_1970 else "MATLAB"
+        return Stamps((values - origin) * DAY_S, (Assumption(f"time in days of {whose}", 'time_unit = "d"'),))
     silent = name.strip().lower() in {"t", "t_s", "time_s"} or "t" in form.columns
     told = Assumption(f"time {quoted(name)} in seconds", 'time_unit = "s"')
     return Stamps(values, () if silent else (told,))
+
+
+def _typical(values: FloatArray) -> float:
+    """The size of the numbers; 0 where there are none."""
+    return float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+
+
+def _days_at_1970(values: FloatArray) -> float:
+    """What the calendar in which these days count says of 1970; 0 where they are of no calendar."""
+    calendars = ((SPREADSHEET_DAYS, SPREADSHEET_1970), (MATLAB_DAYS, MATLAB_1970))
+    return next((at for (low, high), at in calendars if low <= _typical(values) <= high), 0.0)
 
 
 def from_text(fields: Sequence[str], days: Sequence[str] | None, form: RecordForm, source: str) -> Stamps:
@@ -102,15 +122,48 @@ def _of_usual_forms(texts: list[str], form: RecordForm, source: str) -> Stamps:
             continue
     if not fitting:
         shown = next((text for text in texts if text), "")
+        row = _first_unfit(texts)
+        if row:
+            raise RecordingError(
+                f"{source}: time {texts[row][:40]!a} in row {row + 1} is not of the form of {shown[:40]!a}; "
+                "take the row out, or say --time-format"
+            )
         raise RecordingError(
             f"{source}: time {shown[:40]!a} is of no usual form; say --time-format as in %d.%m.%Y %H:%M:%S"
         )
-    (first, times), *others = fitting.items()
+    (first, times), *others = _nearest_years(fitting).items()
     whole = quoted(_whole(first, texts[0]))
     for other, elsewhere in others:
         if not np.allclose(elsewhere - elsewhere[0], times - times[0], atol=1e-3, equal_nan=True):
             raise RecordingError(f"{source}: {texts[0][:40]!a} may be {first} or {other}; say --time-format {whole}")
     return Stamps(times, (Assumption(f"time as {first} and the time of day", f"time_format = {whole}"),))
+
+
+def _nearest_years(fitting: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The forms without those that take days for years: with the year at the wrong end a night lasts a year."""
+
+    def span(forms: Sequence[str]) -> float:
+        return min((float(np.ptp(fitting[f][np.isfinite(fitting[f])])) for f in forms), default=math.inf)
+
+    first = [form for form in fitting if form.startswith("%y")]
+    last = [form for form in fitting if form not in first]
+    if span(first) == span(last):
+        return fitting
+    return {form: fitting[form] for form in (first if span(first) < span(last) else last)}
+
+
+def _first_unfit(texts: Sequence[str]) -> int:
+    """The row that is not of the form of those before it; 0 where the first is of none."""
+    reached = [next((i for i, text in enumerate(texts) if text and not NUMBER.fullmatch(text)), 0)]
+    for date in DATES:
+        reader = _reader(date)
+        for i, text in enumerate(texts):
+            try:
+                reader(text or texts[0])
+            except _UnfitError:
+                reached.append(i)
+                break
+    return max(reached)
 
 
 def _whole(date: str, text: str) -> str:

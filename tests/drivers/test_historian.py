@@ -404,7 +404,7 @@ STAMPED = stamps("%Y-%m-%d %H:%M:%S")
         (text("F1.PV Time,F1.PV,F1.OP Time,F1.OP", STAMPED, PV, OWN, CO), "each signal has times of its own"),
         (text("Time,SP,PV,OP", ["9999-12-31 24:00:00"] * N, SP, PV, CO), "is of no usual form"),
         (text("Time,SP,PV,OP", stamps("%Y-%m-%dT%H:%M:%S+99:99"), SP, PV, CO), "is of no usual form"),
-        (text("Time,SP,PV,OP", [f"2024-03-14 24:{i:02d}:00" for i in range(N)], SP, PV, CO), "is of no usual form"),
+        (text("Time,SP,PV,OP", [f"2024-03-14 24:{i:02d}:00" for i in range(N)], SP, PV, CO), "24:01:00' in row 2"),
         (text("Tag,t,Value", ["A.OP", "A.OUT", "A.PV"] * 20, T, PV), '"A.OP" and "A.OUT" may both be co of A'),
     ],
 )
@@ -451,3 +451,55 @@ def test_a_long_table_may_hold_text_of_other_tags(written: Callable[..., Path]) 
     rows = [f"{name},{t},{column[i]}" for i, t in enumerate(T) for name, column in both]
 
     is_the_loop(read_loop_record([written("Tag,t,Value\n" + "\n".join(rows))]))
+
+
+@pytest.mark.parametrize("origin", [25569, 719529])
+@pytest.mark.parametrize("unit", ["", "d"])
+def test_days_of_a_spreadsheet_and_of_matlab_begin_on_their_day(
+    written: Callable[..., Path], origin: int, unit: str
+) -> None:
+    days = [f"{origin + e / 86400:.9f}" for e in EPOCH]
+    read = read_loop_record([written(text("t,sp,pv,co", days, SP, PV, CO))], RecordForm(time_unit=unit))
+
+    assert read.begin_s == pytest.approx(EPOCH[0], abs=1.0)
+    np.testing.assert_allclose(read.recording.t_s, T, atol=1e-3)
+    assert bool(read.assumed) == (not unit)
+
+
+def test_a_year_of_two_digits_is_where_the_nights_are_short(written: Callable[..., Path]) -> None:
+    night = datetime(2024, 3, 4, 23, 55)  # noqa: DTZ001
+    first = read_loop_record([written(text("Time,sp,pv,co", stamps("%y-%m-%d %H:%M:%S", night), SP, PV, CO))])
+    late = datetime(2024, 3, 14, 23, 55)  # noqa: DTZ001
+    last = read_loop_record([written(text("Time,sp,pv,co", stamps("%d/%m/%y %H:%M:%S", late), SP, PV, CO))])
+
+    is_the_loop(first)
+    assert "time as %y-%m-%d" in in_a_line(first.assumed)
+    is_the_loop(last)
+    assert "time as %d/%m/%y" in in_a_line(last.assumed)
+
+
+def test_a_line_that_is_no_row_is_named(written: Callable[..., Path]) -> None:
+    for times in (T, STAMPED):
+        path = written(text("Time,sp,pv,co", times, SP, PV, CO) + "Average,52,50,30\nMaximum,55,51,33\n")
+        with pytest.raises(RecordingError, match=r"time 'Average' in row 61 is not of the form of"):
+            read_loop_record([path])
+
+
+def test_of_two_columns_that_may_be_a_signal_the_plain_one_is_taken_or_the_person_asked(
+    written: Callable[..., Path],
+) -> None:
+    plain = read_loop_record([written(text("t,SP,PV,Actual,Valve Position,Output", T, SP, PV, PV + 5, CO - 9, CO))])
+    is_the_loop(plain)
+    assert 'co is "Output"' in in_a_line(plain.assumed)
+
+    path = written(text("t,SP,Measured,Actual,OP", T, SP, PV + 5, PV, CO))
+    with pytest.raises(RecordingError, match='pv may be "Measured" or "Actual"; say --columns pv=NAME'):
+        read_loop_record([path])
+    is_the_loop(read_loop_record([path], RecordForm(columns={"pv": "Actual"})))
+
+
+def test_a_mode_in_numbers_is_told_where_automatic_is_wanted(written: Callable[..., Path]) -> None:
+    path = written(text("t,sp,pv,co,mode", T, SP, PV, CO, [1] * 30 + [0] * 30))
+
+    read = read_loop_record([path], in_automatic=True)
+    assert "mode is in numbers (0, 1): not used" in in_a_line(read.assumed)
