@@ -8,8 +8,8 @@ names are known is the header: units and descriptions stand in the others.
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.record_form import DELIMITERS, RecordForm
-from retuner.drivers.historian.tags import known_roles
+from retuner.drivers.historian.tags import TIME_UNIT, known_roles
 from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError
 
 Column = Sequence[str] | FloatArray | npt.NDArray[np.datetime64]
@@ -48,7 +48,8 @@ class RawTable:
     """A table before anything is made of its fields.
 
     source : where it is from, for messages. names : of the columns. columns : of equal length, one for each name.
-    places : of the rows, as a message tells them. assumed : what was found out of its form.
+    places : of the rows, as a message tells them. assumed : what was found out of its form. time_units : by column, as
+    a row of units beside the names tells them.
     """
 
     source: str
@@ -56,6 +57,7 @@ class RawTable:
     columns: tuple[Column, ...]
     places: Sequence[str]
     assumed: tuple[Assumption, ...] = ()
+    time_units: Mapping[int, str] = field(default_factory=dict)
 
 
 def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None) -> RawTable:
@@ -80,7 +82,8 @@ def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None)
     assumed += cut
     names, told = _names(header, len(body[0][1]))
     columns = tuple(zip(*(fields for _, fields in body), strict=True))
-    return RawTable(str(path), names, columns, [f":{number}" for number, _ in body], (*assumed, *told))
+    places = [f":{number}" for number, _ in body]
+    return RawTable(str(path), names, columns, places, (*assumed, *told), _time_units(header))
 
 
 def _decoded(path: Path, form: RecordForm, most_bytes: int | None) -> tuple[str, tuple[Assumption, ...]]:
@@ -212,6 +215,13 @@ def _refuse_shifted(path: Path, before: Rows, body: Rows, width: int) -> None:
                 f"{path}:{number}: {width - 1} names over rows of {width} fields (a comma in a stamp, row numbers?); "
                 "give each column its name, or --record with header = 0, and --columns t=1,pv=2,..."
             )
+
+
+def _time_units(candidates: list[list[str]]) -> dict[int, str]:
+    """Units of time in the lines before the rows that hold not the names."""
+    others = [row for row in candidates if row is not max(candidates, key=known_roles)]
+    fields = [(place, text.strip("[]() ").lower()) for row in others for place, text in enumerate(row)]
+    return {place: TIME_UNIT[unit] for place, unit in fields if unit in TIME_UNIT}
 
 
 def _names(candidates: list[list[str]], width: int) -> tuple[tuple[str, ...], tuple[Assumption, ...]]:

@@ -194,7 +194,17 @@ def _stamps(table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form:
         apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
         days = [str(d) for d in apart] if apart is not None else None
         return from_text(text, days, form, table.source)
-    return from_numbers(numbers(table, place, decimal, form), table.names[place], _unit(table.names[place]), form)
+    return _counted(table, place, decimal, form)
+
+
+def _counted(table: RawTable, place: int, decimal: str, form: RecordForm) -> Stamps:
+    """Times as numbers, in the unit that the column's name or a row of units tells."""
+    name, beside = table.names[place], table.time_units.get(place, "")
+    values, unit = numbers(table, place, decimal, form), _unit(name)
+    if unit or form.time_unit or not beside:
+        return from_numbers(values, name, unit, form)
+    told = Assumption(f"time {quoted(name)} in {beside}, of the row of units", f'time_unit = "{beside}"')
+    return replace(from_numbers(values, name, beside, form), assumed=(told,))
 
 
 def _refuse_other_clocks(table: RawTable, times: Sequence[int]) -> None:

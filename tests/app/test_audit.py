@@ -64,6 +64,15 @@ def test_a_long_table_is_looked_through_for_its_tags(tmp_path: Path) -> None:
     assert catalogue([path], FORM).tags == ("X",)
 
 
+def test_a_loop_is_not_two_of_one_name(tmp_path: Path) -> None:
+    table(tmp_path / "X.csv", "t,sp,pv,co", 3)
+    table(tmp_path / "wide.csv", "t,X.SP,X.PV,X.OP", 3)
+    found = catalogue(files_of([tmp_path]), FORM)
+
+    assert found.tags == ("X",)
+    assert [path.name for path, reason in found.refused if "--tag-pattern" in reason] == ["X.csv"]
+
+
 def test_files_are_found_by_pattern_and_a_missing_one_is_told(plant: Path) -> None:
     assert [p.name for p in files_of([plant / "FIC7_*.csv"])] == ["FIC7_monday.csv", "FIC7_tuesday.csv"]
     with pytest.raises(RecordingError, match="no such file or folder"):

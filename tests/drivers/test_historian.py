@@ -93,7 +93,7 @@ FORMS = {
         text("time,sp,pv,co", stamps("%Y-%m-%d %H:%M:%S")[::-1], SP[::-1], PV[::-1], CO[::-1]),
         "newest first",
     ),
-    "units row": (text("time,SP,PV,OP\ns,degC,degC,%", T, SP, PV, CO), 'time "time" in seconds'),
+    "units row": (text("time,SP,PV,OP\ns,degC,degC,%", T, SP, PV, CO), 'time "time" in s, of the row of units'),
     "preamble": (
         "Export of plant X\nby operator, at 10:00\n\n" + text(US, stamps("%Y-%m-%d %H:%M:%S"), SP, PV, CO),
         'pv is "FIC101.PV"',
@@ -503,3 +503,10 @@ def test_a_mode_in_numbers_is_told_where_automatic_is_wanted(written: Callable[.
 
     read = read_loop_record([path], in_automatic=True)
     assert "mode is in numbers (0, 1): not used" in in_a_line(read.assumed)
+
+
+@pytest.mark.parametrize("unit", ["min", "[min]"])
+def test_a_row_of_units_tells_that_of_the_time(written: Callable[..., Path], unit: str) -> None:
+    path = written(text(f"Time,SP,PV,OP\n{unit},t/h,t/h,%", T / 60, SP, PV, CO))
+
+    is_the_loop(read_loop_record([path]))

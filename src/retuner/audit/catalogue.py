@@ -93,8 +93,12 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
             apart.setdefault(tag, {}).setdefault(path, set()).update(found)
         if not roles and path not in {p for some in alone.values() for p in some}:
             refused.append((path, f"{path}: neither its columns nor its name tell a loop's pv or co"))
-    tasks = [Task((tag,), tuple(paths), separate=True) for tag, paths in alone.items()]
-    return Catalogue((*tasks, *_shared(apart, refused)), tuple(refused))
+    shared = _shared(apart, refused)
+    twice = alone.keys() & {tag for task in shared for tag in task.tags}
+    said = "by its name loop {}, which other files hold by their columns; rename it, or give --tag-pattern"
+    refused += [(path, f"{path}: {said.format(tag)}") for tag in sorted(twice) for path in alone[tag]]
+    tasks = [Task((tag,), tuple(paths), separate=True) for tag, paths in alone.items() if tag not in twice]
+    return Catalogue((*tasks, *shared), tuple(refused))
 
 
 def _shared(apart: dict[str, dict[Path, set[str]]], refused: list[tuple[Path, str]]) -> list[Task]:
