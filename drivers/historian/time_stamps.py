@@ -71,7 +71,8 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
         if low <= typical <= high:
             told = Assumption(f"time counted from 1970 in {known}", f'time_unit = "{known}"')
             return Stamps(values * TIME_UNITS[known], (told,))
-    step = float(np.nanmedian(np.abs(np.diff(values)))) if len(values) > 1 else 1.0
+    finite = values[np.isfinite(values)]
+    step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 1.0
     origin = _days_at_1970(values)
     if origin and 0 < step < 1.0 / 24:
         whose = "a spreadsheet" if origin == SPREADSHEET_1970 else "MATLAB"

@@ -405,6 +405,7 @@ STAMPED = stamps("%Y-%m-%d %H:%M:%S")
         (text("Time,SP,PV,OP", ["9999-12-31 24:00:00"] * N, SP, PV, CO), "is of no usual form"),
         (text("Time,SP,PV,OP", stamps("%Y-%m-%dT%H:%M:%S+99:99"), SP, PV, CO), "is of no usual form"),
         (text("Time,SP,PV,OP", [f"2024-03-14 24:{i:02d}:00" for i in range(N)], SP, PV, CO), "24:01:00' in row 2"),
+        (text("t,sp,pv,co", [0, *[f"{i}e999" for i in range(1, N)]], SP, PV, CO), "at least 3 samples"),
         (text("Tag,t,Value", ["A.OP", "A.OUT", "A.PV"] * 20, T, PV), '"A.OP" and "A.OUT" may both be co of A'),
     ],
 )
