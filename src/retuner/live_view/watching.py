@@ -31,6 +31,8 @@ TOLD = {
     "order": ("order", "by", "accepted", "reason"),
 }
 """Rows beside decisions that a person at the screen should see, and which of their values."""
+SPOKEN = {"restored": "read back, it runs", "unrestored": "not known to run"}
+"""Rows whose kind would mislead: a set that stayed is read back as well."""
 
 
 class OnScreen(NobodyLooks):
@@ -83,7 +85,7 @@ class Watching(OnScreen):
             self._screen.decision(loop.decisions[-1], name)
         elif kind in TOLD:
             whose = f"{name}: " * bool(name)
-            self._screen.say(f"{t_s:8,.0f} s {whose}{kind}: {told_values(body, TOLD[kind])}")
+            self._screen.say(f"{t_s:8,.0f} s {whose}{SPOKEN.get(kind, kind)}: {told_values(body, TOLD[kind])}")
 
     def said(self, text: str) -> None:
         """See Observer."""
