@@ -88,7 +88,7 @@ def _crossover(model: ProcessModel, gains: PidGains) -> tuple[float, float]:
 #     e1, e2, e3    peaks of the model's response under the gains in force, in units of the first
 #     refuted       the error came to rest, and no third peak was seen that should have stood out of the noise
 #                   three peaks were seen, and the last is far smaller than the model's
-#     not sluggish  successive peaks in a ratio of more than `sluggish_decay` (trial/shape.py)
+#     not sluggish  successive peaks in a ratio of more than `sluggish_decay`, and none such that the model foretells
 #
 # An upset of unknown shape on top of a step is fitted best by a process that all but swings: with two loads beside it,
 # such a process explains any response to the noise. What it says of the loop itself can be looked at.
@@ -109,8 +109,7 @@ def not_seen(
         setpoint and filter of the derivative, s.
     """
     seen = [abs(peak.e) for peak in response.peaks]
-    upset = Upset(setpoint=1.0) if response.sp_changed else Upset(load_step=1.0)
-    said = [abs(e) for e in peaks_of(traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0].e)]
+    said = [abs(e) for e in _foretold(response, model, in_force, b, tau_f_s)]
     if not seen or len(said) < THIRD or not said[0]:
         return ""
     second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
@@ -123,12 +122,25 @@ def not_seen(
     return f"{_says(third)}, and it was {seen[2]:.3g}"
 
 
-def swings_anyway(response: Response, settings: SwingSettings) -> str:
-    """Why a response is not that of a sluggish loop, empty when it may be."""
+def swings_anyway(
+    response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float, settings: SwingSettings
+) -> str:
+    """Why a response is not that of a sluggish loop, empty when it may be: a swing that the model foretells may be.
+
+    An integrating process under too little gain swings slowly, and is sluggish all the same. Parameters as of not_seen.
+    """
     decay = swing([peak.e for peak in response.peaks], response.band)[2]
     if decay <= settings.sluggish_decay:
         return ""
+    if swing(_foretold(response, model, in_force, b, tau_f_s))[2] >= settings.shown * decay:
+        return ""
     return f"by the model that fits, the loop is sluggish, and its successive peaks are in the ratio {decay:.2f}"
+
+
+def _foretold(response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float) -> list[float]:
+    """The first peaks of the error after an upset like this one, by the model."""
+    upset = Upset(setpoint=1.0) if response.sp_changed else Upset(load_step=1.0)
+    return peaks_of(traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0].e)[:THIRD]
 
 
 def _says(third: float) -> str:

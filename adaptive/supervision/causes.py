@@ -115,12 +115,11 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
         return None
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
-    reason = swings_anyway(record.response, settings.swing) if cause.cause == Cause.SLUGGISH else ""
+    model = allowed[0].model.seen_by_controller(settings.sample_time_s)
+    given = (record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing)
+    reason = swings_anyway(*given) if cause.cause == Cause.SLUGGISH else ""
     if cause.cause in SWINGING and not _swings_wider(record, settings):
-        model = allowed[0].model.seen_by_controller(settings.sample_time_s)
-        reason = not_seen(
-            record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing
-        )
+        reason = not_seen(*given)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
 
 

@@ -47,4 +47,15 @@ def test_three_peaks_show_how_it_swings(third: float, refuted: bool) -> None:
 )
 def test_a_loop_that_swings_is_not_sluggish(peaks: tuple[float, ...], swinging: bool) -> None:
     response = Response(0.0, 100.0, tuple(Peak(10.0 * i, e) for i, e in enumerate(peaks)), Ending.QUIET, True, BAND)
-    assert bool(swings_anyway(response, SwingSettings())) is swinging
+    assert bool(swings_anyway(response, MODEL, GOOD, 1.0, 0.0, SwingSettings())) is swinging
+
+
+def test_a_slow_swing_that_the_model_foretells_may_be_that_of_a_sluggish_loop() -> None:
+    integrator = ProcessModel(ProcessType.INTEGRATING, 1.0, 0.0, 0.0, 1.0)
+    best = simc(integrator).gains
+    weak = PidGains(best.kp / 10, best.ki / 10)  # k' Kc tau_I of 0.4 where 4 does not swing
+    peaks = (Peak(0.0, 1.0), Peak(10.0, -0.45), Peak(20.0, 0.15))
+    response = Response(0.0, 100.0, peaks, Ending.QUIET, True, BAND)
+
+    assert swings_anyway(response, integrator, weak, 1.0, 0.0, SwingSettings()) == ""
+    assert "ratio" in swings_anyway(response, integrator, best, 1.0, 0.0, SwingSettings())
