@@ -106,6 +106,8 @@ def test_ctrl_c_in_the_middle_of_its_write_lets_it_come_through(make_wire: Calla
         to_the_end(wire.session, once)
     assert wire.runs == to_wire(GOOD)
     assert to_wire(wire.session.table.gains_of(0)) == to_wire(GOOD)
+    (told,) = (body["reason"] for kind, body in wire.rows if kind == "trial")  # after a decision that gave it up
+    assert str(told).startswith("it was written after all, and stays: by the")
 
 
 def test_it_stays_while_another_region_is_in_force(make_wire: Callable[..., Wire]) -> None:

@@ -284,6 +284,18 @@ def test_what_is_wrong_is_one_line(
     assert told in line
 
 
+def test_a_session_of_several_loops_names_its_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for loop in ("drum", "steam"):
+        gains = tmp_path / "loops" / loop / "gains.toml"
+        gains.parent.mkdir(parents=True)
+        gains.write_text(to_toml(TABLES["hard"]))
+    assert main(["export", str(tmp_path), "--format", "csv"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(Path("loops") / "drum" / "gains.toml") in line
+    assert str(Path("loops") / "steam" / "gains.toml") in line
+    assert main(["export", str(tmp_path / "loops" / "drum"), "--format", "csv"]) == 0
+
+
 def test_a_table_of_other_regions_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
     path.write_text(CONFIG)

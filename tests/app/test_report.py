@@ -75,6 +75,20 @@ def test_changes_that_were_taken_back_are_counted_and_not_as_responses() -> None
     assert '<a href="#decision-2">2</a>' in text
 
 
+def test_a_set_that_stays_at_the_end_is_not_told_of_as_taken_back() -> None:
+    gains: dict[str, object] = {"kp": 2.0, "ki": 0.5, "kd": 0.0}
+    row: dict[str, object] = {"number": 2, "t_s": 1800.0, "region": "all", "action": "restore", "code": "kept_stopped"}
+    row |= {"reason": "the gains on trial stay", "gains_before": gains, "gains_after": gains}
+    told = ReportData("loop", "u", TABLE, TABLE, [score(1.5, 1.0, None, 1)], [row], RUN, None, [900.0])
+    text = render(told)
+    assert "taken back" not in text
+    assert "undone" not in text
+    assert "put back" not in text
+    assert "The settings on trial stay" in text
+    assert "keep Kc 2 tau_I 4 s" in text
+    assert not any(mark.undone for mark in marks_of(told, [row]))
+
+
 def test_ms_over_the_limit_is_red_with_the_reason() -> None:
     assert 'class="bad">2.37' not in page(score(1.7, 1.0, None))
     text = page(score(2.37, 1.0, None))

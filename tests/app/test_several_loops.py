@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from retuner.cli import main
+from retuner.commands.check import described
 from retuner.config.loading import UnusableError, parse_session, text_as_run
 from retuner.config.session_config import SessionConfig
 from retuner.ledger import LedgerReader
@@ -137,6 +138,39 @@ def test_what_is_wrong_is_told_once_with_its_line(change: tuple[str, str], line:
     findings = [one for one in unusable.value.findings if told in one.text("two.toml")]
     assert len(findings) == 1
     assert findings[0].line == line
+
+
+FOREIGN = """
+[[loop]]
+name = "axis {0}"
+pv_unit = "rev/s"
+pv_min = -50.0
+pv_max = 50.0
+co_min_pct = -100.0
+sample_time_s = 0.05
+[[loop.schedule.region]]
+name = "all"
+kc = 8.0
+tau_i_s = 0.25
+[loop.device]
+kind = "dbc"
+profile = "odrive"
+node = {0}
+co = {{ scale = 5.0 }}
+gains = {{ scale = 50.0 }}
+"""
+
+
+def test_the_number_of_a_foreign_controller_is_that_of_its_device() -> None:
+    head = 'schema = 1\n[schedule]\nvariable = "sp"\n[bus]\ninterface = "socketcan"\nchannel = "can0"\n'
+    two = parse_session(head + FOREIGN.format(0) + FOREIGN.format(3))
+    assert [config.node for config in two.loops] == [0, 3]
+    assert any(line.endswith("channel can0, node 3") for line in described(two.loops[1], several=True))
+    same = FOREIGN.format(3).replace("axis 3", "axis 4") + "[loop.bus]\nnode = 9\n"
+    with pytest.raises(UnusableError) as unusable:
+        parse_session(head + FOREIGN.format(3) + same)
+    told = unusable.value.findings[0].text("two.toml")
+    assert 'loop[2].device.node = 3 is the number of "axis 3" on the same bus' in told
 
 
 def test_one_loop_written_as_a_table_of_several_names_itself_as_well() -> None:

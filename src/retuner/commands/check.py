@@ -61,7 +61,7 @@ def described(config: "Config", *, several: bool) -> list[str]:
         *_region_lines(config),
         f"adaptation  {config.adaptation.mode}, rule {config.adaptation.rule}, "
         f"Ms at most {config.adaptation.ms_nominal:g} ({config.adaptation.ms_worst:g} on the worst model)",
-        f"bus         {bus.interface}, channel {bus.channel}, node {bus.node}",
+        f"bus         {bus.interface}, channel {bus.channel}, node {config.node}",
     ]
     if config.device is not None:
         plant = config.device.plant

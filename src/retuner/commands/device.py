@@ -68,7 +68,7 @@ def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
         for config in session.loops:
             bus = config.bus
             sys.stderr.write(
-                f"{config.loop.name}: node {bus.node} on {bus.interface} {bus.channel}, "
+                f"{config.loop.name}: node {config.node} on {bus.interface} {bus.channel}, "
                 f"{speed:g} times real time; Ctrl-C ends it\n"
             )
         sys.stderr.flush()

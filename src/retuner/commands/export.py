@@ -46,7 +46,7 @@ def export(
         raise UserError(f"--format {form}: there is {', '.join(FORMATS)}")
     if form and into is not None and out is not None and out.resolve() == into.resolve():
         raise UserError("--out and --into name one file; give two")
-    file = path / GAINS if path.is_dir() else path
+    file = _table_of(path) if path.is_dir() else path
     table = _read(file)
     if form:
         _write(table, file, form, out)
@@ -55,6 +55,14 @@ def export(
         _put(into, text)
         sys.stdout.write(f"{into}: " + ("; ".join(told) or "has these gains already") + "\n")
     return 0
+
+
+def _table_of(folder: Path) -> Path:
+    """The gain table of a run; where a session has several, they are named."""
+    own, loops = folder / GAINS, sorted(folder.glob(f"loops/*/{GAINS}"))
+    if loops and not own.is_file():
+        raise UserError(f"{folder}: has a gain table a loop, give one of {', '.join(map(str, loops))}")
+    return own
 
 
 def _read(path: Path) -> GainTable:
@@ -80,7 +88,9 @@ def _write(table: GainTable, source: Path, form: str, out: Path | None) -> None:
         return
     target = out or source.with_name(f"{identifier(table.loop)}_gains.{suffix}")
     _put(target, text)
-    sys.stdout.write(f"{target} written: {len(table.gains)} sets, revision {table.revision}\n")
+    sys.stdout.write(
+        f"{target} written: {len(table.gains)} set{'s' * (len(table.gains) != 1)}, revision {table.revision}\n"
+    )
 
 
 def _put(path: Path, text: str) -> None:

@@ -419,7 +419,7 @@ def advice_of(loop: LoopSession) -> tuple[RegionAdvice, ...]:
 def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:
     """What a reader of the report needs to find the rest, or to do the run again. i : of which loop, None for all."""
     loops = job.config.loops if i is None else (job.config.loops[i],)
-    buses = {f"{one.bus.interface} {one.bus.channel}, node {one.bus.node}": None for one in loops}
+    buses = {f"{one.bus.interface} {one.bus.channel}, node {one.node}": None for one in loops}
     seeds = [str(one.device.seed) if one.device else "a real controller" for one in loops]
     return {
         "retuner": version("retuner"),

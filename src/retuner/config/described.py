@@ -92,23 +92,18 @@ def mapping_of(config: Config, foreign: Foreign) -> DeviceMapping:
     return foreign.mapping(loop.pv_max - loop.pv_min, loop.co_max_pct - loop.co_min_pct)
 
 
-def node_of(config: Config, foreign: Foreign) -> int:
-    """Number of the device."""
-    return config.bus.node if foreign.node is None else foreign.node
-
-
 def eds_file(config: Config, foreign: CanOpenDeviceConfig) -> "EdsFile":
     """The device's EDS, for its node."""
     from retuner.drivers.canopen.eds_file import EdsFile, read_eds  # noqa: PLC0415  an extra
 
-    path, node = described_by(foreign.eds), node_of(config, foreign)
+    path, node = described_by(foreign.eds), config.node
     return EdsFile(read_eds(path, node), path.name, node)
 
 
 def dbc_file(config: Config, foreign: DbcDeviceConfig) -> DbcFile:
     """The device's DBC, moved to its node."""
     path = described_by(foreign.dbc)
-    node = node_of(config, foreign)
+    node = config.node
     return DbcFile(read_dbc_file(path), path.name, node, foreign.described_node, foreign.node_shift)
 
 
@@ -120,7 +115,7 @@ def foreign_settings(
     floor_s = SILENT_FLOOR_S * speed
     return ForeignSettings(
         gains=config.gains()[0],
-        where=f"node {node_of(config, foreign)} on {config.bus.interface} {config.bus.channel}",
+        where=f"node {config.node} on {config.bus.interface} {config.bus.channel}",
         sample_time_s=sample,
         variable=inputs,
         co_min=config.loop.co_min_pct,
@@ -132,6 +127,6 @@ def foreign_settings(
         feed_s=foreign.feed_s * speed or NEVER_S,
         look_s=foreign.look_s,
         closed=closed(foreign, access),
-        bench_node=node_of(config, foreign) if foreign.plant is not None else None,
+        bench_node=config.node if foreign.plant is not None else None,
         after_s=after_s,
     )

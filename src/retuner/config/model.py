@@ -119,6 +119,18 @@ class Config(Section):
         """The controller that is not ours, if it is one."""
         return self.device if isinstance(self.device, DbcDeviceConfig | CanOpenDeviceConfig) else None
 
+    @property
+    def node_key(self) -> tuple[str, str]:
+        """Where the number of the controller stands: in [device], for one that is not ours, else in [bus]."""
+        foreign = self.foreign_device
+        return ("device" if foreign is not None and foreign.node is not None else "bus", "node")
+
+    @property
+    def node(self) -> int:
+        """Number of the controller on its bus."""
+        foreign = self.foreign_device
+        return self.bus.node if foreign is None or foreign.node is None else foreign.node
+
     def limits_of(self, axis: AxisConfig) -> tuple[str, float, float]:
         """Unit and ends of an axis' variable."""
         if axis.variable == "co":

@@ -92,9 +92,9 @@ def _between(earlier: Config, later: Config) -> Iterator[Problem]:
         yield Problem(("bus", "interface"), message)
     if (bus.interface, bus.channel) != (other.interface, other.channel):
         return
-    if bus.node == other.node:
-        message = f'= {bus.node} is the number of "{earlier.loop.name}" on the same bus; each controller has its own'
-        yield Problem(("bus", "node"), message)
+    if later.node == earlier.node:
+        message = f'= {later.node} is the number of "{earlier.loop.name}" on the same bus; each controller has its own'
+        yield Problem(later.node_key, message)
     if bus.hop_limit != other.hop_limit:
         message = f'= {bus.hop_limit}, and {other.hop_limit} for "{earlier.loop.name}" on the same bus; make them equal'
         yield Problem(("bus", "hop_limit"), message)

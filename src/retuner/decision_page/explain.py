@@ -23,6 +23,19 @@ def document_of(decision: Decision | Document) -> Document:
     return decision.to_dict() if isinstance(decision, Decision) else decision
 
 
+def stays(decision: Decision | Document) -> bool:
+    """Whether the gains on trial stay, and are only read back: no undo, though the action is that of one."""
+    document = document_of(decision)
+    before, after = (part(document, name) for name in ("gains_before", "gains_after"))
+    return words(document, "action") == "restore" and bool(after) and after == before
+
+
+def takes_back(decision: Decision | Document) -> bool:
+    """Whether other gains replace those on trial."""
+    document = document_of(decision)
+    return words(document, "action") == "restore" and not stays(document)
+
+
 def settings_text(gains: PidGains) -> str:
     """Gains as people write them: series form where it exists, else ideal, else the integral gain alone."""
     if gains.kp == 0:
@@ -93,6 +106,8 @@ def change_text(decision: Decision | Document) -> str:
     before, after = (gains_of(part(document, name)) for name in ("gains_before", "gains_after"))
     if verb is None or before is None or after is None:
         return "no change"
+    if stays(document):
+        return f"keep {settings_text(after)}"
     moved = f"{verb} {settings_text(before)} -> {settings_text(after)}"
     return f"{moved}{_robustness(part(document, 'verdict'))}"
 

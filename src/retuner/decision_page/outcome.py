@@ -1,7 +1,7 @@
 """What a change promised, and what came of it: later responses against the promise, and the undo if there was one."""
 
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.explain import change_text
+from retuner.decision_page.explain import change_text, stays, takes_back
 from retuner.decision_page.html import paragraph, section, text_table
 from retuner.decision_page.row_values import Document, number, numbers_or_none, part, words
 
@@ -43,9 +43,9 @@ def promise_section(view: DecisionView) -> str:
     )
     spread = f"In brackets the least and the greatest{over}.{_promised_ms(promise)}"
     heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
-    heading = (
-        "The promise of what was taken back" if view.undoes else "Promise, for the next responses to be judged against"
-    )
+    heading = "Promise, for the next responses to be judged against"
+    if view.undoes:
+        heading = f"The promise of what {'is on trial' if stays(view.document) else 'was taken back'}"
     return section(heading, text_table(heads, rows), paragraph(spread, "muted"))
 
 
@@ -114,7 +114,7 @@ def later_section(view: DecisionView) -> str:
     """What came of a change: the later responses that were judged, and the undo."""
     rows = []
     for later in view.later:
-        undone = words(later, "action") == "restore"
+        undone = takes_back(later)
         told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
         reason = " UNDONE: ".join(one for one in told if one)
         when = f"{number(later, 't_s') or 0.0:,.0f}"

@@ -13,7 +13,7 @@ from retuner.adaptive.rules.rule import ControllerKind, Wishes
 from retuner.adaptive.rules.visual import oscillation_by_eye
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.evidence_words import evidence_table
-from retuner.decision_page.explain import process_text, settings_text
+from retuner.decision_page.explain import process_text, settings_text, stays
 from retuner.decision_page.html import document, escaped, pairs, paragraph, section, table, text_table
 from retuner.decision_page.outcome import judgement_section, later_section, promise_section
 from retuner.decision_page.response_drawing import response_svg
@@ -75,7 +75,8 @@ def article(view: DecisionView) -> str:
 def badge(view: DecisionView) -> str:
     """What became of it, in a word or two and a colour."""
     colour = COLOURS.get(view.action, COLOURS["none"])
-    return f'<span class="badge" style="color:{colour}">{escaped(DONE.get(view.action, view.action))}</span>'
+    what = "The settings on trial stay" if stays(view.document) else DONE.get(view.action, view.action)
+    return f'<span class="badge" style="color:{colour}">{escaped(what)}</span>'
 
 
 def _place(view: DecisionView) -> str:
@@ -167,7 +168,11 @@ def _proposal(view: DecisionView) -> str:
     """The rule with its formula and numbers; settings in force, of the rule, and let through."""
     proposal = {} if view.undoes else part(view.document, "proposal")
     wanted = gains_of(part(proposal, "parallel"))
-    names = ("on trial", "", "put back") if view.undoes else ("in force", "rule", "let through")
+    names = (
+        ("on trial", "", "stays" if stays(view.document) else "put back")
+        if view.undoes
+        else ("in force", "rule", "let through")
+    )
     columns = zip(names, (view.before, wanted, view.after), strict=True)
     shown = [(name, gains) for name, gains in columns if gains is not None]
     basis = BASES.get(words(view.document, "basis"), "")

@@ -7,7 +7,7 @@ from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
-from retuner.decision_page.explain import process_text, settings_text
+from retuner.decision_page.explain import process_text, settings_text, stays
 from retuner.decision_page.row_values import number, part, parts, words
 from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
@@ -52,6 +52,8 @@ def seen(view: DecisionView) -> str:
 
 def done(view: DecisionView) -> str:
     """What follows, with the numbers."""
+    if stays(view.document) and view.after is not None:
+        return f"The settings on trial stay: {settings_text(view.after)}."
     what = DONE.get(view.action, view.action)
     if view.before is None or view.after is None:
         return f"{what}."

@@ -17,12 +17,14 @@ from retuner.decision_page.explain import (
     ms_words,
     response_text,
     settings_text,
+    stays,
+    takes_back,
 )
 from retuner.errors import one_line
 from retuner.live_view.loop_seen import LoopSeen, RegionSeen
 from retuner.live_view.trace import BARS, PLAIN, trace
 
-UNDONE = "UNDONE"
+UNDONE, KEPT = "UNDONE", "kept"
 COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
 INDENT = 11
 """Columns before the second line of a decision: as many as its time takes."""
@@ -56,8 +58,8 @@ def decision_lines(decision: Decision, width: int, loop: str = "", *, detail: bo
 
     loop : its name, where there are several. detail : all else that was weighed.
     """
-    undone = decision.action is Action.RESTORE
-    cause = UNDONE if undone else cause_text(decision)
+    undone = takes_back(decision)
+    cause = UNDONE if undone else KEPT if stays(decision) else cause_text(decision)
     head = Text.assemble(
         (f"{decision.t_s:9,.0f}s ", "dim"),
         (f"{one_line(f'{loop} {decision.region}'.strip())}  ", "bold"),

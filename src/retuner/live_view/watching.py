@@ -26,11 +26,14 @@ TOLD = {
     "variable": ("name", "reason"),
     "abort": ("reason",),
     "restored": ("regions",),
+    "trial": ("reason",),
     "lockout": ("region", "undos"),
     "unrestored": ("regions", "reason"),
     "order": ("order", "by", "accepted", "reason"),
 }
 """Rows beside decisions that a person at the screen should see, and which of their values."""
+SPOKEN = {"restored": "read back, it runs", "unrestored": "not known to run"}
+"""Rows whose kind would mislead: a set that stayed is read back as well."""
 
 
 class OnScreen(NobodyLooks):
@@ -81,9 +84,9 @@ class Watching(OnScreen):
         name = loop.name if loop is not None and self._config.several else ""
         if kind == "decision" and loop is not None:
             self._screen.decision(loop.decisions[-1], name)
-        elif kind in TOLD:
+        elif told := told_values(body, TOLD.get(kind, ())):
             whose = f"{name}: " * bool(name)
-            self._screen.say(f"{t_s:8,.0f} s {whose}{kind}: {told_values(body, TOLD[kind])}")
+            self._screen.say(f"{t_s:8,.0f} s {whose}{SPOKEN.get(kind, kind)}: {told}")
 
     def said(self, text: str) -> None:
         """See Observer."""

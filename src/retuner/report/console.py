@@ -12,13 +12,13 @@ from rich.table import Table
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
-from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings
+from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings, stays, takes_back
 from retuner.decision_page.text import MS_LIMIT
 from retuner.report.report import ms_text
 from retuner.report.scores import RegionScore
 from retuner.streams import LastingStream
 
-UNDONE = "UNDONE"
+UNDONE, KEPT = "UNDONE", "kept"
 COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
 MOST_CHARACTERS = 1000
 """Longer lines of a table are folded all the same."""
@@ -110,8 +110,14 @@ def counted(number: int, what: str) -> str:
 def told_values(body: Mapping[str, object], names: Iterable[str]) -> str:
     """The named values of a row that say something, in the order of the names."""
     values = {name: body[name] for name in names if body.get(name) not in (None, "")}
-    words = {name: ("yes" if v else "no") if isinstance(v, bool) else v for name, v in values.items()}
-    return ", ".join(f"{name} {value}" for name, value in words.items())
+    return ", ".join(f"{name} {_told(value)}" for name, value in values.items())
+
+
+def _told(value: object) -> object:
+    """A value as people write it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else value
 
 
 def live_line(decision: Decision, loop: str = "") -> str:
@@ -119,8 +125,8 @@ def live_line(decision: Decision, loop: str = "") -> str:
 
     loop : its name, where there are several.
     """
-    undone = decision.action == Action.RESTORE
-    cause = UNDONE if undone else cause_text(decision)
+    undone = takes_back(decision)
+    cause = UNDONE if undone else KEPT if stays(decision) else cause_text(decision)
     colour = COLOURS.get(cause, "magenta")
     where = f"{loop} {decision.region}" if loop else decision.region
     head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"

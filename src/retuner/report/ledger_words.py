@@ -136,7 +136,13 @@ def _trial(body: Document) -> Words:
     ]
     told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
     verdict = f"promises IAE per unit of {', '.join(told)}" if told else ""
-    return "on trial", _settings(body, "verified"), _settings(body, "gains"), _digest(body), verdict
+    return (
+        words(body, "reason") or "on trial",
+        _settings(body, "verified"),
+        _settings(body, "gains"),
+        _digest(body),
+        verdict,
+    )
 
 
 def _judged(body: Document) -> Words:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from retuner.decision_page.explain import takes_back
 from retuner.decision_page.html import document, escaped, paragraph, table
 from retuner.decision_page.row_values import Document, words
 from retuner.report.scores import RegionScore
@@ -34,7 +35,9 @@ def loop_line(
     ratios = [s.iae / s.iae_fixed for s in scores if s.iae_fixed]
     iae = (max(ratios), min(ratios)) if ratios else None
     changes = sum(score.changes for score in scores)
-    return LoopLine(name, report, len(done), changes, done.count("restore"), done.count("advise"), iae, trouble)
+    return LoopLine(
+        name, report, len(done), changes, sum(map(takes_back, decisions)), done.count("advise"), iae, trouble
+    )
 
 
 def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:

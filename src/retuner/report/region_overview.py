@@ -7,7 +7,7 @@ variables is a grid of cells besides.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from retuner.decision_page.explain import cause_text, model_text, settings_text
+from retuner.decision_page.explain import cause_text, model_text, settings_text, takes_back
 from retuner.decision_page.html import escaped, paragraph, text_table
 from retuner.decision_page.row_values import Document, decided_on, number, part, words
 from retuner.schedule.table import GainTable
@@ -55,7 +55,7 @@ def _region(name: str, own: list[Document]) -> RegionNow:
         name,
         len(own),
         len(changed),
-        sum(words(one, "action") == "restore" for one in own),
+        sum(map(takes_back, own)),
         cause_text(judged) if judged else "",
         model_text(known) if known else "",
         bool(changed) and words(changed[-1], "basis") == BORROWED,

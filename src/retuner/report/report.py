@@ -19,6 +19,7 @@ from retuner.decision_page.explain import (
     one_line,
     response_text,
     settings_text,
+    takes_back,
 )
 from retuner.decision_page.html import OPEN_TARGET, escaped, image, paragraph, table
 from retuner.decision_page.html import document as html_document
@@ -98,7 +99,7 @@ def render(data: ReportData) -> str:
 
 def _undone(documents: Sequence[Document]) -> list[float]:
     """When changes were taken back, s."""
-    return [number(one, "t_s") or 0.0 for one in documents if words(one, "action") == "restore"]
+    return [number(one, "t_s") or 0.0 for one in documents if takes_back(one)]
 
 
 def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
@@ -106,7 +107,7 @@ def marks_of(data: ReportData, documents: Sequence[Document]) -> list[Mark]:
     found = []
     for one in documents:
         action, t_s = words(one, "action"), number(one, "t_s") or 0.0
-        if action in {"commit", "restore"}:
+        if action == "commit" or takes_back(one):
             found.append(Mark(t_s, int(number(one, "number") or 0), undone=action == "restore"))
     decided = any(not mark.undone for mark in found)
     return found if decided else [*found, *(Mark(t_s, 0, undone=False) for t_s in data.commits)]
@@ -122,7 +123,7 @@ def _lead(data: ReportData, documents: Sequence[Document]) -> str:
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
     undone = len(_undone(documents))
     if undone:
-        parts.append(f"{_counted(undone, 'change')} taken back: the verified gains were restored.")
+        parts.append(f"{_counted(undone, 'change')} taken back.")
     advised = sum(words(d, "action") == "advise" for d in documents)
     if advised:
         parts.append(f"{_counted(advised, 'change')} advised and not written.")

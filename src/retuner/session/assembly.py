@@ -25,7 +25,6 @@ from retuner.config.described import (
     held_table,
     make_access,
     mapping_of,
-    node_of,
     vendor_units,
 )
 from retuner.config.foreign import UNPROVED_ORDER, DbcDeviceConfig
@@ -305,7 +304,7 @@ def make_far_side(config: Config, epoch: int = 1) -> BusDevice:
     loop = BenchLoop(virtual_device_settings(config), make_plant(config))
     mapping = mapping_of(config, foreign)
     if isinstance(foreign, DbcDeviceConfig):
-        return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, node_of(config, foreign))
+        return VirtualDbcDevice(dbc_file(config, foreign), mapping, loop, config.node)
     from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode  # noqa: PLC0415  an extra
 
     return VirtualCanOpenNode(eds_file(config, foreign), mapping, loop)

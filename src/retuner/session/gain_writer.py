@@ -220,7 +220,7 @@ class GainWriter:
     def _tell_trial(self, write: Wanted, stored: PidGains) -> None:
         """Record that a change is on trial from now on, if it is."""
         trial = self.retuner.trials.of(write.region)
-        if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY} and trial.old is not None:
+        if trial.phase in {TrialPhase.TRIAL, TrialPhase.AWAY, TrialPhase.ENSURING} and trial.old is not None:
             row = {
                 "region": self._name(write.region),
                 "gains": gains_dict(stored),
@@ -228,6 +228,8 @@ class GainWriter:
                 "promise": trial.promise.to_dict() if trial.promise else None,
                 "decision": write.decision.digest() if write.decision else None,
             }
+            if trial.phase == TrialPhase.ENSURING:  # it was given up, came through after all, and is the better one
+                row["reason"] = f"it was written after all, and stays{f': {trial.back.reason}' if trial.back else ''}"
             self._record("trial", self.t_s, row)
 
     def failed(self, event: WriteFailed, now_s: float) -> TrialEvent | None:
