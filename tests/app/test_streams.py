@@ -111,5 +111,5 @@ def test_a_narrow_screen_cuts_no_number(monkeypatch: pytest.MonkeyPatch, capsys:
 def test_rows_are_told_without_empty_values() -> None:
     body = {"accepted": True, "order": "approve", "by": "root", "reason": "", "at": "2026"}
     assert told_values(body, ("order", "by", "accepted", "reason")) == "order approve, by root, accepted yes"
-    assert told_values({"regions": ["low"]}, ("regions",)) == "regions ['low']"
+    assert told_values({"regions": ["low"]}, ("regions",)) == "regions low"
     assert [counted(number, "change") for number in (1, 2)] == ["1 change", "2 changes"]
