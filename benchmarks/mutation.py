@@ -5,7 +5,7 @@
                                                           places where a comparison, a sign, a number or a condition
                                                           stands; found by their tests
 
-Exit status 1 when the score is below 95 %. `make nightly` runs both.
+Exit status 1 when the score is below 95 %. `make nightly` runs the first; the second has not been run whole yet.
 """
 
 import argparse
