@@ -87,14 +87,10 @@ def _axis_text(axis: "Axis") -> str:
 def _region_lines(config: "Config") -> list[str]:
     where = config.regions()
     width = max(len(region.name) for region in config.schedule.regions)
-    lines = []
-    for i, region in enumerate(config.schedule.regions):
-        tau_i = "no integral action" if region.integral_time_s is None else f"tau_i {region.integral_time_s:g} s"
-        lines.append(
-            f"  {region.name:<{width}}  {where.text(i)}: kc {region.kc:g} %/{config.loop.pv_unit}, "
-            f"{tau_i}, tau_d {region.tau_d_s:g} s ({region.form})"
-        )
-    return lines
+    gains = [config.units.text(one, digits=6) for one in config.gains()]
+    return [
+        f"  {region.name:<{width}}  {where.text(i)}: {gains[i]}" for i, region in enumerate(config.schedule.regions)
+    ]
 
 
 def _problem(finding: "ConfigFlaw") -> dict[str, object]:

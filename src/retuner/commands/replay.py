@@ -17,6 +17,7 @@ from retuner.commands.options import Json, Loop
 from retuner.commands.recorded.record_form import renamed
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
+from retuner.decision_page.shown_units import show_units_of
 from retuner.drivers.recorded.frame_log import is_frame_log
 from retuner.drivers.recorded.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
 from retuner.errors import UserError
@@ -50,6 +51,7 @@ def replay(
     if columns:
         raise UserError("--columns: names the columns of a log; a session has its own")
     recorded, meant = read_loops(target)
+    show_units_of(meant)
     if loop is not None:
         recorded = (recorded[meant.place(loop)],)
     return _again(recorded, as_json=as_json)
