@@ -29,10 +29,10 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "ledger",
-    "decisions", "",
+    "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api", "config",
+    "ledger", "decisions", "",
     "decision_page", "report", "experiment", "audit", "session", "live_view", "replay", "serve", "gain_export",
-    "commands", "cli", "__main__",
+    "doctor", "commands", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
 and "" is what `import retuner` gives. A package imports only from itself and from those before it."""
