@@ -161,7 +161,11 @@ def test_the_way_back_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
 
 @pytest.mark.parametrize(
     ("gains", "told"),
-    [(PidGains(-1.0, -0.1), "opposite control action"), (SLOW, "they are active already"), (PidGains(90.0, 1.0), "kc_max")],
+    [
+        (PidGains(-1.0, -0.1), "opposite control action"),
+        (SLOW, "they are active already"),
+        (PidGains(90.0, 1.0), "kc_max"),
+    ],
 )
 def test_a_way_back_that_leads_nowhere_is_refused(gains: PidGains, told: str) -> None:
     bench = Bench()
