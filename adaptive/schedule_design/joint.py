@@ -251,7 +251,7 @@ def _step(form: Form, now: At, damping: float) -> FloatArray:
     assert now.jacobian is not None
     normal = now.jacobian.T @ now.jacobian + np.eye(form.size)
     gradient = now.jacobian.T @ now.r + now.z
-    step: FloatArray = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+    step = -np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64)
     places = form.axis.grid(9)
     farthest = max(
         float(np.max(np.abs(c - m))) for c, m in zip(form.curves(places, step[:, None]), form.centre, strict=True)
