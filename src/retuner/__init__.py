@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
     from retuner.schedule.gains import PidGains as PidGains
     from retuner.schedule.table import GainTable as GainTable
+    from retuner.scheduling import design_schedule as design_schedule
     from retuner.tuning import tune as tune
 
 engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
@@ -48,6 +49,7 @@ _HOMES = {
     "ProcessType": "adaptive.process.model",
     "Retuner": "adaptive.supervision.retuner",
     "RetunerSettings": "adaptive.supervision.settings",
+    "design_schedule": "scheduling",
     "diagnose": "api",
     "gains_of": "conversions",
     "identify": "api",

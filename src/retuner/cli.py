@@ -38,13 +38,14 @@ COMMANDS = {
     "tune": "Settings for a known process by a tuning rule, with their margins.",
     "identify": "Find the process behind a record: model, standard deviations, and the settings that follow.",
     "diagnose": "Say what is behind a loop's behaviour, with evidence, and what to do about it.",
+    "schedule": "A gain schedule from records: what changes along a variable, and the fewest sets that serve it.",
     "audit": "Which loops of a plant deserve a visit: a folder of trends in, a ranked page out.",
     "reduce": "A first- or second-order model of a process of any order, by the half rule.",
     "ledger": "What was seen, decided and written: read it, and look whether it can be believed.",
     "experiment": "A step, setpoint or relay test: on demand, or from a recording.",
 }
 """Every command and what `retuner --help` says of it."""
-ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "tune"})
+ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "schedule", "tune"})
 """Those that stand in commands/recorded/: they work on records and models, and write to no controller."""
 
 

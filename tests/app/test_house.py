@@ -21,7 +21,7 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings", "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
-        "audit",
+        "schedule_design", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -29,8 +29,8 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "config", "ledger",
-    "decisions", "",
+    "errors", "files", "stopping", "streams", "templates", "conversions", "tuning", "api", "scheduling", "config",
+    "ledger", "decisions", "",
     "decision_page", "report", "experiment", "audit", "session", "live_view", "replay", "serve", "gain_export",
     "commands", "cli", "__main__",
 )
