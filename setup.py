@@ -51,9 +51,11 @@ engine = Extension(
     optional=True,
 )
 
+without = bool(os.environ.get("RETUNER_WITHOUT_ENGINE"))  # a wheel for every machine; numpy computes the fits
+
 setup(
     packages=packages,
     package_dir=package_dir,
-    ext_modules=[engine],
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+    ext_modules=[] if without else [engine],
+    options={} if without else {"bdist_wheel": {"py_limited_api": "cp311"}},
 )
