@@ -219,11 +219,14 @@ class ControllerUnits:
         """These gains as they are written on a screen."""
         if gains.kp == 0 and self.dials != PARALLEL:
             return f"Ki {gains.ki:.3g}/s (integral only)" if gains.ki else f"Kd {gains.kd:.3g} s (derivative only)"
-        shown = self.numbers(gains)
+        acting = Acting.of(gains)
+        shown = (self if self.action is None else replace(self, action=acting)).numbers(gains)
         text = " ".join(self.parts(shown, digits))
         if shown.derivative and self.dials != PARALLEL:
             text += f" ({shown.form})"
-        return text if self.action is None else f"{text}, {Acting.of(gains)} acting"
+        if self.action is None:
+            return text
+        return f"{text}, {acting} acting" + f" (the controller is set to {self.action})" * (acting != self.action)
 
     def parts(self, shown: Dialled, digits: int = 3) -> list[str]:
         """Each number with its label and unit; actions that there are not are left out."""

@@ -124,3 +124,36 @@ def test_tuned_gains_go_back_in_the_units_in_which_they_came(
     gains.write_text(to_toml(table.with_gains("all", PidGains(-4.0, 0.0))))
     assert main(["export", str(gains), "--into", str(config)]) == 0
     assert load_config(config).gains() == (PidGains(-4.0, 0.0),)
+
+
+PLANT = '[device]\nkind = "virtual"\n[device.plant]\nkind = "linear"\nk = {k}\nlags_s = [50.0]\ntheta_s = 5.0\n'
+STEPS = "[scenario]\nduration_s = 100.0\nsteps = [{ at_s = 0, sp = 20.0 }, { at_s = 50.0, sp = 120.0 }]\n"
+
+
+def checked(path: Path, written: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    path.write_text(written)
+    status = main(["check", str(path)])
+    return status, capsys.readouterr().out
+
+
+def test_check_compares_the_sign_of_the_gains_with_the_plant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "loop.toml"
+    assert checked(path, text() + PLANT.format(k=0.5), capsys)[0] == 0
+    status, said = checked(path, text() + PLANT.format(k=-0.5), capsys)
+    assert status == 1
+    assert "needs a direct-acting controller; these gains are reverse acting" in said
+    assert checked(path, text(TRADE, 'action = "direct"') + PLANT.format(k=-0.5), capsys)[0] == 0
+    assert checked(path, text(TRADE, 'action = "direct"') + PLANT.format(k=0.5), capsys)[0] == 1
+
+
+def test_check_tells_of_limits_in_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "loop.toml"
+    status, said = checked(path, text() + "[adaptation]\nkc_max = 1.0\n", capsys)
+    assert (status, said.count("warning")) == (0, 1)
+    assert "kc = 2 (parallel form) is above the limit of [adaptation], 1" in said
+    status, said = checked(path, text() + PLANT.format(k=0.5) + STEPS, capsys)
+    assert (status, said.count("warning")) == (0, 1)
+    assert "from 20 to 120 at 50 s asks for 200 % of output at once" in said
+    assert "warning" not in checked(path, text() + STEPS.replace("120.0", "60.0"), capsys)[1]

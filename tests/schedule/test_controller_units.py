@@ -68,7 +68,9 @@ def test_the_action_is_a_word_and_the_numbers_are_positive() -> None:
     assert units.gains(25.0, 3.0) == cooling
     with pytest.raises(ValueError, match="give a positive number"):
         units.gains(-25.0, 3.0)
-    assert units.numbers(PidGains(2.0, 0.1)).gain == -25.0  # the other way round: it shows
+    heating = PidGains(2.0, 0.1)
+    assert units.numbers(heating).gain == -25.0
+    assert units.text(heating) == "PB 25 % reset 3 repeats/min, reverse acting (the controller is set to direct)"
     assert ControllerUnits.named("pb-rpm", 200.0).numbers(cooling).gain == -25.0
 
 

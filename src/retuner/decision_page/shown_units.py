@@ -34,6 +34,18 @@ def show_units_told(told: Mapping[str, object]) -> None:
             _units[str(loop["name"])] = units
 
 
+def show_units(units: ControllerUnits | None) -> None:
+    """From now on gains are shown so, whichever loop they are of; None for the units that nobody has chosen."""
+    _units.clear()
+    if units is not None:
+        _units[""] = units
+
+
+def chosen_units() -> ControllerUnits | None:
+    """The units that all loops share, None where nobody has chosen any."""
+    return units_of() if _units else None
+
+
 def units_of(loop: str = "") -> ControllerUnits:
     """The units of a loop by its name; without a name, or for another loop, those that all loops share."""
     known = set(_units.values())
