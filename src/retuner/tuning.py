@@ -147,7 +147,7 @@ def tuning_lines(result: TuneResult, units: ControllerUnits | None = None) -> li
         f"  parallel  kp {_number(parallel['kp'])}  ki {ki}  kd {kd}",
     ]
     if units is not None:
-        lines.append(f"  dialled   {units.text(result.gains, digits=4)}")
+        lines.append(f"  dialled   {units.text(result.gains, digits=4, acting=True)}")
     if m is not None and not m.stable:
         lines.append("  the closed loop would be UNSTABLE")
     elif m is not None:

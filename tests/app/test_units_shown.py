@@ -62,7 +62,7 @@ def test_the_same_controller_in_other_units(region: str, loop: str) -> None:
 def test_a_direct_acting_controller_has_positive_numbers() -> None:
     found = parse_config(text(TRADE, 'action = "direct"'))
     assert found.gains() == (PidGains(-2.0, -2.0 / 30),)
-    assert found.units.text(found.gains()[0]) == "PB 25 % reset 2 repeats/min, direct acting"
+    assert found.units.text(found.gains()[0], acting=True) == "PB 25 % reset 2 repeats/min, direct acting"
     assert "give it positive" in refused("pb_pct = -25\ntau_i_s = 30", 'action = "direct"')["pb_pct"]
 
 

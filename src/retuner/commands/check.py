@@ -91,7 +91,7 @@ def _axis_text(axis: "Axis") -> str:
 def _region_lines(config: "Config") -> list[str]:
     where = config.regions()
     width = max(len(region.name) for region in config.schedule.regions)
-    gains = [config.units.text(one, digits=6) for one in config.gains()]
+    gains = [config.units.text(one, digits=6, acting=True) for one in config.gains()]
     return [
         f"  {region.name:<{width}}  {where.text(i)}: {gains[i]}" for i, region in enumerate(config.schedule.regions)
     ]

@@ -6,16 +6,19 @@ units. Where a text does not say which loop it is about, the units are those tha
 
 from collections.abc import Mapping
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
-from retuner.config.session_config import SessionConfig
 from retuner.schedule.controller_units import ControllerUnits
+
+if TYPE_CHECKING:  # slow to load, and records have no configuration
+    from retuner.config.session_config import SessionConfig
 
 DEFAULT = ControllerUnits()
 """Gain in co units per pv unit, times in seconds, series form where it exists."""
 _units: dict[str, ControllerUnits] = {}
 
 
-def show_units_of(session: SessionConfig) -> None:
+def show_units_of(session: "SessionConfig") -> None:
     """From now on gains are shown as these loops have them."""
     _units.clear()
     _units.update({config.loop.name: config.units for config in session.loops})
