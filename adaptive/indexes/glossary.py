@@ -50,7 +50,7 @@ GLOSSARY: dict[str, Entry] = {
     "horch_drho": Entry("cross-correlation, heights", "index", "above 0.67 odd: valve", "Horch 1999"),
     "yamashita_rho1": Entry("pv steady while co moves", "share", "chance 0.25; well above: valve", "Yamashita 2006"),
     "yamashita_rho3": Entry("the same, less what no valve does", "share", "well above 0.25: valve", "Yamashita 2006"),
-    "stick_band": Entry("width of pv over co", "co", "stick band if a valve sticks", "Choudhury 2008"),
+    "stick_band": Entry("width of pv over co", "co", "stiction band if a valve sticks", "Choudhury 2008"),
     "roundness": Entry("pv over co, unlike an ellipse", "index", "ellipse 0, parallelogram 0.2 to 0.45, noise 1", ""),
     "jump_share": Entry("pv moves in jumps more than co", "share", "above 0.1: jumps", ""),
     "flat_share": Entry("travel of co while pv stands", "share", "near 1: pv does not follow", ""),

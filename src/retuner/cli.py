@@ -31,7 +31,7 @@ COMMANDS = {
     "device": "Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped.",
     "conformance": "Play host and stranger to a device on a bus, and tell what it does wrong by the protocol.",
     "replay": "Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?",
-    "serve": "Show sessions in a browser, live and afterwards, and let a person act from there.",
+    "serve": "Show sessions in a browser, live and afterwards, and let an operator act from there.",
     "report": "Make the report of a recorded session again, or the page of one decision, with pictures.",
     "approve": "Order that a proposal be written, named by its hash, or list the open ones: the newest of each region.",
     "export": "Write a gain table for firmware, a PLC or a CAN tool, or back into its configuration.",

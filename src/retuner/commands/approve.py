@@ -165,7 +165,7 @@ def _closed(place: LoopPlace, full: str) -> str:
         return "it was rejected"
     proposal = place.shown.proposals.get(full)
     if proposal is None:
-        return "" if full in place.shown.waiting.values() else "this change does not wait for a person"
+        return "" if full in place.shown.waiting.values() else "this change does not wait for an operator"
     standing = place.shown.standing(proposal, place.expires_after_s)
     return str(standing) if standing is not ProposalStanding.OPEN else superseded(place.shown.successor(proposal))
 

@@ -58,6 +58,6 @@ def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | N
     """
     if (interface or channel) is not None and len(session.buses) > 1:
         raise UserError(
-            f"--interface, --channel: name one bus, and the loops hang on {len(session.buses)}; name them in the file"
+            f"--interface, --channel: name one bus, and the loops depend on {len(session.buses)}; name them in the file"
         )
     return replace(session, loops=tuple(on_bus(config, interface, channel) for config in session.loops))

@@ -32,7 +32,7 @@ BASES = {
     "pretune": "from a step test",
 }
 """What a proposal rests on, in words."""
-FIRST_GROUPS = ("margins with the active settings", "rival explanations")
+FIRST_GROUPS = ("margins with the active settings", "competing explanations")
 """Groups of evidence that are shown at once; the others unfold."""
 SWINGS = 0.25
 """Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""

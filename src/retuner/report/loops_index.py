@@ -46,7 +46,7 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
         "loop",
         "decisions",
         "changes",
-        "taken back",
+        "rolled back",
         "proposals",
         "IAE over that with fixed gains",
         "to look after",

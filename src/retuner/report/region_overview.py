@@ -84,7 +84,7 @@ def _marks(now: RegionNow) -> str:
         f"mode {now.mode}" if now.mode else "",
         now.trial if now.trial != IDLE else "",
         "settings borrowed from a neighbour's model" if now.borrowed else "",
-        f"{now.undone} undone" if now.undone else "",
+        f"{now.undone} rolled back" if now.undone else "",
     ]
     return ", ".join(one for one in told if one)
 

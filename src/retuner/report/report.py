@@ -123,7 +123,7 @@ def _lead(data: ReportData, documents: Sequence[Document]) -> str:
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
     undone = len(_undone(documents))
     if undone:
-        parts.append(f"{_counted(undone, 'change')} taken back.")
+        parts.append(f"{_counted(undone, 'change')} rolled back.")
     advised = sum(words(d, "action") == "advise" for d in documents)
     if advised:
         parts.append(f"{_counted(advised, 'change')} advised and not written.")
@@ -155,7 +155,7 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
     unit = escaped(data.unit)
     heads = (
         "region",
-        "commissioned gains",
+        "baseline gains",
         "final gains",
         "changes",
         "Ms before",
@@ -213,7 +213,7 @@ def _twins(data: ReportData) -> str:
     for twin in twin_steps(data.run, data.events):
         name = names[twin.region]
         drawn = twin_png(data.run, data.fixed, twin, name, data.unit, commissioned=as_commissioned(data, twin))
-        images.append(image(drawn, f"{name}: with the commissioned gains and with the final ones"))
+        images.append(image(drawn, f"{name}: with the baseline gains and with the final ones"))
     if not images:
         return ""
     told = "" if data.fixed is not None else paragraph("There was no run with fixed gains to compare with.", "muted")
@@ -221,7 +221,7 @@ def _twins(data: ReportData) -> str:
 
 
 def as_commissioned(data: ReportData, twin: Twin) -> bool:
-    """Whether the first of two equal steps ran on the commissioned gains to its end."""
+    """Whether the first of two equal steps ran on the baseline gains to its end."""
     before = data.before.gains_of(twin.region)
     if "kp" not in data.run:
         return False

@@ -24,7 +24,7 @@ def test_each_region_tells_its_newest_state() -> None:
 def test_the_overview_says_what_is_known_borrowed_and_advised() -> None:
     table = GainTable("oven", ROW, (PidGains(2.0, 0.1), PidGains(1.0, 0.05)))
     text = overview(table, [COMMIT, BORROWED, RESTORED], ["two processes <in> middle"])
-    for told in ("nothing yet", "1 undone", "two processes &lt;in&gt; middle", "mode auto"):
+    for told in ("nothing yet", "1 rolled back", "two processes &lt;in&gt; middle", "mode auto"):
         assert told in text
     assert "Settings over both variables" not in text
 

@@ -151,7 +151,7 @@ def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
         assert told in text, told
     promise: Any = COMMIT["promise"]
     without = words_of(article(view(changed(promise={**promise, "ms": None}), drawn=False)))
-    assert "Ms promised" not in without
+    assert "Predicted Ms" not in without
 
 
 def test_a_judged_response_shows_measured_beside_promised() -> None:

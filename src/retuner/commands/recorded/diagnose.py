@@ -58,7 +58,7 @@ class DiagnosedRecord:
 class DiagnoseOptions(RecordOptions):
     """Say what is behind a loop's behaviour, with evidence, and what to do about it."""
 
-    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force; else read off the record.")] = None
+    kc: Annotated[float | None, typer.Option(help="Active controller gain; else read off the record.")] = None
 
 
 @app.command(epilog="Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png")
@@ -180,8 +180,8 @@ def _by_eye(found: DiagnosedRecord) -> list[str]:
 def _controller_lines(found: DiagnosedRecord) -> list[str]:
     """The settings in force in a line."""
     if found.gains is None:
-        return [f"settings in force: not known; {found.read_off.reason}"] if found.read_off is not None else []
-    line = f"settings in force: {settings_text(found.gains)}"
+        return [f"active settings: not known; {found.read_off.reason}"] if found.read_off is not None else []
+    line = f"active settings: {settings_text(found.gains)}"
     if found.read_off is not None:
         line += f", read off the record ({found.read_off.reason})"
     return [line]
@@ -200,7 +200,7 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
     return [f"process: {model.type}, " + ", ".join(numbers)]
 
 
-SHOWN = {"linear": "the loop alone", "external": "with a tone from outside", "stuck": "with a sticking valve"}
+SHOWN = {"linear": "the loop alone", "external": "with an external oscillation", "stuck": "with a sticking valve"}
 """Explanations in words."""
 WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The explanation that is believed, besides the loop by itself."""

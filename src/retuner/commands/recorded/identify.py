@@ -37,7 +37,7 @@ class IdentifyOptions(RecordOptions):
 
     open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
     region_by: Annotated[str, typer.Option(help="A model for each region of pv, sp or co; needs --bounds.")] = ""
-    bounds: Annotated[str, typer.Option(help="Borders of the regions, increasing: 20,40,60.")] = ""
+    bounds: Annotated[str, typer.Option(help="Boundaries of the regions, increasing: 20,40,60.")] = ""
 
 
 @app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
@@ -150,9 +150,9 @@ def described(found: Identification) -> list[str]:
     if found.margins_in_force is not None:
         m = found.margins_in_force
         lines.append(
-            f"with the gains in force: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg"
+            f"with the active gains: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg"
             if m.stable
-            else "with the gains in force this loop is UNSTABLE"
+            else "with the active gains this loop is UNSTABLE"
         )
     return lines
 
