@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive import shown
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -106,6 +107,17 @@ class Decision:
     known: LogModel | None = None
     delay: Delay | None = None
     undos: int | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"Decision({self.number}, {self.loop!r}, {self.region!r}, {self.t_s:.6g} s, {self.action}: {self.reason})"
+        )
+
+    def __str__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later."""

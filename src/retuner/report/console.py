@@ -35,13 +35,15 @@ class RunScreen:
 
     Parameters
     ----------
-    console : where to. unit : of pv. quiet : show nothing (for --json).
+    console : where to. unit : of pv. quiet : show nothing (for --json). answers_only : no
+        progress and no decisions (for -q).
     """
 
-    def __init__(self, console: Console, unit: str, *, quiet: bool = False) -> None:
+    def __init__(self, console: Console, unit: str, *, quiet: bool = False, answers_only: bool = False) -> None:
         self.console = console
         self._unit = unit
         self._quiet = quiet
+        self._answers_only = answers_only
         self._progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(),
@@ -49,7 +51,7 @@ class RunScreen:
             TextColumn("{task.fields[state]}"),
             TimeElapsedColumn(),
             console=console,
-            disable=quiet or not console.is_terminal,
+            disable=quiet or answers_only or not console.is_terminal,
             transient=True,
         )
         self._task: TaskID | None = None
@@ -85,7 +87,7 @@ class RunScreen:
 
     def decision(self, decision: Decision, loop: str = "") -> None:
         """A decision was taken. loop : its name, where there are several."""
-        if not self._quiet:
+        if not (self._quiet or self._answers_only):
             self._progress.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
