@@ -82,7 +82,7 @@ class RegionConfig(Section):
 
 
 class AxisConfig(Section):
-    """[[schedule.axis]]: one scheduling variable and the borders on it; one or two of these."""
+    """[[schedule.axis]]: one scheduling variable and the boundaries on it; one or two of these."""
 
     variable: Literal["sp", "pv", "co", "can"] = setting(
         "What the gains follow; can: another signal on the bus", unit="-", source="the user"
