@@ -189,7 +189,7 @@ def _judged(found: Regression, window: Window, settings: LawSettings) -> Setting
     for name, widest in ((found.main, settings.std_limit), ("ki", 2 * settings.std_limit)):
         wide = math.hypot(found.spread(name), found.unexplained) if values[name] else 0.0
         if wide > widest:
-            return _refused(f"{name} is only known to +-{wide:.0%}: the record moves too little", found)
+            return _refused(f"{name} is only known to +-{wide:.0%}: too little excitation", found)
     reason = _disagreement(found, window, settings)
     if reason:
         return _refused(reason, found)

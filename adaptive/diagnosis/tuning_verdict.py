@@ -289,7 +289,7 @@ GROWTH = 1.3
 def _hardly_explained(estimate: ModelEstimate, verdict: Diagnosis) -> Diagnosis:
     """The cause, where what a model explains of pv is too little for its margins to mean anything."""
     if verdict.evidence.get("noise_share", 0.0) > NOISY:
-        return replace(verdict, cause=Cause.NOISE, confidence=0.8, reason="nothing but noise moves this loop")
+        return replace(verdict, cause=Cause.NOISE, confidence=0.8, reason="only noise moves this loop")
     return replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=estimate.reason)
 
 
@@ -304,7 +304,7 @@ def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, fl
         reason = f"a lasting oscillation of {period_s:.3g} s without any step that could have begun it"
         return Diagnosis(Cause.EXTERNAL, 0.8, evidence | {"external_period_s": period_s}, reason)
     if evidence.get("noise_share", 0.0) > NOISY or estimate.noise_std >= estimate.residual_std:
-        return Diagnosis(Cause.NOISE, 0.8, evidence, "nothing but noise moves this loop")
+        return Diagnosis(Cause.NOISE, 0.8, evidence, "only noise moves this loop")
     reason = "an unexplained disturbance moves this loop: neither steps nor a regular oscillation"
     return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
 

@@ -351,10 +351,7 @@ def unexplained(left_std: float, explained_std: float, record: Record, settings:
         if beyond <= settings.beside:
             return ""
         told = f"{beyond:.0%} of what it explains, beyond the noise"
-    return (
-        f"the model leaves {told}: something moves pv that is not in it (another structure, a nonlinearity, a load of "
-        "another shape)"
-    )
+    return f"the model leaves {told}: an effect on pv is missing in it (structure, nonlinearity or load shape)"
 
 
 def _judge(

@@ -163,10 +163,10 @@ def test_it_reads_well(tmp_path, capsys):
     first = shown.splitlines()[0]
     assert first == "AGGRESSIVE (confidence 97%): Ms 3.10 is over 1.8"
     assert "active settings: Kc 1.95 tau_I 19.5 s, read off the record" in shown
-    assert "settings that would cure it:" in shown
+    assert "recommended settings:" in shown
     assert "overshoot of setpoint responses" in shown
     assert (tmp_path / "a.png").read_bytes().startswith(PNG)
-    assert "no change of settings" not in shown
+    assert "no change of settings recommended" not in shown
 
 
 @pytest.mark.parametrize(

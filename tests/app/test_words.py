@@ -35,8 +35,13 @@ CALLS = {"list", "dict", "set", "tuple", "sorted", "asdict", "gains_dict", "toli
 
 
 def docstrings(tree: ast.AST) -> set[int]:
-    """The nodes that are documentation: expressions that stand alone."""
-    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    """The nodes that are documentation: expressions that stand alone, but for the help of a command."""
+    helps = {
+        id(node.body[0])
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and any("command" in ast.unparse(one) for one in node.decorator_list)
+    }
+    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr) and id(node) not in helps}
 
 
 def texts(source: str) -> Iterator[tuple[int, str]]:
@@ -175,8 +180,8 @@ def test_the_page_of_the_vocabulary_is_what_the_program_says() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("the active gains", ["in force"]),
-        ("It was Rolled back, as predicted", ["Rolled back", "promised"]),
+        ("the gains in force", ["in force"]),
+        ("It was Taken back, as promised", ["Taken back", "promised"]),
         ("damping 0.4, a damping ratio of 0.7", ["damping"]),
         ("enforced, undoubted", []),
     ],

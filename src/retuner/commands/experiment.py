@@ -39,7 +39,7 @@ from retuner.verbosity import quiet
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    help="A step, setpoint or relay test: on demand, or from a recording.",
+    help="Make a step, setpoint or relay test, or evaluate a recorded one.",
     epilog="Example: retuner experiment relay examples/oven.toml --amplitude 5",
 )
 

@@ -37,13 +37,13 @@ def replay(
     ],
     config: Annotated[
         Path | None,
-        typer.Option(help="Say what would have been done on a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
+        typer.Option(help="Apply this configuration to a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
     ] = None,
     columns: Annotated[str, typer.Option(help="Other names in a table: t=time,pv=temp,co=out,sp=target.")] = "",
     loop: Loop = None,
     as_json: Json = False,
 ) -> int:
-    """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
+    """Repeat the decisions of a session byte for byte, or apply retuner to a recorded log."""
     if config is not None:
         return what_if(target, config, columns, loop, as_json=as_json)
     if target.is_file() and target.suffix != ".sqlite":

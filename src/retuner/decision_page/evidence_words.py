@@ -17,11 +17,15 @@ HYPOTHESES = {
     "linear_left": Entry("residual, loop alone", "noise", "near 1: explained", ""),
     "external_left": Entry("residual, external oscillation", "noise", "", ""),
     "stuck_left": Entry("residual, sticking valve", "noise", "", ""),
-    "external_lead": Entry("log-likelihood ratio, external", "index", "2 ln; above 10 strong", "Schwarz 1978"),
-    "stuck_lead": Entry("log-likelihood ratio, sticking valve", "index", "2 ln; above 10 strong", "Schwarz 1978"),
+    "external_lead": Entry("log-likelihood ratio, external", "index", "2 ln(L1/L2): above 10 strong", "Schwarz 1978"),
+    "stuck_lead": Entry(
+        "log-likelihood ratio, sticking valve", "index", "2 ln(L1/L2): above 10 strong", "Schwarz 1978"
+    ),
     "external_period_s": Entry("period of the external oscillation", "s", "", ""),
-    "wrong_way_lead": Entry("log-likelihood ratio, opposite action", "index", "2 ln; above 10 strong", "Schwarz 1978"),
-    "stand_travel": Entry("travel of co while pv stands", "co ranges", "above 1: a valve, or a drifting load", ""),
+    "wrong_way_lead": Entry(
+        "log-likelihood ratio, opposite action", "index", "2 ln(L1/L2): above 10 strong", "Schwarz 1978"
+    ),
+    "stand_travel": Entry("travel of co while pv is still", "co ranges", "above 1: a valve, or a drifting load", ""),
     "stand_dwell": Entry("longest standstill of pv", "tau_I", "above 10: not the loop", ""),
     "stands": Entry("standstills of pv", "count", "", ""),
     "slips_left": Entry("residual, valve with irregular slips", "noise", "", ""),

@@ -51,7 +51,7 @@ class SessionPhase(Enum):
     ENDING = "ending: an undecided change is rolled back"
     FAILING = "ending after a defect: no sample is looked at any more"
     SETTLED = "over: nothing is open"
-    LEFT_OPEN = "over: patience has ended before the verified gains were known to be active"
+    LEFT_OPEN = "over: the waiting time has passed before the verified gains were known to be active"
 
 
 class SessionInput(Enum):

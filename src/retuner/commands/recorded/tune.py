@@ -26,7 +26,7 @@ HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "Ms", "GM", "PM", "J
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TuneOptions:
-    """Settings for a known process by a tuning rule, with their margins."""
+    """Compute settings for a known process by a tuning rule, with margins."""
 
     type: Annotated[
         str | None,
