@@ -30,7 +30,7 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api", "config",
+    "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api", "config",
     "ledger", "decisions", "pid_controller", "",
     "decision_page", "report", "experiment", "audit", "session", "live_view", "replay", "serve", "gain_export",
     "doctor", "commands", "notebook", "cli", "__main__",

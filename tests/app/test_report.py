@@ -37,7 +37,7 @@ def page(found: RegionScore, *, stopped: bool = False) -> str:
         (
             score(float("inf"), 100.0, 100.0),
             "0 changes were written to the controller. Ms of the final gains on the "
-            "true process is not finite: the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
+            "simulated process is not finite: the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
         ),
         (
             score(None, 120.0, 100.0, 2),
@@ -109,7 +109,7 @@ def test_ms_over_the_limit_is_red_with_the_reason() -> None:
     text = render(told)
     assert "over 1.6<" in text
     assert "nothing was changed; the newest decision 7: the model is not accurate enough" in text
-    assert "on the process as known it was 1.62" in text
+    assert "on the identified process it was 1.62" in text
 
 
 def test_marks_carry_the_numbers_of_their_decisions() -> None:

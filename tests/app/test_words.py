@@ -52,6 +52,7 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
         if isinstance(node, ast.JoinedStr):
             apart |= {id(inner) for inner in node.values if isinstance(inner, ast.Constant)}
             apart |= {id(inner.format_spec) for inner in node.values if isinstance(inner, ast.FormattedValue)}
+    beside = {id(one) for node in ast.walk(tree) for one in _listed(node)}
     for node in ast.walk(tree):
         if id(node) in apart:
             continue
@@ -61,8 +62,16 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
             text = "".join(parts)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             text = re.sub(r"\{[^{} ]*\}", "X", node.value)
-        if " " in text.strip():
+        if " " in text.strip() or (text and id(node) in beside):
             yield node.lineno, text
+
+
+def _listed(node: ast.AST) -> list[ast.expr]:
+    """Texts that stand in a row with others of several words or none, as headings do."""
+    if not isinstance(node, ast.Tuple | ast.List) or len(node.elts) < 3:
+        return []
+    values = [one.value for one in node.elts if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+    return node.elts if len(values) == len(node.elts) and any(" " in one or not one for one in values) else []
 
 
 @cache
@@ -199,6 +208,7 @@ def f(n):
 
 def test_texts_are_seen_whole_and_keys_are_not() -> None:
     assert list(texts(SOURCE)) == [(4, "X of X parts"), (4, "a key")]
+    assert list(texts('f(("", "in force", "ms"), ("k", "v", "w"))')) == [(1, "in force"), (1, "ms")]
 
 
 def test_sentences_are_counted() -> None:

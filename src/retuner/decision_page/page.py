@@ -264,13 +264,14 @@ def _proof(view: DecisionView) -> str:
     for check in parts(verdict, "checks"):
         passed = check.get("passed")
         mark = "passed" if passed is True else "NOT passed" if passed is False else ""
-        words_ = words(check, "words") or words(check, "name").replace("_", " ")
-        none = "unstable" if words(check, "name").startswith("ms_") else "none"
+        name = words(check, "name")
+        words_ = words(check, "words") or name.replace("_", " ")
+        none = "unstable" if name.startswith("ms_") else "none"
         rows.append(
             (
                 escaped(words_),
-                _value(check.get("value"), none),
-                _value(check.get("limit"), "none"),
+                _value(check.get("value"), none) if name != "settled" else "yes" if passed else "no",
+                _value(check.get("limit"), "none") if name != "settled" else "yes",
                 f'<span class="{"good" if passed else "bad"}">{mark}</span>',
             )
         )

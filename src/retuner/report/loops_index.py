@@ -48,8 +48,8 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
         "changes",
         "rolled back",
         "proposals",
-        "IAE over that with fixed gains",
-        "to look after",
+        "IAE relative to fixed gains",
+        "needs attention",
     )
     rows = [
         (
