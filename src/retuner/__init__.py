@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from retuner.schedule.regions import Regions as Regions
     from retuner.schedule.table import GainTable as GainTable
     from retuner.schedule.table import Lookup as Lookup
+    from retuner.scheduling import design_schedule as design_schedule
     from retuner.tuning import TuneResult as TuneResult
     from retuner.tuning import tune as tune
 
@@ -78,6 +79,7 @@ __all__ = [
     "RetunerSettings",
     "TrialEvent",
     "TuneResult",
+    "design_schedule",
     "diagnose",
     "gains_of",
     "identify",
@@ -114,6 +116,7 @@ _HOMES = {
     "schedule.gains": ("PidGains",),
     "schedule.regions": ("Regions",),
     "schedule.table": ("GainTable", "Lookup"),
+    "scheduling": ("design_schedule",),
     "tuning": ("TuneResult", "tune"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

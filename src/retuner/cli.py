@@ -39,6 +39,7 @@ COMMANDS = {
     "tune": "Compute settings for a known process by a tuning rule, with margins.",
     "identify": "Identify the process from a record: model, standard deviations and settings.",
     "diagnose": "Find the cause of a loop's behaviour, with evidence and recommended settings.",
+    "schedule": "Design a gain schedule from records: curves over a variable, and the fewest regions that serve it.",
     "audit": "Rank the loops of a plant by need for attention, from a folder of trends.",
     "reduce": "Reduce a process model to first or second order by the half rule.",
     "ledger": "Read, verify, export or revert what was seen, decided and written.",
@@ -46,7 +47,7 @@ COMMANDS = {
     "doctor": "What of retuner works on this machine, and what to do about the rest.",
 }
 """Every command and what `retuner --help` says of it."""
-ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "tune"})
+ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "schedule", "tune"})
 """Those that stand in commands/recorded/: they work on records and models, and write to no controller."""
 
 

@@ -31,13 +31,13 @@ def page(found: RegionScore, *, stopped: bool = False) -> str:
     [
         (
             score(1.5, 50.0, 100.0, 1),
-            "1 change was written to the controller. Ms of the final gains on the true "
+            "1 change was written to the controller. Ms of the final gains on the simulated "
             "process is at most 1.50. The integrated error is 50% smaller than with fixed gains.",
         ),
         (
             score(float("inf"), 100.0, 100.0),
-            "0 changes were written to the controller. Ms of the final gains on the "
-            "simulated process is not finite: the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
+            "0 changes were written to the controller. Ms of the final gains on the simulated process is not finite: "
+            "the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
         ),
         (
             score(None, 120.0, 100.0, 2),

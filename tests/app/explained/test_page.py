@@ -199,7 +199,7 @@ def test_one_line_says_the_same_in_short() -> None:
         "undecided: the loop responds worse than predicted | rolled back: Kc 1.5 tau_I 250 s -> Kc 2.4 tau_I 150 s"
     )
     assert "(from neighbouring regions) | written" in one_line(BORROWED)
-    assert one_line(PATTERN).endswith("| write Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s")
+    assert one_line(PATTERN).endswith("| written: Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s")
 
 
 def test_the_circle_is_the_guards_limit() -> None:
