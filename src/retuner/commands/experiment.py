@@ -34,6 +34,7 @@ from retuner.session.bench import live, simulated
 from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
 from retuner.session.running import real_time_speed
 from retuner.stopping import stoppable
+from retuner.verbosity import quiet
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -246,7 +247,8 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     speed = real_time_speed(options.speed, simulated=in_process)
     plan = plan_for(config, kind, options, shape)
     folder = options.out or Path(f"{config.output.directory}-experiment")
-    screen = RunScreen(screen_console(stderr=options.as_json), config.loop.pv_unit, quiet=options.as_json)
+    console = screen_console(stderr=options.as_json)
+    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json, answers_only=quiet())
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:

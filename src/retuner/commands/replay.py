@@ -32,6 +32,7 @@ from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner, schedule_inputs
 from retuner.session.recorded_session import RecordedSession, read_loops
 from retuner.session.session_identity import differences
+from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
@@ -75,7 +76,8 @@ def _refuse_form(options: FormOptions, why: str) -> None:
 
 def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:
     """Decide again in each loop; the exit status."""
-    results = [(one, Replay(one).run()) for one in recorded]
+    with busy("deciding again"):
+        results = [(one, Replay(one).run()) for one in recorded]
     identical, agreed = (all(getattr(one, name) for _, one in results) for name in ("identical", "agrees"))
     if as_json:
         documents = [document(one, result) for one, result in results]
@@ -199,7 +201,8 @@ def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
     config = load_config(config_file, options.loop)
     retuner = make_retuner(config, Mode.ADVISE)
-    found = answer(retuner, recorded_loop(log, options, config))
+    with busy(f"deciding on {log}"):
+        found = answer(retuner, recorded_loop(log, options, config))
     if options.as_json:
         sys.stdout.write(json.dumps(_answered(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
         return 0
