@@ -126,7 +126,7 @@ def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_pat
     assert found["model"]["theta"] == pytest.approx(3.0, rel=0.1)
     assert found["margins_in_force"]["stable"] is True
     assert main(["identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve"]) == 0
-    assert "settings that follow" in capsys.readouterr().out
+    assert "recommended settings" in capsys.readouterr().out
 
 
 def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None:
@@ -211,7 +211,7 @@ def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, caps
     same = answer(capsys, "identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
     assert same["margins_in_force"]["ms"] == pytest.approx(plain["margins_in_force"]["ms"])
     assert main(["diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"]) == 0
-    assert "settings in force: PB 500 % reset 3 repeats/min" in capsys.readouterr().out
+    assert "active settings: PB 500 % reset 3 repeats/min" in capsys.readouterr().out
     assert main(["identify", path, *trade]) == 0
     assert "  dialled   PB " in capsys.readouterr().out
     assert main(["identify", path]) == 0

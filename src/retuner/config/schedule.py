@@ -30,7 +30,7 @@ Edge = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 def _number(meaning: str, unit: str, low: float = -1e9) -> Any:  # noqa: ANN401  as setting()
     """A number of the controller that another one may stand for."""
-    return setting(meaning, unit=unit, low=low, high=1e9, default=None, source="the gains in force")
+    return setting(meaning, unit=unit, low=low, high=1e9, default=None, source="the active gains")
 
 
 class RegionConfig(Section):
@@ -48,16 +48,16 @@ class RegionConfig(Section):
         'Integral time of the named form, or "none" for no integral action; or tau_i_min or repeats_per_min',
         unit="s",
         default=None,
-        source="the gains in force",
+        source="the active gains",
     )
     tau_i_min: IntegralTime | Literal["none"] | None = setting(
-        "In place of tau_i_s: the same in minutes", unit="min", default=None, source="the gains in force"
+        "In place of tau_i_s: the same in minutes", unit="min", default=None, source="the active gains"
     )
     repeats_per_min: float | None = _number(
         "In place of tau_i_s: repeats per minute, 0 for no integral action", "1/min", low=0
     )
     tau_d_s: float = setting(
-        "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the gains in force"
+        "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the active gains"
     )
     tau_d_min: float | None = _number("In place of tau_d_s: the same in minutes", "min", low=0)
     form: Literal["series", "ideal", "parallel"] = setting(
@@ -68,8 +68,8 @@ class RegionConfig(Section):
     )
 
     cell: Many[Annotated[int, Field(ge=1, le=64)]] = setting(
-        "With two axes the place on each, counted from 1; for all regions or for none (then row by row: the first "
-        "place on the first axis with all of the second, then the next)",
+        "With two axes the place on each, counted from 1; for all regions or for none; if none, the second axis "
+        "counts fastest",
         unit="-",
         text=(0, 2),
         default=(),
@@ -99,7 +99,7 @@ class RegionConfig(Section):
                 yield Problem((keys[0],), f"is missing; add {', '.join(keys[:-1])} or {keys[-1]}")
         key = self.dials[0].key
         if key in self.model_fields_set and self.dialled == 0:
-            yield Problem((key,), "= 0 would control nothing; give the gain in force")
+            yield Problem((key,), "= 0 would control nothing; give the active gain")
 
     @property
     def dials(self) -> Dials:
@@ -132,7 +132,7 @@ class RegionConfig(Section):
 
 
 class AxisConfig(Section):
-    """[[schedule.axis]]: one scheduling variable and the borders on it; one or two of these."""
+    """[[schedule.axis]]: one scheduling variable and the boundaries on it; one or two of these."""
 
     variable: Literal["sp", "pv", "co", "can"] = setting(
         "What the gains follow; can: another signal on the bus", unit="-", source="the user"
@@ -147,9 +147,9 @@ class AxisConfig(Section):
         default=(),
         source="[loop]",
     )
-    bounds: Many[float] = setting("Borders on the axis, increasing", unit="unit", default=(), source="the user")
+    bounds: Many[float] = setting("Boundaries on the axis, increasing", unit="unit", default=(), source="the user")
     hysteresis: float = setting(
-        "How far beyond a border a place is kept",
+        "How far beyond a boundary a place is kept",
         unit="unit",
         low=0,
         high=1e9,
@@ -178,8 +178,8 @@ class AxisConfig(Section):
     )
     signal: str = setting("With can: name of the signal in it", unit="-", text=(0, 128), default="", source="the DBC")
     stale_after_s: float = setting(
-        "With can: age of the last value after which the variable is not known; the region stays then, and nothing is "
-        "learned",
+        "With can: age of the last value after which the variable is not known; the region then stays, and no model is "
+        "updated",
         unit="s",
         above=0,
         high=1e6,
@@ -235,13 +235,13 @@ class ScheduleConfig(Section):
 
     variable: Literal["sp", "pv", "co"] = setting("What the gains follow", unit="-", default="sp", source="sp is quiet")
     bounds: Many[float] = setting(
-        "Borders between the regions, increasing; none for a single region",
+        "Boundaries between the regions, increasing; none for a single region",
         unit="pv or %",
         default=(),
         source="the user",
     )
     hysteresis: float = setting(
-        "How far beyond a border a region is kept",
+        "How far beyond a boundary a region is kept",
         unit="pv or %",
         low=0,
         high=1e9,
