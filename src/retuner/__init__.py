@@ -11,7 +11,6 @@ Names are loaded when they are first used, so that importing the package costs n
 "retuner", and nothing is shown unless a handler is added: logging.basicConfig(level="INFO") shows it.
 """
 
-import logging
 import os
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -121,7 +120,6 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-logging.getLogger("retuner").addHandler(logging.NullHandler())
 engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
 shown.shown_by("retuner.notebook", import_module)
 

@@ -25,19 +25,23 @@ from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, step, track
 from retuner.schedule.regions import Regions, RegionState, choose, enter, values
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 LOG = logging.getLogger("retuner")
+LOG.addHandler(logging.NullHandler())
+HARD = Lookup.HARD
 PROPOSAL_S = 86400.0
 """How long a proposal may be approved: a day, as in the configuration."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where the loop stood after a sample."""
+    """Where the loop stood after a sample. xs : values of the scheduling variables. table : that was in force."""
 
     t_s: float
+    xs: tuple[float, float]
     region: RegionState
+    table: GainTable
     pid: StateTuple
     sp: float
     pv: float
@@ -146,7 +150,7 @@ class PidController:
         place = self._advanced(sp, pv, elapsed_s, (x, x2), manual_co)
         co, limited = place.pid[3], int(place.pid[LIMITED])
         mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
-        xs = self._scheduled(sp, pv, (x, x2))
+        xs = place.xs
         sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
         self._decision = (self._background or self._retuner).observe(sample)
         self._place = place
@@ -279,14 +283,17 @@ class PidController:
         else:
             state, _ = track(now, state, sp, pv, manual_co, dt_s)
         self._law = now
-        return _Place(t_s, region, state, sp, pv)
+        return _Place(t_s, xs, region, self._retuner.table, state, sp, pv)
 
     def _law_at(self, region: RegionState, xs: tuple[float, float]) -> PidLaw:
         """The law with the gains of this place; the same object as long as they do not change."""
-        now, at = self._law, values(self._regions, region, *xs)
-        if self._place is not None and not all(map(math.isfinite, at)):
+        now, last, table = self._law, self._place, self._retuner.table
+        if last is not None and table is last.table and region.region == last.region.region and table.lookup == HARD:
             return now
-        gains = self._retuner.table.at(region.region, *at)
+        at = values(self._regions, region, *xs)
+        if last is not None and not all(map(math.isfinite, at)):
+            return now
+        gains = table.at(region.region, *at)
         same = (gains.kp, gains.ki, gains.kd) == (now.kp, now.ki, now.kd)
         return now if same else now.with_gains(gains)
 
