@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
     from retuner.pid_controller import PidController as PidController
     from retuner.schedule.axis import Axis as Axis
+    from retuner.schedule.controller_units import Acting as Acting
+    from retuner.schedule.controller_units import ControllerUnits as ControllerUnits
     from retuner.schedule.forms import to_ideal as to_ideal
     from retuner.schedule.forms import to_series as to_series
     from retuner.schedule.gains import PidGains as PidGains
@@ -58,9 +60,11 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Acting",
     "Action",
     "Axis",
     "BackgroundRetuner",
+    "ControllerUnits",
     "Decision",
     "GainTable",
     "Identification",
@@ -111,6 +115,7 @@ _HOMES = {
     "decisions.background": ("BackgroundRetuner",),
     "pid_controller": ("PidController",),
     "schedule.axis": ("Axis",),
+    "schedule.controller_units": ("Acting", "ControllerUnits"),
     "schedule.forms": ("to_ideal", "to_series"),
     "schedule.gains": ("PidGains",),
     "schedule.regions": ("Regions",),
