@@ -21,7 +21,7 @@ TESTS = (
     "tests/adaptive/rules/test_published.py",
     "tests/adaptive/trial/test_judge.py",
     "tests/adaptive/test_experiments.py",
-    "tests/adaptive/test_tracker.py",
+    "tests/adaptive/test_region_model.py",
     "tests/drivers/test_recording.py",
     "tests/drivers/test_bus.py",
     "tests/drivers/test_write_protocol.py",
@@ -32,6 +32,8 @@ TESTS = (
     "tests/app/test_pretune.py",
     "tests/app/test_conversions.py",
     "tests/app/test_ledger.py",
+    "tests/app/test_doctor.py",
+    "tests/app/test_verbosity.py",
 )
 """What touches numpy, scipy, filterpy, pydantic, typer, rich, python-can, cantools, pyarrow most; a minute of CPU."""
 
