@@ -61,7 +61,7 @@ def archives(tools: Path, out: Path) -> tuple[Path, list[Path]]:
     """The sdist, and the wheels made from it alone, as an installer would make them."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "source"
-        shutil.copytree(ROOT, source, ignore=NOT_SOURCE)
+        shutil.copytree(ROOT, source, symlinks=True, ignore=NOT_SOURCE)
         run(tools, "-P", "-m", "build", "--sdist", "--outdir", out, source)
     sdist = next(out.glob("*.tar.gz"))
     for setting in ({}, {WITHOUT_ENGINE: "1"}):
