@@ -173,6 +173,11 @@ def design_schedule(
         own settings. lookup : "hard", "interpolated" or "auto". name, unit : of the loop and of the variable.
     gains : in force while the records were made, for comparison only. progress : told each stage and the share done.
 
+    Returns
+    -------
+    ScheduleDesign
+        The gain table, and what it rests on at every place; no table where none follows, with the reason.
+
     Raises
     ------
     ValueError
