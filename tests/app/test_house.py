@@ -22,7 +22,7 @@ ORDER = (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
-        "schedule_design", "audit",
+        "nudge", "schedule_design", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
