@@ -93,9 +93,17 @@ class Place:
         if gains in self._judged:
             return self.judged(gains).ms_worst <= self._limit(limits) and self.judged(gains).j <= limits.j
         limit = self._limit(limits)
+        if self._least_j(gains) > limits.j:
+            return False
         if any(sensitivity_peak(process, gains) > limit for process in self.processes):  # the first is enough
             return False
         return self.judged(gains).j <= limits.j
+
+    def _least_j(self, gains: PidGains) -> float:
+        """What J is at the least: an error that never changes its sign has the integral 1/(k ki), of a load 1/ki."""
+        if not gains.ki:
+            return math.inf
+        return 0.5 * abs(1 / (self.model.k * gains.ki) / self.iae[0] + 1 / (gains.ki * self.iae[1]))
 
     def _limit(self, limits: DesignLimits) -> float:
         """Of Ms here: where its own settings cannot keep what is demanded, what they reach."""
