@@ -28,20 +28,15 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
     usual_s = record.sample_time_s
     length = USUAL if period_s is None else int(np.clip(CYCLES * period_s / usual_s, FEWEST, MOST))
     if n <= 1.5 * length:
-        return _whole(record)
+        return [record]
     whole = _without_gaps(record, length, usual_s)
     if not len(whole):
-        return _whole(record)
+        return [record]
     taken: list[int] = []
     for begin in _wanted(record, length, whole):
         if len(taken) < most and all(abs(begin - other) >= length for other in taken):
             taken.append(begin)
     return [_part(record, begin, begin + length) for begin in sorted(taken)]
-
-
-def _whole(record: Window) -> list[Window]:
-    """All of a short record."""
-    return [record]
 
 
 def _part(record: Window, begin: int, end: int) -> Window:

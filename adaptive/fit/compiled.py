@@ -161,3 +161,10 @@ def valve_costs(misfit: Misfit, p: FloatArray, valves: Sequence[Valve]) -> list[
         t, pv, misfit.record.co, numbers, np.ascontiguousarray(p), array("d", chain.from_iterable(valves)), out
     )
     return out.tolist()
+
+
+def screened(signals: tuple[FloatArray, ...], by: tuple[float, float, float, int], numbers: int) -> FloatArray:
+    """The sums over a whole record (record_sums.py); signals : t, sp, pv, co. by : of a Measure. numbers : of sums."""
+    out = np.empty(numbers)
+    _engine.screen(*signals, *by, out)
+    return out

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
-from retuner.adaptive.audit.loop_screen import DAY_S, LoopScreen, harris_index, screen_loop
+from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
 from retuner.adaptive.audit.verdict import Action, StretchVerdict, joined_confidence, loop_verdict
 from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
@@ -96,7 +96,7 @@ def seen(cause: Cause, confidence: float, begin_s: float = 0.0) -> StretchVerdic
     return StretchVerdict(begin_s, begin_s + 100, cause, confidence, f"because of {cause}")
 
 
-CALM = LoopScreen(4000, 4e4, 0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.5, 0.1, 1.0, None, 0.0, 0.0, 0.0, Condition.NORMAL)
+CALM = screen_loop(record(np.convolve(RNG.normal(size=N + 99), np.ones(100) / 100, "valid")))
 
 
 @given(st.floats(0.5, 0.99), st.floats(0.5, 0.99))
