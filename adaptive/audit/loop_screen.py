@@ -21,6 +21,7 @@ from scipy.linalg import solve_toeplitz
 
 from retuner.adaptive.audit.lasting_swing import lasting_swing
 from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, covariances, record_sums
+from retuner.adaptive.indexes.autocovariance import Regularity
 from retuner.adaptive.indexes.condition import (
     AVERAGED,
     DEAD,
@@ -47,6 +48,8 @@ NOISE_OF_CO = 3.0
 """Moves of co within so many standard deviations of its noise are no turns."""
 STILL_MOST = 400
 """Samples of constant co that are a long stretch in a record of any length."""
+
+NO_WAVE = Regularity(0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +102,14 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
     n, parts = len(record.t_s), in_parts(record)
     usual_s = float(np.median(np.diff(parts.t_s)))
     pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
-    shortest = max(STILL_STRETCH, min(STILL_LENGTH * n, STILL_MOST))
-    width = min(AVERAGED, max(n // 8, 1))
-    sums = record_sums(record, Measure(GAP * usual_s, NOISE_OF_CO * co_noise, float(shortest), width))
+    sums = record_sums(record, _measure(n, usual_s, co_noise))
     swing = lasting_swing(record.sp - record.pv, record.co)
     limits = [side for side in (sums.low, sums.high) if sums.limit(n, side)]
     delay = MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)
-    days, wave, step = sums.held_s / DAY_S, swing.wave if swing is not None else None, quantum(parts.pv)
+    days, step = sums.held_s / DAY_S, quantum(parts.pv)
+    wave, share = (swing.wave, swing.share) if swing is not None else (NO_WAVE, 0.0)
     still = sums.still - sum(side.samples - side.stretches for side in limits)
-    traits = _traits(record, sums, (pv_noise, co_noise), limits, width)
+    traits = _traits(record, sums, (pv_noise, co_noise), limits)
     return LoopScreen(
         samples=n,
         span_s=sums.held_s,
@@ -124,12 +126,23 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
         noise_share=min(pv_noise**2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
         compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
-        period_s=wave.period * usual_s if wave is not None else None,
-        regularity=wave.regularity if wave is not None else 0.0,
-        strength=wave.strength if wave is not None else 0.0,
-        swinging=swing.share if swing is not None else 0.0,
+        period_s=wave.period * usual_s or None,
+        regularity=wave.regularity,
+        strength=wave.strength,
+        swinging=share,
         condition=condition_of(traits, oscillates=swing is not None).condition,
     )
+
+
+def _measure(samples: int, usual_s: float, co_noise: float) -> Measure:
+    """What a record of so many samples is counted against."""
+    shortest = max(STILL_STRETCH, min(STILL_LENGTH * samples, STILL_MOST))
+    return Measure(GAP * usual_s, NOISE_OF_CO * co_noise, float(shortest), _width(samples))
+
+
+def _width(samples: int) -> int:
+    """Samples of a slow mean."""
+    return min(AVERAGED, max(samples // 8, 1))
 
 
 def in_parts(record: Window) -> Window:
@@ -148,12 +161,10 @@ def _one_sided(limits: Sequence[AtExtreme]) -> float:
     return sum(abs(side.error) for side in limits) / size if size > 0 else 0.0
 
 
-def _traits(
-    record: Window, sums: RecordSums, noise: tuple[float, float], limits: Sequence[AtExtreme], width: int
-) -> Traits:
+def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits: Sequence[AtExtreme]) -> Traits:
     """What the condition of the whole record is told from; noise : of pv and of co."""
-    n = len(record.t_s)
-    spread = math.sqrt(sums.error_variance)
+    n, spread = len(record.t_s), math.sqrt(sums.error_variance)
+    of_noise = NOISE_RATIO / math.sqrt(_width(n))
     return Traits(
         dead_pv=sums.pv_high - sums.pv_low <= DEAD * max(abs(sums.pv_low), abs(sums.pv_high)),
         dead_co=sums.co_high - sums.co_low <= DEAD * max(abs(sums.co_low), abs(sums.co_high)),
@@ -161,8 +172,8 @@ def _traits(
         at_limit=sum(side.samples for side in limits) / n,
         sp_moving=sums.sp_moves / (n - 1),
         offset=abs(sums.error_mean) / spread if spread > 0 else 0.0,
-        pv_moves=sums.pv_slow > NOISE_RATIO * noise[0] / math.sqrt(width),
-        co_moves=sums.co_slow > NOISE_RATIO * noise[1] / math.sqrt(width),
+        pv_moves=sums.pv_slow > of_noise * noise[0],
+        co_moves=sums.co_slow > of_noise * noise[1],
         escapes=lambda: escapes(record),
     )
 
