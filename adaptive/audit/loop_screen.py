@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from retuner.adaptive.audit.lasting_swing import lasting_swing
+from retuner.adaptive.audit.lasting_swing import LastingSwing, lasting_swing
 from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, covariances, record_sums
 from retuner.adaptive.indexes.autocovariance import Regularity
 from retuner.adaptive.indexes.condition import (
@@ -103,12 +103,9 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
     usual_s = float(np.median(np.diff(parts.t_s)))
     pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
     sums = record_sums(record, _measure(n, usual_s, co_noise))
-    swing = lasting_swing(record.sp - record.pv, record.co)
     limits = [side for side in (sums.low, sums.high) if sums.limit(n, side)]
-    delay = MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)
     days, step = sums.held_s / DAY_S, quantum(parts.pv)
-    wave, share = (swing.wave, swing.share) if swing is not None else (NO_WAVE, 0.0)
-    still = sums.still - sum(side.samples - side.stretches for side in limits)
+    swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
     traits = _traits(record, sums, (pv_noise, co_noise), limits)
     return LoopScreen(
         samples=n,
@@ -118,19 +115,19 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
         iae_per_day=sums.size / days,
         effort_per_day=sums.travel / days,
         reversals_per_day=sums.turns / days,
-        in_automatic=1 - max(still, 0.0) / n,
+        in_automatic=_in_automatic(n, sums, limits),
         at_limits=traits.at_limit,
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
         one_sided=_one_sided(limits),
-        harris=_harris(sums.covariance, delay),
+        harris=_harris(sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)),
         noise_share=min(pv_noise**2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
         compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
-        period_s=wave.period * usual_s or None,
-        regularity=wave.regularity,
-        strength=wave.strength,
-        swinging=share,
-        condition=condition_of(traits, oscillates=swing is not None).condition,
+        period_s=swing.wave.period * usual_s or None,
+        regularity=swing.wave.regularity,
+        strength=swing.wave.strength,
+        swinging=swing.share,
+        condition=condition_of(traits, oscillates=swing.share > 0).condition,
     )
 
 
@@ -153,6 +150,12 @@ def in_parts(record: Window) -> Window:
     begins = np.linspace(0, n - BLOCK, BLOCKS).astype(int)
     rows = (begins[:, None] + np.arange(BLOCK)).ravel()
     return Window(record.t_s[rows], record.sp[rows], record.pv[rows], record.co[rows])
+
+
+def _in_automatic(samples: int, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:
+    """Share of the record without long stretches of constant co, those at a limit not counted."""
+    still = sums.still - sum(side.samples - side.stretches for side in limits)
+    return 1 - max(still, 0.0) / samples
 
 
 def _one_sided(limits: Sequence[AtExtreme]) -> float:
