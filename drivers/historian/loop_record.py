@@ -5,7 +5,7 @@
 What is ambiguous is not guessed: the refusal names the option that answers it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,8 @@ import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
-from retuner.drivers.historian.frames import is_frame, table_of_frame, table_of_parquet
+from retuner.drivers.historian.frames import is_frame, table_of_frame
+from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, read_text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.row_order import Trend, joined
@@ -70,15 +71,58 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     return _record(loop, read, form)
 
 
-def read_loops(sources: Iterable[object], form: RecordForm = WHOLE) -> dict[str, LoopRecord | RecordingError]:
+def read_loops(
+    sources: Iterable[object], form: RecordForm = WHOLE, tags: Sequence[str] = ()
+) -> dict[str, LoopRecord | RecordingError]:
     """Every loop of the sources by its tag; one that cannot be read is there with the reason.
+
+    tags : loops of Parquet files that are wanted; where none is given, all.
 
     Raises
     ------
     RecordingError
         A source cannot be read at all.
     """
-    read = [signals_of(table, form, in_automatic=True) for source in sources for table in _tables(source, form)]
+    tables = (table for source in sources for table in _tables(source, form, tags))
+    return _loops([signals_of(table, form, in_automatic=True) for table in tables], form)
+
+
+def loop_in_pieces(files: Sequence[Path], form: RecordForm, tag: str, most_rows: int) -> Iterator[LoopRecord]:
+    """One loop of wide Parquet files, each of which holds all its signals for a time, so much of it at once.
+
+    Parameters
+    ----------
+    files : in the order of time. most_rows : of a piece; small files are put together.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read, or holds the loop not at all.
+    """
+    pending: list[TableSignals] = []
+    rows = 0
+    for path in files:
+        for tables in tables_of_parquet(path, form, [tag], most_rows):
+            more = sum(len(table.places) for table in tables)
+            if pending and rows + more > most_rows:
+                yield _only(pending, form, tag)
+                pending, rows = [], 0
+            pending += [signals_of(table, form, in_automatic=True) for table in tables]
+            rows += more
+    if pending:
+        yield _only(pending, form, tag)
+
+
+def _only(read: Sequence[TableSignals], form: RecordForm, tag: str) -> LoopRecord:
+    """The one loop of a piece."""
+    found = _loops(read, form).get(tag, RecordingError(f"{read[0].source}: no values of {tag} that are known"))
+    if isinstance(found, RecordingError):
+        raise found
+    return found
+
+
+def _loops(read: Sequence[TableSignals], form: RecordForm) -> dict[str, LoopRecord | RecordingError]:
+    """The loops of tables."""
     found: dict[str, LoopRecord | RecordingError] = {}
     for tag, trends in _together(read).items():
         if {"pv", "co"} <= trends.keys():
@@ -111,15 +155,17 @@ def _counted_from_zero(t_s: FloatArray) -> bool:
     return abs(float(t_s[0])) < 1e8
 
 
-def _tables(source: object, form: RecordForm) -> list[RawTable]:
-    """The tables of a source."""
+def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[RawTable]:
+    """The tables of a source; tags : loops that are wanted of a Parquet file, all where none is given."""
     if is_frame(source):
         return [table_of_frame(source)]
     path = Path(str(source))
     if path.is_dir():
         inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in FILES_OF_A_FOLDER)
-        return [table for p in inside for table in _tables(p, form)]
-    return [table_of_parquet(path) if path.suffix.lower() == ".parquet" else read_text_table(path, form)]
+        return [table for p in inside for table in _tables(p, form, tags)]
+    if path.suffix.lower() == ".parquet":
+        return [table for tables in tables_of_parquet(path, form, tags) for table in tables]
+    return [read_text_table(path, form)]
 
 
 def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:

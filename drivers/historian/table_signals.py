@@ -209,9 +209,10 @@ def _counted(table: RawTable, place: int, decimal: str, form: RecordForm) -> Sta
 
 def _refuse_other_clocks(table: RawTable, times: Sequence[int]) -> None:
     """Refuse times of several tags that differ between the rows: each signal has a clock of its own there."""
-    tags = {named(table.names[place]).tag for place in times}
-    first, *others = [[str(field).strip() for field in table.columns[place]] for place in times] or [[]]
-    if len(tags) > 1 and any(other != first for other in others):
+    if len({named(table.names[place]).tag for place in times}) < 2:
+        return
+    first, *others = [[str(field).strip() for field in table.columns[place]] for place in times]
+    if any(other != first for other in others):
         names = ", ".join(table.names[place] for place in times[:3])
         raise RecordingError(
             f"{table.source}: each signal has times of its own ({names}); give a file for each signal, as FIC101.PV.csv"

@@ -7,6 +7,7 @@ manipulated variable (the output) beside PV and SV, and the measured value besid
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 WORDS = MappingProxyType(
@@ -45,8 +46,9 @@ class Named:
     unit: str
 
 
+@lru_cache(maxsize=1 << 16)
 def named(name: str) -> Named:
-    """Read a column's name."""
+    """Read a column's name; a plant's names are asked for again and again."""
     unit = UNIT.search(name)
     bare = UNIT.sub("", name).strip() if unit and UNIT.sub("", name).strip() else name.strip()
     inside = unit.group(1).strip().lower() if unit else ""
