@@ -85,7 +85,7 @@ def _stand_out(rows: FloatArray) -> npt.NDArray[np.bool_]:
     length = rows.shape[1]
     edges, cuts = _edges(length)
     if len(edges) < 5:
-        return np.ptp(rows, axis=1) > 0
+        return np.asarray(np.ptp(rows, axis=1) > 0)
     i = np.arange(length) - (length - 1) / 2
     level = rows - rows.mean(axis=1, keepdims=True)
     flat = level - np.outer(level @ i / float(i @ i), i)

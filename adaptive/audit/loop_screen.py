@@ -14,7 +14,7 @@ one compiled pass (record_sums.py); noise and grid are told from BLOCKS parts of
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -128,6 +128,40 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
         strength=swing.wave.strength,
         swinging=swing.share,
         condition=condition_of(traits, oscillates=swing.share > 0).condition,
+    )
+
+
+OF_TIME = (
+    "iae_per_day", "effort_per_day", "reversals_per_day", "in_automatic", "at_limits", "harris", "noise_share",
+    "quantum", "compression", "swinging",
+)  # fmt: skip
+OF_THE_LOSS = ("loss_at_limits", "one_sided")
+
+
+def joined_screen(screens: Sequence[LoopScreen]) -> LoopScreen:
+    """The screen of a loop whose record was screened in pieces: means over their time; the strongest swing of them."""
+    if len(screens) == 1:
+        return screens[0]
+    spans = np.array([screen.span_s for screen in screens])
+    losses = np.array([screen.iae_per_day for screen in screens]) * spans
+
+    def mean(name: str, weights: FloatArray) -> float:
+        values = np.array([getattr(screen, name) for screen in screens])
+        return float(values @ weights / np.sum(weights)) if np.sum(weights) > 0 else 0.0
+
+    longest, strongest = max(screens, key=lambda s: s.span_s), max(screens, key=lambda s: s.strength * s.swinging)
+    means = {name: mean(name, spans) for name in OF_TIME} | {name: mean(name, losses) for name in OF_THE_LOSS}
+    return replace(
+        longest,
+        samples=sum(screen.samples for screen in screens),
+        span_s=float(np.sum(spans)),
+        gaps=sum(screen.gaps for screen in screens),
+        error_std=math.sqrt(float(np.array([s.error_std for s in screens]) ** 2 @ spans / np.sum(spans))),
+        period_s=strongest.period_s,
+        regularity=strongest.regularity,
+        strength=strongest.strength,
+        condition=longest.condition,
+        **means,
     )
 
 

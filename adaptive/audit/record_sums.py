@@ -4,6 +4,7 @@ numpy computes the same where there is no engine, and is the reference (engine_c
 needs no more than a part of the record (noise, quantisation, oscillation) is not here.
 """
 
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
@@ -91,8 +92,9 @@ class RecordSums:
         return is_limit(samples, *counts)
 
 
-PLAIN = len(fields(RecordSums)) - 3
-PARTS = len(fields(AtExtreme))
+SUMMED = tuple(field.name for field in fields(RecordSums))[:-3]
+OF_A_SIDE = tuple(field.name for field in fields(AtExtreme))
+PLAIN, PARTS = len(SUMMED), len(OF_A_SIDE)
 NUMBERS = PLAIN + 2 * PARTS + LAGS + 1
 
 
@@ -101,11 +103,15 @@ def record_sums(record: Window, by: Measure) -> RecordSums:
     engine = compiled()
     if engine is None:
         return counted(record, by)
-    plain = tuple(np.ascontiguousarray(getattr(record, name)) for name in ("t_s", "sp", "pv", "co"))
-    out: FloatArray = engine.screened(plain, astuple(by), NUMBERS)
+    out: FloatArray = engine.screened(record, astuple(by), NUMBERS)
     low, high, lags = (out[PLAIN:][PARTS * i :] for i in range(3))
-    sides = (AtExtreme(*low[:PARTS].tolist()), AtExtreme(*high[:PARTS].tolist()))
-    return RecordSums(*out[:PLAIN].tolist(), *sides, lags)
+    plain_sums = dict(zip(SUMMED, out[:PLAIN].tolist(), strict=True))
+    return RecordSums(**plain_sums, low=_side(low[:PARTS].tolist()), high=_side(high[:PARTS].tolist()), covariance=lags)
+
+
+def _side(numbers: Iterable[float]) -> AtExtreme:
+    """One extreme, of its numbers in their order."""
+    return AtExtreme(**dict(zip(OF_A_SIDE, numbers, strict=True)))
 
 
 def counted(record: Window, by: Measure) -> RecordSums:
@@ -144,7 +150,7 @@ def _extreme(there: np.ndarray, error: FloatArray, held_s: FloatArray) -> AtExtr
     """The samples at one extreme."""
     lengths, held_s = runs(there), np.where(there, held_s, 0.0)
     counts = (np.sum(lengths), len(lengths), np.sum(lengths >= STRETCH), np.max(lengths))
-    return AtExtreme(*map(float, counts), float(np.sum(held_s)), float(error @ held_s), float(np.abs(error) @ held_s))
+    return _side(map(float, (*counts, np.sum(held_s), error @ held_s, np.abs(error) @ held_s)))
 
 
 def covariances(error: FloatArray) -> FloatArray:

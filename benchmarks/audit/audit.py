@@ -97,6 +97,7 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=kind, default=default)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder in which the plant stays")
+    parser.add_argument("--rows", type=Path, help="file for all rows and what is true of the loops")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         folder = given.keep or Path(made)
@@ -116,6 +117,8 @@ def main() -> None:
             "largest_process_mb": max(map(_largest_kb, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))) // 1024,
             "seed": given.seed,
         }
+    if given.rows:
+        given.rows.write_text(json.dumps({"rows": rows, "truth": {tag: vars(loop) for tag, loop in loops.items()}}))
     for name, value in result.items():
         print(f"{name:32} {value}")
     print(json.dumps(result))

@@ -6,7 +6,7 @@ What is ambiguous is not guessed: the refusal names the option that answers it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -83,8 +83,17 @@ def read_loops(
     RecordingError
         A source cannot be read at all.
     """
-    tables = (table for source in sources for table in _tables(source, form, tags))
-    return _loops([signals_of(table, form, in_automatic=True) for table in tables], form)
+    read: list[TableSignals] = []
+    broken: list[RecordingError] = []
+    for source in sources:
+        try:
+            read += [signals_of(table, form, in_automatic=True) for table in _tables(source, form, tags)]
+        except RecordingError as error:
+            broken.append(error)
+    if broken and not read:
+        raise broken[0]
+    told = tuple(Assumption(f"left out: {error}") for error in broken)
+    return _loops([*(replace(one, assumed=(*one.assumed, *told)) for one in read[:1]), *read[1:]], form)
 
 
 def loop_in_pieces(files: Sequence[Path], form: RecordForm, tag: str, most_rows: int) -> Iterator[LoopRecord]:
@@ -122,12 +131,12 @@ def _only(read: Sequence[TableSignals], form: RecordForm, tag: str) -> LoopRecor
 
 
 def _loops(read: Sequence[TableSignals], form: RecordForm) -> dict[str, LoopRecord | RecordingError]:
-    """The loops of tables."""
-    found: dict[str, LoopRecord | RecordingError] = {}
-    for tag, trends in _together(read).items():
-        if {"pv", "co"} <= trends.keys():
+    """The loops of tables; one that is broken in one of them is told so."""
+    found: dict[str, LoopRecord | RecordingError] = {tag: error for one in read for tag, error in one.refused.items()}
+    for tag, roles in _pieces(read).items():
+        if {"pv", "co"} <= roles.keys() and tag not in found:
             try:
-                found[tag] = _record(_Loop(tag, trends), read, form)
+                found[tag] = _record(_Loop(tag, _put_together(roles, read[0].source)), read, form)
             except RecordingError as error:
                 found[tag] = error
     return found
@@ -168,9 +177,21 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
     return [read_text_table(path, form)]
 
 
+Pieces = dict[str, list[Trend]]
+"""A loop's signals by role, each in pieces."""
+
+
 def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
     """Signals of all tables by tag and role: pieces of one signal one after the other."""
-    pieces: dict[str, dict[str, list[Trend]]] = {}
+    refused = [error for one in read for error in one.refused.values()]
+    if refused:
+        raise refused[0]
+    return {tag: _put_together(roles, read[0].source) for tag, roles in _pieces(read).items()}
+
+
+def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
+    """The same, not put together."""
+    pieces: dict[str, Pieces] = {}
     for one in read:
         for tag, trends in one.loops.items():
             for role, trend in trends.items():
@@ -180,10 +201,12 @@ def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
         for roles in pieces.values():
             for role, found in shared.items():
                 roles.setdefault(role, found)
-    return {
-        tag: {role: _one_after_the_other(role, found, read[0].source) for role, found in roles.items()}
-        for tag, roles in pieces.items()
-    }
+    return pieces
+
+
+def _put_together(roles: Pieces, source: str) -> dict[str, Trend]:
+    """A loop's signals, their pieces one after the other."""
+    return {role: _one_after_the_other(role, found, source) for role, found in roles.items()}
 
 
 def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:

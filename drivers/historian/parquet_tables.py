@@ -24,11 +24,11 @@ MOST_ROWS = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class ParquetShape:
-    """What a file holds, nothing of it read: names of its columns, rows, and the tag that its folder names, or ""."""
+    """What a file holds, nothing of it read: names of its columns, rows; the signal that its folder names, or ""."""
 
     names: tuple[str, ...]
     rows: int
-    folder_tag: str
+    folder_signal: str
 
 
 @contextmanager
@@ -56,11 +56,11 @@ def parquet_shape(path: Path) -> ParquetShape:
         The file cannot be read, or pyarrow is not installed.
     """
     with _opened(path) as file:
-        return ParquetShape(tuple(file.schema_arrow.names), file.metadata.num_rows, _folder_tag(path))
+        return ParquetShape(tuple(file.schema_arrow.names), file.metadata.num_rows, signal_of_folder(path))
 
 
-def _folder_tag(path: Path) -> str:
-    """The tag that a folder of a data set names."""
+def signal_of_folder(path: Path) -> str:
+    """The signal that a folder of a data set names, or ""."""
     for part in reversed(path.parts[:-1]):
         key, equals, value = part.partition("=")
         if equals and value and named(key).role == "tag":
@@ -86,7 +86,7 @@ def tables_of_parquet(
     with _opened(path) as file:
         schema = file.schema_arrow
         tag, value = (_place(role, schema.names, form) for role in ("tag", "value"))
-        if tag and value and not any({"pv", "co"} & roles.keys() for roles in loops(schema.names).values()):
+        if tag and value and not any({"pv", "co"} & roles.keys() for roles in _loops(schema.names, form).values()):
             yield _long(path, file, (tag, value), form, {t.lower() for t in tags or ([form.tag] if form.tag else ())})
             return
         names = _wanted(schema, form, {t.lower() for t in tags})
@@ -96,8 +96,14 @@ def tables_of_parquet(
         for batch in batches:
             if batch.num_rows:
                 columns = tuple(column_of(name, batch.column(name)) for name in names)
-                yield [_named_by_folder(path, RawTable(str(path), tuple(names), columns, RowNumbers(len(batch), at)))]
+                called = _called(path, names, form)
+                yield [RawTable(str(path), called, columns, RowNumbers(batch.num_rows, at))]
             at += batch.num_rows
+
+
+def _loops(names: Sequence[str], form: RecordForm) -> dict[str, dict[str, list[int]]]:
+    """Columns by loop and role, as the form calls them."""
+    return loops([form.called(name) for name in names])
 
 
 def _place(role: str, names: Sequence[str], form: RecordForm) -> str:
@@ -113,28 +119,26 @@ def _wanted(schema: Any, form: RecordForm, tags: set[str]) -> list[str]:  # noqa
         return list(schema.names)
     kept = set(form.columns.values())
     kept |= {f.name for f in schema if str(f.type).startswith(("timestamp", "date"))}
-    for tag, roles in loops(schema.names).items():
+    for tag, roles in _loops(schema.names, form).items():
         if not tag or tag.lower() in tags:
             kept |= {schema.names[place] for places in roles.values() for place in places}
     fitting = [name for name in schema.names if name in kept]
-    apart = not any({"pv", "co", "sp"} & roles.keys() for roles in loops(fitting).values())
+    apart = not any({"pv", "co", "sp"} & roles.keys() for roles in _loops(fitting, form).values())
     return list(schema.names) if apart and not {"pv", "co", "sp"} & form.columns.keys() else fitting
 
 
-def _named_by_folder(path: Path, table: RawTable) -> RawTable:
-    """A table of one signal that its folder names: called by that name."""
-    tag = _folder_tag(path)
-    values = loops(table.names).get("", {}).get("value", [])
-    if not tag or len(values) != 1:
-        return table
-    names = tuple(tag if place == values[0] else name for place, name in enumerate(table.names))
-    return RawTable(table.source, names, table.columns, table.places)
+def _called(path: Path, names: Sequence[str], form: RecordForm) -> tuple[str, ...]:
+    """The columns as the form calls them, a signal that its folder names by that name."""
+    signal, values = signal_of_folder(path), loops(names).get("", {}).get("value", [])
+    own = dict.fromkeys((names[place] for place in values[:1]), signal) if signal else {}
+    kept = set(form.columns.values())
+    return tuple(name if name in kept else form.called(own.get(name, name)) for name in names)
 
 
 def _long(path: Path, file: Any, at: tuple[str, str], form: RecordForm, tags: set[str]) -> list[RawTable]:  # noqa: ANN401
     """A table of its own for each signal of a long one; at : columns of the tag and of the value."""
     arrow, compute = import_module("pyarrow"), import_module("pyarrow.compute")
-    signals = _signals(path, _distinct(file, at[0]), tags)
+    signals = _signals(path, _distinct(file, at[0]), form, tags)
     beside = [n for n in file.schema_arrow.names if n not in at and (named(n).role or n in form.columns.values())]
     names = [at[0], at[1], *beside]
     wanted = arrow.array(list(signals), arrow.string())
@@ -154,7 +158,7 @@ def _long(path: Path, file: Any, at: tuple[str, str], form: RecordForm, tags: se
     return tables
 
 
-def _signals(path: Path, names: Sequence[str], tags: set[str]) -> Mapping[str, str]:
+def _signals(path: Path, names: Sequence[str], form: RecordForm, tags: set[str]) -> Mapping[str, str]:
     """The names of the wanted loops' signals, with the plain name of each.
 
     Raises
@@ -163,7 +167,7 @@ def _signals(path: Path, names: Sequence[str], tags: set[str]) -> Mapping[str, s
         Two names are the same signal of a loop.
     """
     signals: dict[str, str] = {}
-    for tag, roles in loops(names).items():
+    for tag, roles in _loops(names, form).items():
         if not tags or tag.lower() in tags:
             for role in ("sp", "pv", "co", "mode"):
                 places = roles.get(role, [])

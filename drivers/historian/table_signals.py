@@ -4,7 +4,7 @@ A wide table has a column for each signal; a long one has a row for each value, 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from types import MappingProxyType
 
@@ -36,11 +36,12 @@ SILENT = frozenset({"sp", "pv", "co"})
 
 @dataclass(frozen=True, slots=True)
 class TableSignals:
-    """Signals of a table by tag and role, and what was assumed."""
+    """Signals of a table by tag and role, what was assumed, and loops of many that cannot be read."""
 
     source: str
     loops: Mapping[str, Mapping[str, Trend]]
     assumed: tuple[Assumption, ...]
+    refused: Mapping[str, RecordingError] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +73,19 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     told += [*mark, *more]
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
+    refused: dict[str, RecordingError] = {}
     for tag, roles in wanted.items():
-        qualities = found.get(tag, {}).get("quality", []) if tag else []
-        rows = good_rows & _good(table, qualities, form, told)
-        if in_automatic:
-            rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, told)
-        known[tag] = _trends(table, roles, decimal, clock, rows, form, told)
-    return TableSignals(table.source, known, tuple(told))
+        try:
+            qualities = found.get(tag, {}).get("quality", []) if tag else []
+            rows = good_rows & _good(table, qualities, form, told)
+            if in_automatic:
+                rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, told)
+            known[tag] = _trends(table, roles, decimal, clock, rows, form, told)
+        except RecordingError as error:
+            if len(wanted) == 1:
+                raise
+            refused[tag] = error
+    return TableSignals(table.source, known, tuple(told), refused)
 
 
 def _is_long(plain: Mapping[str, list[int]], found: Mapping[str, Mapping[str, list[int]]], form: RecordForm) -> bool:
@@ -148,7 +155,7 @@ def _by_file_name(
     table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm
 ) -> dict[str, dict[str, int]]:
     """A file of one signal: its name says which; its column is the only one beside the time."""
-    read = named(PurePath(table.source).stem)
+    read = named(form.called(PurePath(table.source).stem))
     role = "co" if read.role == "mv" else read.role
     used = {place for roles in found.values() for r in BESIDE for place in roles.get(r, [])}
     used |= {table.names.index(name) for name in form.columns.values() if name in table.names}
@@ -345,7 +352,7 @@ def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> l
         Two names are the same signal of a loop.
     """
     found = []
-    for tag, roles in loops(names).items():
+    for tag, roles in loops([form.called(name) for name in names]).items():
         if form.tag and tag.lower() != form.tag.lower():
             continue
         for role in SIGNALS:

@@ -26,6 +26,8 @@ WORDS = MappingProxyType(
 """Names of each role, written together in small letters."""
 ROLE_OF = MappingProxyType({word: role for role, words in WORDS.items() for word in words.split()})
 APART = re.compile(r"[\s._/\\|:\-()\[\]]+")
+SEPARATORS = " ._/\\|:-()[]"
+"""What may stand between a tag and its role."""
 UNIT = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
 TIME_UNIT = MappingProxyType(
     {

@@ -11,12 +11,16 @@ from importlib.resources import files
 from pathlib import Path
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped
+from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
 from retuner.adaptive.audit.verdict import SWINGS
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
-from retuner.audit.loop_row import SCHEMA, Row
+from retuner.audit.catalogue import Catalogue
+from retuner.audit.loop_row import SCHEMA, Row, is_fault
+from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 
 PICTURES = ("trend", "stretches")
+TRACKS = "tracks"
 WORSE = 1.2
 """Ratio of ranks from which a loop became worse, or better."""
 
@@ -30,15 +34,22 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     """
     listed = [{k: v for k, v in row.items() if k not in PICTURES} for row in rows]
     groups = common_swings([s for s in map(_swinging, listed) if s is not None])
+    masters = _masters(listed)
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
         group = group_of.get(str(row["tag"]))
         row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
         row["root"] = group.root if group else None
+        row["interaction"] = group.interaction if group else False
+        row["master"] = masters.get(str(row["tag"]))
+        row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
+    for row in listed:
+        row.pop(TRACKS, None)
     _from_the_root(listed)
+    _in_order(listed)
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
     for place, row in enumerate(listed, start=1):
         row["place"] = place
@@ -52,7 +63,21 @@ def _swinging(row: Row) -> Swinging | None:
         return None
     cause = row["cause"]
     own = cause in {str(c) for c in TUNING_CAUSES}
-    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), cause == str(Cause.STICTION), own)
+    tracks = row.get(TRACKS)
+    told = tracks.get("swing") if isinstance(tracks, Mapping) else None
+    track = SwingTrack.of_dict(told) if told else None
+    sticks = cause == str(Cause.STICTION)
+    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
+
+
+def _masters(rows: Sequence[Row]) -> dict[str, str]:
+    """The master of each slave of a cascade: the loop whose output the slave's setpoint follows."""
+    tracks = {}
+    for row in rows:
+        held = row.get(TRACKS)
+        if isinstance(held, Mapping) and held.get("trend"):
+            tracks[str(row["tag"])] = TrendTrack.of_dict(held["trend"])
+    return cascades(tracks)
 
 
 def _from_the_root(rows: Sequence[Row]) -> None:
@@ -62,6 +87,20 @@ def _from_the_root(rows: Sequence[Row]) -> None:
         if root is not None and root != row["tag"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
             row["action"] = f"look at {root} first"
             row["rank"] = 0.5 * _number(row, "rank")
+
+
+def _in_order(rows: Sequence[Row]) -> None:
+    """The slave of a cascade comes before its master; of loops that swing against each other one is slowed down."""
+    by_tag = {str(row["tag"]): row for row in rows}
+    for row in rows:
+        slaves = row["slaves"] if isinstance(row["slaves"], list) else []
+        sick = [tag for tag in slaves if is_fault(by_tag[tag])]
+        if sick and is_fault(row):
+            row["action"] = f"its slave {sick[0]} first, then {row['action']}"
+            row["rank"] = 0.5 * _number(row, "rank")
+        if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
+            others = row["swings_with"] if isinstance(row["swings_with"], list) else []
+            row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
 
 
 def _number(row: Row, name: str) -> float:
@@ -82,6 +121,21 @@ def change(row: Row, earlier: Row | None) -> str:
     if then > WORSE * now:
         return "better"
     return "same"
+
+
+def write_joined(path: Path, found: Catalogue) -> None:
+    """How names were joined to loops, as a file that --record takes back after somebody has mended it."""
+    lines = [
+        "# How the audit joined names to loops. Mend what is wrong and give it back with --record; a name that stands",
+        '# for no signal gets "". Rules by the last word of names do the same for many: words = { meas = "pv" }',
+        "[record]",
+        "words = {}",
+        "[record.signals]",
+    ]
+    for tag, roles in sorted(found.signals.items()):
+        lines += [f"{quoted(name)} = {quoted(f'{tag}.{role.upper()}')}" for role, name in sorted(roles.items()) if tag]
+    lines += ["", "# Names that belong to no loop:", *(f'# {quoted(name)} = ""' for name in found.others)]
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def summary(rows: Sequence[Row], refused: int) -> str:
