@@ -3,7 +3,7 @@
 Loops are of one group where their periods are alike and their swings coherent (tracks.py); where the records have
 nothing in common but their periods, periods within SAME_PERIOD must do. The likely root, first hint first:
 
-    a valve that sticks                       the only thing in a loop that makes a swing out of nothing
+    the valve that sticks most surely         a valve makes a swing out of nothing; two in step would be a wonder
     the one loop whose own tuning swings
     the strongest third harmonic              what is passed on is filtered (Thornhill, Cox & Paulonis 2003)
     the loop that is before all others        by the phases, less than half a period
@@ -24,6 +24,8 @@ COHERENT = 0.5
 """Coherence from which two loops swing together."""
 LOUDER = 1.3
 """Ratio of harmonics from which the loudest loop is named as the root."""
+STICKS = 0.2
+"""What its stretches must say of a valve for it to be the root."""
 BENT = 0.05
 """Third harmonic over the first, from which something in a loop is not linear."""
 EARLIER = 0.03
@@ -35,13 +37,14 @@ class Swinging:
     """A loop that swings.
 
     tag : of the loop. period_s : of the swing. harmonic : amplitude of the third harmonic over the first, 0 to 1.
-    sticks : its valve is said to stick. own : its own tuning is said to be the cause. track : of its swing over time.
+    sticks : how far its stretches say that its valve sticks, 0 to 1. own : its own tuning is said to be the cause.
+    track : of its swing over time.
     """
 
     tag: str
     period_s: float
     harmonic: float
-    sticks: bool = False
+    sticks: float = 0.0
     own: bool = False
     track: SwingTrack | None = None
 
@@ -114,9 +117,9 @@ def _told(a: Swinging, b: Swinging) -> tuple[float, float] | None:
 
 def _root(loops: Sequence[Swinging]) -> tuple[str | None, str, bool]:
     """Where the swing likely comes from, why, and whether the loops swing against each other."""
-    sticking = sorted((one for one in loops if one.sticks), key=lambda one: -one.harmonic)
-    if sticking:
-        return sticking[0].tag, "its valve sticks", False
+    surest = max(loops, key=lambda one: (one.sticks, one.harmonic))
+    if surest.sticks >= STICKS:
+        return surest.tag, "its valve sticks", False
     own = [one for one in loops if one.own]
     if len(own) == 1:
         return own[0].tag, "its own tuning makes it swing", False

@@ -35,6 +35,7 @@ ANSWERS = {
     "stiction": {"stiction"},
     "external": {"external"},
     "saturation": {"saturation"},
+    "interaction": {"interaction"},
 }
 """Causes that are right, by the true kind; manual and dead loops are told by what is to be done."""
 NO_VISIT = {"nothing", "a record with a setpoint step"}
@@ -43,6 +44,8 @@ DONE = {"manual": "ask why it is in manual", "dead": "look at the sensor or the 
 
 def is_right(loop: Loop, row: Row) -> bool:
     """Whether the verdict is the true one."""
+    if loop.kind == "interaction":
+        return bool(row.get("interaction")) and loop.against in row.get("swings_with", [])
     return row["action"] == DONE[loop.kind] if loop.kind in DONE else row["cause"] in ANSWERS[loop.kind]
 
 
@@ -55,6 +58,7 @@ def judged(loops: dict[str, Loop], rows: list[Row], groups: list) -> dict[str, o
     wrong = [(row["tag"], loops[str(row["tag"])].kind, row["cause"], row["action"]) for row in first]
     wrong = [w for w in wrong if w[1] not in FAULTS]
     upset = [loop for loop in loops.values() if loop.root]
+    masters = {str(row["tag"]): row.get("master") or "" for row in rows}
     root_of = {tag: group.root for group in groups for tag in group.tags}
     return {
         "right": {kind: f"{right[kind]} of {total[kind]}" for kind in total},
@@ -62,11 +66,19 @@ def judged(loops: dict[str, Loop], rows: list[Row], groups: list) -> dict[str, o
         "first_places_deserve": f"{len(first) - len(wrong)} of {len(first)}",
         "first_places_wrong": wrong,
         "roots_right": f"{sum(root_of.get(loop.tag) == loop.root for loop in upset)} of {len(upset)} upset loops",
+        "groups_true": f"{sum(_is_true(group.tags, loops) for group in groups)} of {len(groups)}",
+        "masters_right": f"{sum(masters[tag] == loop.master for tag, loop in loops.items())} of {len(loops)}",
         "retune_of_sticking": sum(
             row["action"] == "retune" for row in rows if loops[str(row["tag"])].kind == "stiction"
         ),
         "failed": [row["failed"] for row in rows if "failed" in row],
     }
+
+
+def _is_true(tags: tuple[str, ...], loops: dict[str, Loop]) -> bool:
+    """Whether the loops of a group swing together in truth: one root, its own loop too, or a pair."""
+    sources = {loops[tag].root or min(tag, loops[tag].against or tag) for tag in tags}
+    return len(sources) == 1
 
 
 def screening(path: Path, loops: list[Loop]) -> dict[str, float]:
@@ -118,7 +130,9 @@ def main() -> None:
             "seed": given.seed,
         }
     if given.rows:
-        given.rows.write_text(json.dumps({"rows": rows, "truth": {tag: vars(loop) for tag, loop in loops.items()}}))
+        given.rows.write_text(
+            json.dumps({"rows": rows, "listed": listed, "truth": {tag: vars(loop) for tag, loop in loops.items()}})
+        )
     for name, value in result.items():
         print(f"{name:32} {value}")
     print(json.dumps(result))

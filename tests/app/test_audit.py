@@ -114,7 +114,7 @@ def swinging(period_s: float) -> dict[str, object]:
 def test_rows_are_ranked_and_what_comes_from_another_loop_waits_for_it() -> None:
     rows = [
         row("upset", 0.9, "external", screen=swinging(100.0)),
-        row("valve", 0.5, "stiction", screen=swinging(101.0)),
+        row("valve", 0.5, "stiction", screen=swinging(101.0), sticks=0.8),
         row("calm", 0.0, "ok"),
     ]
     listed, groups = ranked(rows, [row("valve", 0.1, "ok"), row("calm", 0.0, "ok")])

@@ -153,6 +153,7 @@ def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
     return {
         **_told(tag, seen, screen, verdict),
         "harmonic": max(harmonics, default=0.0),
+        "sticks": sum(p[0].confidence for p in seen.parts if p[0].cause == Cause.STICTION) / max(len(seen.parts), 1),
         "settings": _settings(verdict, [part[2] for part in seen.parts]),
         "tracks": seen.tracks if common_clock else {},
         "stretches": [part[1] for part in seen.parts],

@@ -21,6 +21,10 @@ from retuner.files import write_whole
 
 PICTURES = ("trend", "stretches")
 TRACKS = "tracks"
+SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
+"""Causes that a swing in step with a root's takes the place of."""
+ROOT_SURE = 0.9
+"""How sure the root of a coherent group is."""
 WORSE = 1.2
 """Ratio of ranks from which a loop became worse, or better."""
 
@@ -48,7 +52,7 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
             row["change"] = change(row, earlier.get(str(row["tag"])))
     for row in listed:
         row.pop(TRACKS, None)
-    _from_the_root(listed)
+    _from_the_root(listed, group_of)
     _in_order(listed)
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
     for place, row in enumerate(listed, start=1):
@@ -66,7 +70,7 @@ def _swinging(row: Row) -> Swinging | None:
     tracks = row.get(TRACKS)
     told = tracks.get("swing") if isinstance(tracks, Mapping) else None
     track = SwingTrack.of_dict(told) if told else None
-    sticks = cause == str(Cause.STICTION)
+    sticks = _number(row, "sticks")
     return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
 
 
@@ -80,12 +84,18 @@ def _masters(rows: Sequence[Row]) -> dict[str, str]:
     return cascades(tracks)
 
 
-def _from_the_root(rows: Sequence[Row]) -> None:
-    """A loop that swings with another from which it comes is visited after that one."""
+def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
+    """What swings in step with a root comes from there: it is visited after it, and nothing in it is retuned before."""
     for row in rows:
-        root = row["root"]
-        if root is not None and root != row["tag"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
-            row["action"] = f"look at {root} first"
+        group = group_of.get(str(row["tag"]))
+        if group is None or group.root is None or group.root == row["tag"] or not is_fault(row):
+            continue
+        if row["cause"] in SWUNG and group.coherence is not None:
+            row["reason"] = f"swings in step with {group.root} ({group.why}); by itself: {row['reason']}"
+            row["cause"], row["settings"] = str(Cause.EXTERNAL), None
+            row["confidence"] = max(_number(row, "confidence"), group.coherence * ROOT_SURE)
+        if row["cause"] == str(Cause.EXTERNAL):
+            row["action"] = f"look at {group.root} first"
             row["rank"] = 0.5 * _number(row, "rank")
 
 

@@ -129,7 +129,7 @@ def test_a_loop_in_order_is_not_visited_and_an_unknown_swing_is_looked_at() -> N
 
 
 def test_loops_of_one_period_swing_together_and_the_valve_is_the_root() -> None:
-    loops = [Swinging("A", 100.0, 0.1), Swinging("B", 102.0, 0.05, sticks=True), Swinging("C", 101.0, 0.02)]
+    loops = [Swinging("A", 100.0, 0.1), Swinging("B", 102.0, 0.05, sticks=0.8), Swinging("C", 101.0, 0.02)]
     groups = common_swings([*loops, Swinging("D", 300.0, 0.5)])
 
     assert [group.tags for group in groups] == [("B", "A", "C")]

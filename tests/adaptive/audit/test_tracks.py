@@ -74,7 +74,7 @@ def test_groups_are_made_by_phase_and_not_by_period() -> None:
     valve, upset = swing(400.0, wander=0.01), swing(405.0, wander=0.02)
     walk = np.roll(valve, 5)
     loops = [
-        Swinging("valve", 400.0, 0.02, sticks=True, track=track(valve, 400.0)),
+        Swinging("valve", 400.0, 0.02, sticks=0.8, track=track(valve, 400.0)),
         Swinging("follower", 404.0, 0.2, track=track(walk, 404.0)),
         Swinging("stranger", 405.0, 0.3, track=track(upset, 405.0)),
     ]
