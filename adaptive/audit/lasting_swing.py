@@ -24,6 +24,8 @@ STEP = 8
 """Ratio of two paces: a window shows periods of 6 to 400 points."""
 BAND = 1.2
 """Ratio of the edges of a band to its middle."""
+FEWEST_CYCLES = 8.0
+"""Periods in a window: drift makes a few by chance."""
 FASTEST = 6.0
 """Shortest period that is looked for, in points."""
 STANDS_OUT = LEAST_STRENGTH
@@ -64,7 +66,7 @@ def _at_pace(error: FloatArray, co: FloatArray, pace: int) -> LastingSwing | Non
     for i in range(parts):
         signals = (rows[j][i] for j in range(2) if likely[j * parts + i])
         wave = next((w for w in map(regularity, signals) if w is not None and w.lasting), None)
-        if wave is not None:
+        if wave is not None and wave.cycles >= FEWEST_CYCLES:
             waves.append(replace(wave, period=wave.period * pace))
     best = max(waves, key=lambda w: w.strength, default=None)
     return LastingSwing(best, len(waves) / parts) if best is not None else None

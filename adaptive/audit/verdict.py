@@ -34,6 +34,8 @@ MOST_SURE = 0.98
 """No more is claimed of any stretch: something else may always be the case."""
 LEAST_AT_LIMIT, LEAST_LOSS, LEAST_ONE_SIDED = 0.02, 0.2, 0.7
 """Share of the time at a limit, share of the loss there, and one-sidedness, from which a limit is asked for."""
+TWO_SIDED = 0.3
+"""One-sidedness below which no limit binds, whatever a stretch says: co rests there, and the error has both signs."""
 SWINGS = 0.5
 """Share of the stretches in which an oscillation lasts from which the loop swings."""
 
@@ -146,6 +148,8 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     """
     condition = FOR_CONDITION.get(screen.condition)
     faults = {s.cause for s in stretches} & FOR_CAUSE.keys()
+    if screen.at_limits > 0 and screen.one_sided < TWO_SIDED:
+        faults -= {Cause.SATURATION}
     if condition is not None and not faults:
         return _of_condition(screen, condition, len(stretches))
     best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)

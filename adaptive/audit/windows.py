@@ -19,7 +19,7 @@ from retuner.adaptive.signals.sample import FloatArray, Window
 CYCLES = 15.0
 """Ten to twenty show a cause, and drift little."""
 FEWEST, USUAL, MOST = 200, 800, 4_000
-"""Samples of a stretch: at least, without an oscillation, and at most."""
+"""Samples of a stretch: at least, without an oscillation, and from which a slow one is condensed."""
 BEFORE = 0.2
 """Share of a stretch that lies before the event that it is taken for."""
 WIDTHS = (4, 16, 64)
@@ -39,13 +39,14 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
 
     Parameters
     ----------
-    record : of any length. period_s : of its oscillation, None where there is none. most : at least 1.
+    record : of any length. period_s : of its oscillation, None where there is none. none where most is 0.
     """
-    n = len(record.t_s)
-    usual_s = record.sample_time_s
-    length = USUAL if period_s is None else int(np.clip(CYCLES * period_s / usual_s, FEWEST, MOST))
+    if most == 0:
+        return []
+    n, usual_s = len(record.t_s), record.sample_time_s
+    length = USUAL if period_s is None else max(int(CYCLES * period_s / usual_s), FEWEST)
     if n <= 1.5 * length:
-        return [record]
+        return [record.condensed(MOST)]
     gap = np.concatenate([[0], np.cumsum(np.diff(record.t_s) > GAP * usual_s)])
     taken: list[Stretch] = []
     for wanted, many in _wanted(record, length, gap, events=period_s is None):
@@ -53,7 +54,9 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
         apart = all(begin >= b + m or b >= begin + many for b, m in taken)
         if len(taken) < most and apart and gap[begin] == gap[begin + many - 1]:
             taken.append((begin, many))
-    return [_part(record, begin, begin + many) for begin, many in sorted(taken)] or [record]
+    return [_part(record, begin, begin + many).condensed(MOST) for begin, many in sorted(taken)] or [
+        record.condensed(MOST)
+    ]
 
 
 def _part(record: Window, begin: int, end: int) -> Window:
@@ -83,7 +86,7 @@ def _events(error: FloatArray, longest: int) -> list[Stretch]:
     for width in WIDTHS:
         means = np.abs(running_mean(level, width))
         usual = 1.4826 * float(np.median(means))
-        many = min(max(OF_A_WIDTH * width, USUAL), MOST, longest)
+        many = min(max(OF_A_WIDTH * width, FEWEST), USUAL, longest)
         if usual <= 0 or many <= 0:
             continue
         blocks = np.maximum.reduceat(means, np.arange(0, len(means), many))

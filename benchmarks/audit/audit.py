@@ -97,6 +97,16 @@ def screening(path: Path, loops: list[Loop]) -> dict[str, float]:
     return {name: round(s / times["arrow"], 2) for name, s in times.items()}
 
 
+def made_plant(folder: Path, count: int, days: float, seed: int) -> list[Loop]:
+    """The loops of a plant in a folder, made there unless it is the same that stands there."""
+    path, asked = folder / "truth.json", [count, days, seed]
+    if path.is_file() and json.loads(path.read_text())["asked"] == asked:
+        return [Loop(**loop) for loop in json.loads(path.read_text())["loops"]]
+    loops = [loop for some in plant(folder, count, days, seed) for loop in some]
+    path.write_text(json.dumps({"asked": asked, "loops": [vars(loop) for loop in loops]}))
+    return loops
+
+
 def _largest_kb(who: int) -> int:
     """The largest resident memory of this process, or of those that it waited for."""
     return resource.getrusage(who).ru_maxrss
@@ -110,13 +120,16 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder in which the plant stays")
     parser.add_argument("--rows", type=Path, help="file for all rows and what is true of the loops")
+    parser.add_argument("--only-make", action="store_true", help="make the plant in --keep and nothing else")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         folder = given.keep or Path(made)
         folder.mkdir(exist_ok=True)
-        chunks = list(plant(folder, given.loops, given.days, given.seed))
-        loops = {loop.tag: loop for some in chunks for loop in some}
-        ratios = screening(folder / "unit001.parquet", chunks[0])
+        made_of = made_plant(folder, given.loops, given.days, given.seed)
+        if given.only_make:
+            return
+        loops = {loop.tag: loop for loop in made_of}
+        ratios = screening(folder / "unit001.parquet", made_of)
         found = catalogue(files_of([folder]), RecordForm())
         before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime + time.process_time()
         rows = [r for _, some in on_this_machine(found.tasks, AuditSettings(given.stretches), given.jobs) for r in some]

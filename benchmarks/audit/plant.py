@@ -27,7 +27,7 @@ KINDS = {
 """Share of the loops of each kind; a cascade is a slave in order, the output of another loop is its setpoint; two loops
 that are each in order swing against each other (interaction)."""
 FAULTS = ("sluggish", "aggressive", "stiction", "external", "saturation", "manual", "dead", "interaction")
-CROSS = 0.85
+CROSS = 1.0
 """What an interacting loop's output does to the other, over what it does to its own process; of opposite signs."""
 GROUP = 10
 """Loops that one sticking valve upsets, besides the loop of the valve itself."""

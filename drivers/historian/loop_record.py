@@ -148,7 +148,7 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
         if not len(trend.t_s):
             raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
     t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
-    assumed = _told_once([*(a for one in read for a in one.assumed), *told])
+    assumed = _told_once([*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told])
     source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
     if form.sp is not None and "sp" not in values:
         values["sp"] = np.full(len(t_s), form.sp)

@@ -36,12 +36,13 @@ SILENT = frozenset({"sp", "pv", "co"})
 
 @dataclass(frozen=True, slots=True)
 class TableSignals:
-    """Signals of a table by tag and role, what was assumed, and loops of many that cannot be read."""
+    """Signals of a table by tag and role, what was assumed of all and of each; loops that cannot be read."""
 
     source: str
     loops: Mapping[str, Mapping[str, Trend]]
     assumed: tuple[Assumption, ...]
     refused: Mapping[str, RecordingError] = field(default_factory=dict)
+    of_loop: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,18 +75,20 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
     refused: dict[str, RecordingError] = {}
+    own: dict[str, tuple[Assumption, ...]] = {}
     for tag, roles in wanted.items():
         try:
-            qualities = found.get(tag, {}).get("quality", []) if tag else []
-            rows = good_rows & _good(table, qualities, form, told)
+            qualities, of_it = found.get(tag, {}).get("quality", []) if tag else [], list[Assumption]()
+            rows = good_rows & _good(table, qualities, form, of_it)
             if in_automatic:
-                rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, told)
-            known[tag] = _trends(table, roles, decimal, clock, rows, form, told)
+                rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, of_it)
+            known[tag] = _trends(table, roles, decimal, clock, rows, form, of_it)
+            own[tag] = tuple(of_it)
         except RecordingError as error:
             if len(wanted) == 1:
                 raise
             refused[tag] = error
-    return TableSignals(table.source, known, tuple(told), refused)
+    return TableSignals(table.source, known, tuple(told), refused, own)
 
 
 def _is_long(plain: Mapping[str, list[int]], found: Mapping[str, Mapping[str, list[int]]], form: RecordForm) -> bool:
@@ -331,16 +334,16 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     stamps = _stamps(table, {"": plain}, form, decimal)
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
+    own: dict[str, tuple[Assumption, ...]] = {}
     told += [*mark, *stamps.assumed]
     for tag, role, name in _signals_named(table, sorted(set(tags)), form):
         of_it = np.flatnonzero(tags == name)
         values = numbers(_rows(table, of_it), value_at, decimal, form)
         fine = np.isfinite(values) & good_rows[of_it]
         rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
-        told += more
         known.setdefault(tag, {})[role] = Trend(t_s, values[fine][rows])
-        told.append(Assumption(f"{role} is {quoted(name)}"))
-    return TableSignals(table.source, known, tuple(told))
+        own[tag] = (*own.get(tag, ()), *more, Assumption(f"{role} is {quoted(name)}"))
+    return TableSignals(table.source, known, tuple(told), of_loop=own)
 
 
 def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> list[tuple[str, str, str]]:

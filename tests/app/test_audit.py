@@ -157,7 +157,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--stretches", "0"], "stretches = 0: give 1 to 24"),
+        (["--stretches", "25"], "stretches = 25: give 0 to 24"),
         (["--since", "nowhere"], "no audit in it"),
         (["--tag-pattern", "("], "--tag-pattern"),
     ],

@@ -38,20 +38,20 @@ Trend = dict[str, list[float]]
 class AuditSettings:
     """How an audit is made.
 
-    stretches : of each record that are diagnosed at most, 1 to 24. form : of the records.
+    stretches : of each record that are diagnosed at most, 0 to 24; 0 screens only. form : of the records.
 
     Raises
     ------
     ValueError
-        stretches is outside 1 to 24.
+        stretches is outside 0 to 24.
     """
 
     stretches: int = 4
     form: RecordForm = field(default_factory=RecordForm)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.stretches <= 24:
-            raise ValueError(f"stretches = {self.stretches}: give 1 to 24")
+        if not 0 <= self.stretches <= 24:
+            raise ValueError(f"stretches = {self.stretches}: give 0 to 24")
 
 
 def audit_task(task: Task, settings: AuditSettings) -> list[Row]:

@@ -7,6 +7,7 @@ so that ten thousand loops open as fast as ten. It needs no server and no networ
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 
@@ -25,6 +26,8 @@ SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Caus
 """Causes that a swing in step with a root's takes the place of."""
 ROOT_SURE = 0.9
 """How sure the root of a coherent group is."""
+MOST_FIRST = 10
+"""Loops that the page tells first, with the reason."""
 WORSE = 1.2
 """Ratio of ranks from which a loop became worse, or better."""
 
@@ -85,7 +88,11 @@ def _masters(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
-    """What swings in step with a root comes from there: it is visited after it, and nothing in it is retuned before."""
+    """What swings in step with a root comes from there: it is visited after it, and nothing in it is retuned before.
+
+    The root's visit brings what half of the others' would.
+    """
+    by_tag = {str(row["tag"]): row for row in rows}
     for row in rows:
         group = group_of.get(str(row["tag"]))
         if group is None or group.root is None or group.root == row["tag"] or not is_fault(row):
@@ -97,6 +104,9 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
         if row["cause"] == str(Cause.EXTERNAL):
             row["action"] = f"look at {group.root} first"
             row["rank"] = 0.5 * _number(row, "rank")
+            root = by_tag[group.root]
+            root["rank"] = _number(root, "rank") + _number(row, "rank")
+            root["upsets"] = int(_number(root, "upsets")) + 1
 
 
 def _in_order(rows: Sequence[Row]) -> None:
@@ -166,7 +176,7 @@ def write_results(
         "schema": SCHEMA,
         "summary": told,
         "rows": listed,
-        "groups": [{"period_s": g.period_s, "tags": g.tags, "root": g.root, "why": g.why} for g in groups],
+        "groups": [asdict(group) for group in groups],
         "refused": [{"file": str(path), "reason": reason} for path, reason in refused],
     }
     write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
@@ -203,7 +213,10 @@ def _for_the_page(row: Row) -> Row:
     shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "loss_per_day", "since", "change", "file")
     looked_at = _number(row, "looked_at")
     share = _number(row, "seen") / looked_at if looked_at else None
-    return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share}
+    told = {name: row[name] for name in ("master", "slaves", "swings_with", "root", "upsets") if row.get(name)}
+    if is_fault(row) and _number(row, "place") <= MOST_FIRST:
+        told["why"] = row.get("reason", "")
+    return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share} | told
 
 
 def _write_parquet(path: Path, rows: Sequence[Row]) -> None:

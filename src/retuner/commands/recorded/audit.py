@@ -37,7 +37,9 @@ class AuditOptions(FormOptions):
     tag_pattern: Annotated[
         str, typer.Option(help=r"Tag in the names of files without tags: ^([A-Z]+\d+)_", metavar="REGEX")
     ] = ""
-    stretches: Annotated[int, typer.Option(help="Stretches of each record that are diagnosed at most.")] = 4
+    stretches: Annotated[
+        int, typer.Option(help="Stretches of each record that are diagnosed at most; 0 screens only.")
+    ] = 4
     since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
     jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
