@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
 PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 
-.PHONY: demo test lint lowest bench nightly clean
+.PHONY: demo test lint docs lowest bench nightly clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo --serve
@@ -21,6 +21,9 @@ lint: $(DEV)  ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(DEV)  ## the documentation site, into build/site: open build/site/index.html
+	$(BIN)/python -P -m sphinx -W --keep-going -q -b html docs build/site
 
 lowest:  ## the demo and a fast part of the tests with the lowest versions that pyproject.toml allows
 	$(PYTHON) scripts/lowest_versions.py
@@ -44,7 +47,7 @@ $(STAMP): pyproject.toml setup.py
 
 $(DEV): $(STAMP)
 	@rm -f $(STAMP)
-	$(PIP) --group test --group lint --group bench build 'setuptools>=77'
+	$(PIP) --group test --group lint --group bench --group docs build 'setuptools>=77'
 	@touch $(STAMP) $@
 
 clean:  ## take away everything that the commands above made

@@ -122,9 +122,9 @@ def _root(loops: Sequence[Swinging]) -> tuple[str | None, str, bool]:
         return surest.tag, "its valve sticks", False
     own = [one for one in loops if one.own]
     if len(own) == 1:
-        return own[0].tag, "its own tuning makes it swing", False
+        return own[0].tag, "its tuning makes it oscillate", False
     if own:
-        return None, "the tuning of several makes them swing against each other; slow one down and look again", True
+        return None, "the tuning of several makes them oscillate against each other; slow one down and look again", True
     loudest, second = sorted(loops, key=lambda one: -one.harmonic)[:2]
     if loudest.harmonic > max(LOUDER * second.harmonic, BENT):
         return loudest.tag, "its harmonics are the strongest: what is passed on is filtered", False

@@ -150,9 +150,9 @@ class Promise:
         """For people."""
         now, then = self.setpoint, self.setpoint_before
         return (
-            f"promised: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}), successive peaks at most "
-            f"{max(now.decay.high, self.load_step.decay.high):.2f}, IAE {_ratio(now.iae, then.iae)} of before after a "
-            f"setpoint step and {_ratio(self.load_step.iae, self.load_before.iae)} after a load"
+            f"predicted: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}); half-cycle decay ratio "
+            f"at most {max(now.decay.high, self.load_step.decay.high):.2f}; IAE {_ratio(now.iae, then.iae)} of the "
+            f"previous after a setpoint step, {_ratio(self.load_step.iae, self.load_before.iae)} after a load step"
         )
 
 
@@ -178,7 +178,7 @@ def promise(
     """
     models = sorted(allowed, key=lambda found: found.excess)[:MOST_MODELS]  # stable: the best one stays first
     if not models:
-        raise ValueError("a promise needs at least one model")
+        raise ValueError("a prediction needs at least one model")
     sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in models]
     loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
     found, n = shapes(loops, UPSETS), len(models)

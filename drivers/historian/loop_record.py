@@ -17,8 +17,9 @@ from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.frames import is_frame, table_of_frame
 from retuner.drivers.historian.parquet_tables import tables_of_parquet
-from retuner.drivers.historian.raw_table import RawTable, read_text_table
+from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
+from retuner.drivers.historian.reshaped import annotated_table, is_annotated
 from retuner.drivers.historian.row_order import Trend, joined
 from retuner.drivers.historian.table_signals import TableSignals, signals_of
 from retuner.drivers.recorded.recording import Recording, RecordingError
@@ -174,7 +175,16 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
         return [table for p in inside for table in _tables(p, form, tags)]
     if path.suffix.lower() == ".parquet":
         return [table for tables in tables_of_parquet(path, form, tags) for table in tables]
-    return [read_text_table(path, form)]
+    return [_text_table(path, form)]
+
+
+def _text_table(path: Path, form: RecordForm) -> RawTable:
+    """The table of a text file, whatever wrote it."""
+    text, assumed = decoded(path, form)
+    if is_annotated(text):
+        found = annotated_table(str(path), text)
+        return replace(found, assumed=(*assumed, *found.assumed))
+    return text_table(path, text, assumed, form)
 
 
 Pieces = dict[str, list[Trend]]

@@ -273,8 +273,8 @@ class ForeignDevice:
         self._boots = 0
         if not self._up:
             self._up = self._contact.made = True
-            known = "the running set read back" if self._access.reads_back else "the running set believed, not read"
-            self._events.append(LinkChanged(LinkState.UP, f"heard, and {known}"))
+            known = "active gains read back" if self._access.reads_back else "gains assumed, cannot be read back"
+            self._events.append(LinkChanged(LinkState.UP, f"controller found, {known}"))
 
     def _require_fitting(self, gains: PidGains) -> None:
         """At the first connection, refuse a controller that runs what nobody knows of and nobody could write over."""
@@ -282,9 +282,9 @@ class ForeignDevice:
             return
         shown = f"kp = {gains.kp:.6g}, ki = {gains.ki:.6g}, kd = {gains.kd:.6g}"
         raise DeviceMismatchError(
-            f"{self.settings.where}: it runs {shown} (parallel), which no region has, and a set of several messages is "
-            "not written over it without a proof: give the region the gains that it runs (retuner export --into puts "
-            'tuned ones there), or [device] accept = ["unproved_order"]'
+            f"{self.settings.where}: it runs {shown} (parallel), which no region has; gains of several messages are "
+            "not written over unknown ones; give the region the gains that it runs (retuner export --into writes tuned "
+            'ones there), or [device] accept = ["unproved_order"]'
         )
 
     def _first_numbers(self) -> Numbers:

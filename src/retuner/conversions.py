@@ -5,6 +5,7 @@ signal was held, which the object does not say.
 """
 
 import warnings
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any, TypeAlias
 
@@ -32,6 +33,10 @@ def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:
     ----------
     system : TransferFunction, ZerosPolesGain or StateSpace of scipy.signal; TransferFunction or StateSpace of
         python-control. Continuous. theta_s : dead time in seconds, which these objects cannot hold.
+
+    Returns
+    -------
+    LinearProcess
 
     Raises
     ------
@@ -81,6 +86,14 @@ def _of_control(system: System, theta_s: float) -> LinearProcess:
 def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> System:
     """A scipy.signal.TransferFunction of a model (dead time by Pade) or of gains (improper with derivative action).
 
+    Parameters
+    ----------
+    thing : a model or gains. pade_order : order of the approximation of the dead time.
+
+    Returns
+    -------
+    scipy.signal.TransferFunction
+
     Raises
     ------
     ValueError
@@ -93,7 +106,15 @@ def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> System:
 
 
 def to_control(thing: Thing, pade_order: int = PADE_ORDER) -> System:
-    """The same as a python-control TransferFunction.
+    """A python-control TransferFunction of a model (dead time by Pade) or of gains.
+
+    Parameters
+    ----------
+    thing : a model or gains. pade_order : order of the approximation of the dead time.
+
+    Returns
+    -------
+    control.TransferFunction
 
     Raises
     ------
@@ -121,6 +142,14 @@ def _polynomials(thing: Thing, pade_order: int) -> tuple[list[float], list[float
 def gains_of(system: System) -> PidGains:
     """The gains of a PID controller without derivative filter, kp + ki/s + kd s, from either package.
 
+    Parameters
+    ----------
+    system : TransferFunction of scipy.signal or python-control.
+
+    Returns
+    -------
+    PidGains
+
     Raises
     ------
     ValueError
@@ -138,8 +167,13 @@ def gains_of(system: System) -> PidGains:
         return PidGains(kp, 0.0, kd)
     if len(den) != 2 or den[1] != 0 or not 1 <= len(num) <= 3:
         raise ValueError(
-            f"num {num.tolist()}, den {den.tolist()}: not kp + ki/s + kd s; a PID without derivative "
+            f"num {_shown(num)}, den {_shown(den)}: not kp + ki/s + kd s; a PID without derivative "
             "filter has den = [1, 0]"
         )
     kd, kp, ki = ([0.0] * (3 - len(num)) + (num / den[0]).tolist())[:3]
     return PidGains(kp, ki, kd)
+
+
+def _shown(numbers: Iterable[float]) -> str:
+    """Coefficients as people write them."""
+    return ", ".join(f"{number:g}" for number in numbers)

@@ -167,7 +167,7 @@ def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_He
 def _held(path: Path, form: RecordForm) -> _Held:
     """What a file holds."""
     if path.suffix.lower() != ".parquet":
-        table = read_text_table(path, form, BEGIN_BYTES)
+        table = read_text_table(path, replace(form, words={}, signals={}), BEGIN_BYTES)
         if not _is_long(table.names):
             return _of_columns(path, table.names, form)
         tags = read_text_table(path, form).columns[loops(table.names)[""]["tag"][0]]

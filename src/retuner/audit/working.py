@@ -105,7 +105,7 @@ def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -
     try:
         client = cluster.Client(address, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:
-        raise UserError(f"--scheduler {address}: nobody answers there: {error}") from error
+        raise UserError(f"--scheduler {address}: no answer there: {error}") from error
     left = list(reversed(tasks))
     with client:
         futures = {}

@@ -57,6 +57,7 @@ from retuner.session.running import Run, nothing, real_time_speed
 from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
+from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)
 
@@ -74,8 +75,12 @@ class RunOptions:
     mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
-    pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="On a terminal: what decisions weighed.")] = False
+    pretune: Annotated[
+        bool, typer.Option("--pretune", help="Begin with a step test of co, for a first model and gains.")
+    ] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="On a terminal: the evidence behind each decision.")
+    ] = False
     serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
     as_json: Json = False
 
@@ -101,7 +106,8 @@ def run(options: RunOptions) -> int:
         _look_at_benches(options.config, config)
     speed = real_time_speed(options.speed, simulated=config.simulated)
     folder = options.out or Path(config.output.directory)
-    screen = LiveScreen(screen_console(stderr=options.as_json), quiet=options.as_json, detail=options.verbose)
+    console = screen_console(stderr=options.as_json)
+    screen = LiveScreen(console, quiet=options.as_json, answers_only=quiet(), detail=options.verbose)
     require_writer(config.output.trend)
     require_page(wanted=options.serve)
     fresh = fresh_folder(folder)

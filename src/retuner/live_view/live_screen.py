@@ -29,7 +29,7 @@ class LiveScreen:
 
     Parameters
     ----------
-    console : where to. quiet : show nothing (for --json).
+    console : where to. quiet : show nothing (for --json). answers_only : no live view, decisions or events.
     detail : decisions with all that was weighed. now_s : the machine's clock, for how often the picture is renewed.
     """
 
@@ -38,12 +38,14 @@ class LiveScreen:
         console: Console,
         *,
         quiet: bool = False,
+        answers_only: bool = False,
         detail: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.console = console
         self._quiet, self._detail, self._now_s = quiet, detail, now_s
-        self.live = console.is_terminal and not quiet
+        self._answers_only = answers_only
+        self.live = console.is_terminal and not quiet and not answers_only
         self._ascii = not (console.encoding or "").lower().startswith("utf")
         self._title, self._progress = "", 0.0
         self._due_s = float("-inf")
@@ -95,13 +97,18 @@ class LiveScreen:
 
     def decision(self, decision: Decision, loop: str = "") -> None:
         """A decision was taken. loop : its name, where there are several."""
-        if self._quiet:
+        if self._quiet or self._answers_only:
             return
         if not self.live:
             self.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)
             return
         for line in decision_lines(decision, self.width, loop, detail=self._detail):
             self.console.print(line, highlight=False, no_wrap=True, crop=False)
+
+    def event(self, text: str) -> None:
+        """Something happened beside the decisions: a line, unless only the answer is wanted."""
+        if not self._answers_only:
+            self.say(text)
 
     def say(self, text: str) -> None:
         """A line of plain text; on a terminal folded between words."""

@@ -46,7 +46,7 @@ def test_a_loop_that_swings_is_worse_than_promised_in_its_peaks(upset: dict[str,
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
     found = first(Rig(ringing, noise=0.025), 400, **upset)
     assert found.finding is TrialFinding.WORSE
-    assert "successive peaks" in found.reason
+    assert "decay ratio" in found.reason
     numbers = found.numbers.to_dict()
     assert numbers["decay_sure"] > numbers["decay_limit"]
 
@@ -105,7 +105,7 @@ def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
     for seen, why in (
         (example(peaks=small), "noise bands"),
         (example(peaks=()), "noise bands"),
-        (replace(example(), outside="an oscillation from outside"), "from outside"),
+        (replace(example(), outside="an external oscillation"), "from outside"),
     ):
         found = judge(seen, PROMISE, GOOD, S)
         assert found.finding is TrialFinding.INCONCLUSIVE

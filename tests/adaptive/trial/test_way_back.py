@@ -78,7 +78,7 @@ def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust
         if cause is E.ORDERED_BACK or not bench.ran:
             assert now == old
         elif cause in UNDOS and ms(tried) <= HARMLESS:
-            assert now == old, "the model that calls the tried set robust is refuted"
+            assert now == old, "the model that calls the trial gains robust is refuted"
         else:
             assert max(ms(now), HARMLESS) <= max(ms(before), HARMLESS), (one, other)
         if cause in SILENT and bench.ran and ms(tried) <= HARMLESS:
@@ -97,7 +97,7 @@ def test_a_cure_stays_and_goes_on_being_tried(cause: TrialEvent) -> None:
     assert bench.trials.phase(0) is (P.IDLE if cause is E.TIMED_OUT else P.PAUSED)
     back = bench.trials.of(0).back
     assert back is not None
-    assert "the one before is unstable" in back.reason
+    assert "previous gains unstable" in back.reason
 
 
 @pytest.mark.parametrize("cause", ABORTS, ids=lambda c: c.name)
@@ -126,7 +126,7 @@ def test_evidence_against_a_set_leads_to_the_most_robust_that_ran() -> None:
     earlier = (SETS["unstable"], SETS["right"])
     found = way_back(worse, SetsThatRan(old, tried, earlier, swings=0.6), known, TrialSettings())
     assert found.gains == SETS["right"]
-    assert "an earlier one" in found.reason
+    assert "an earlier gain set" in found.reason
     assert not found.stays
 
 

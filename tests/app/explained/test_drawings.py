@@ -40,14 +40,14 @@ def test_the_response_shows_peaks_model_load_and_units() -> None:
 def test_the_robustness_drawing_names_ms_and_the_circle() -> None:
     shown = texts(robustness_svg(view(), 1.75))
     assert "Ms = 1.75" in shown
-    assert "after, 2 other models still allowed" in shown
+    assert "after, 2 other plausible models" in shown
     assert sum(one.startswith(("before: Ms", "after: Ms")) for one in shown) == 2
     assert "predicted: setpoint step of 1 degC" in shown
 
 
 def test_a_refusal_shows_what_was_proposed_beside_the_loop_in_force() -> None:
     shown = texts(robustness_svg(view(REFUSED), 1.8))
-    assert any(one.startswith("in force: Ms") for one in shown)
+    assert any(one.startswith("active: Ms") for one in shown)
     assert any(one.startswith("proposed: Ms") for one in shown)
     assert not any(one.startswith(("before", "after")) for one in shown)
     alone = texts(robustness_svg(view({**REFUSED, "proposal": None}), 1.8))

@@ -12,8 +12,9 @@ from retuner.drivers.historian.assumption import Assumption, in_a_line, in_full
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import COLUMN_ROLES, RecordForm, form_from_toml
 from retuner.errors import UserError, user_input
+from retuner.verbosity import LOGGER, busy, quiet
 
-PANEL = "The form of the record (else found in it, and told)"
+PANEL = "The form of the record (else detected, and reported)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,12 +29,16 @@ class FormOptions:
     dt: Annotated[
         float | None, typer.Option(help="Seconds between rows where no column has the time.", rich_help_panel=PANEL)
     ] = None
-    time_format: Annotated[str, typer.Option(help="Stamps, as in %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)] = ""
+    time_format: Annotated[
+        str, typer.Option(help="Format of time stamps: %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)
+    ] = ""
     time_unit: Annotated[str, typer.Option(help="Time as a number: s, ms, min, h, d.", rich_help_panel=PANEL)] = ""
-    zone: Annotated[str, typer.Option(help="Of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)] = ""
+    zone: Annotated[
+        str, typer.Option(help="Time zone of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)
+    ] = ""
     decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
-    good: Annotated[str, typer.Option(help="What the quality of a good value says.", rich_help_panel=PANEL)] = ""
-    bad: Annotated[str, typer.Option(help="A further word for a missing value.", rich_help_panel=PANEL)] = ""
+    good: Annotated[str, typer.Option(help="Quality code of a good value.", rich_help_panel=PANEL)] = ""
+    bad: Annotated[str, typer.Option(help="Another code for a missing value.", rich_help_panel=PANEL)] = ""
     record: Annotated[
         Path | None,
         typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
@@ -85,12 +90,16 @@ def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bo
     UserError, RecordingError
         A file or an option cannot be used.
     """
-    return read_loop_record(files, record_form(options), in_automatic=in_automatic)
+    names = ", ".join(map(str, files))
+    with busy(f"reading {names}"):
+        read = read_loop_record(files, record_form(options), in_automatic=in_automatic)
+    LOGGER.info("read %d samples from %s", len(read.recording.t_s), names)
+    return read
 
 
 def tell_assumed(assumed: tuple[Assumption, ...], options: FormOptions) -> None:
     """What was assumed, on the error stream, beside the result: in one line, or as a [record] section."""
     if options.assume:
         sys.stderr.write("\n".join(in_full(assumed)) + "\n")
-    elif assumed:
+    elif assumed and not quiet():
         sys.stderr.write(f"assumed: {in_a_line(assumed)} (--assume prints how to fix it otherwise)\n")
