@@ -4,7 +4,7 @@
     ideal     c(s) = kc (1 + 1/(tau_i s) + tau_d s)               "standard"; what the classic rules give
     parallel  c(s) = kp + ki/s + kd s                             kept, interpolated and sent
 
-Series to parallel:  kp = kc (1 + tau_d/tau_i),  ki = kc/tau_i,  kd = kc tau_d  (tau_d/tau_i = 0 without integral).
+Series and ideal to parallel: gains.py.
 Ideal to series (Skogestad 2003, solved for the larger root):  Ti = kp/ki,  Td = kd/kp,
     s = (1 + sqrt(1 - 4 Td/Ti))/2,   kc = kp s,  tau_i = Ti s,  tau_d = Td/s:   it exists only when Ti >= 4 Td.
 This way of writing the root has no cancellation, and PI, PD and P are no special cases of it.
@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from retuner.schedule.gains import PidGains
+from retuner.schedule.gains import PidGains, check_form
 
 DOUBLE_ROOT_SLACK = 1e-14
 """How far 4 Td/Ti may exceed 1 and still count as the double root tau_i = tau_d (dimensionless, a few roundings)."""
@@ -31,29 +31,6 @@ class Form(StrEnum):
     SERIES = "series"
     IDEAL = "ideal"
     PARALLEL = "parallel"
-
-
-def _check(form: str, kc: float, tau_i_s: float | None, tau_d_s: float) -> None:
-    """Refuse a gain or time that makes no controller, with one line that says what to do."""
-    for name, value in (("kc", kc), ("tau_i_s", tau_i_s), ("tau_d_s", tau_d_s)):
-        if value is not None and not math.isfinite(value):
-            raise ValueError(f"{form} form: {name} = {value} is not a finite number (no integral action is tau_i null)")
-    if kc == 0:
-        raise ValueError(f"{form} form: kc = 0 does nothing; give a pure integral controller in parallel form (ki)")
-    if tau_i_s is not None and tau_i_s <= 0:
-        raise ValueError(f"{form} form: tau_i_s = {tau_i_s} must be positive; leave it out for no integral action")
-    if tau_d_s < 0:
-        raise ValueError(f"{form} form: tau_d_s = {tau_d_s} must not be negative")
-
-
-def _integral_gain(form: str, kc: float, tau_i_s: float | None) -> float:
-    """kc / tau_i in co units per pv unit and second; refused when it rounds to none at all."""
-    if tau_i_s is None:
-        return 0.0
-    ki = kc / tau_i_s
-    if ki == 0:
-        raise ValueError(f"{form} form: kc / tau_i_s = {kc} / {tau_i_s} rounds to 0; leave tau_i_s out")
-    return ki
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +54,11 @@ class SeriesGains:
     tau_d_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _check("series", self.kc, self.tau_i_s, self.tau_d_s)
+        check_form("series", self.kc, self.tau_i_s, self.tau_d_s)
 
     def to_parallel(self) -> PidGains:
         """The same controller in parallel form."""
-        ratio = 0.0 if self.tau_i_s is None else self.tau_d_s / self.tau_i_s
-        ki = _integral_gain("series", self.kc, self.tau_i_s)
-        return PidGains(self.kc * (1.0 + ratio), ki, self.kc * self.tau_d_s)
+        return PidGains.from_series(self.kc, self.tau_i_s, self.tau_d_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,20 +82,33 @@ class IdealGains:
     tau_d_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _check("ideal", self.kc, self.tau_i_s, self.tau_d_s)
+        check_form("ideal", self.kc, self.tau_i_s, self.tau_d_s)
 
     def to_parallel(self) -> PidGains:
         """The same controller in parallel form."""
-        return PidGains(self.kc, _integral_gain("ideal", self.kc, self.tau_i_s), self.kc * self.tau_d_s)
+        return PidGains.from_ideal(self.kc, self.tau_i_s, self.tau_d_s)
 
 
 def to_ideal(gains: PidGains) -> IdealGains:
     """The ideal form of a controller.
 
+    Parameters
+    ----------
+    gains : of the parallel form.
+
+    Returns
+    -------
+    IdealGains
+
     Raises
     ------
     ValueError
         kp is 0: integral or derivative action alone exists only in parallel form.
+
+    Examples
+    --------
+    >>> to_ideal(PidGains(kp=2.0, ki=0.1, kd=3.0))
+    IdealGains(kc=2.0, tau_i_s=20.0, tau_d_s=1.5)
     """
     if gains.kp == 0:
         raise ValueError(f"kp = 0 (ki = {gains.ki}, kd = {gains.kd}) has no ideal or series form; use parallel")
@@ -130,10 +118,23 @@ def to_ideal(gains: PidGains) -> IdealGains:
 def to_series(gains: PidGains) -> SeriesGains:
     """The series form of a controller, with tau_i >= tau_d.
 
+    Parameters
+    ----------
+    gains : of the parallel form.
+
+    Returns
+    -------
+    SeriesGains
+
     Raises
     ------
     ValueError
         kp is 0, or the ideal tau_i is less than 4 tau_d: such zeros are complex, the series form has none.
+
+    Examples
+    --------
+    >>> to_series(PidGains(kp=2.5, ki=0.1, kd=10.0))
+    SeriesGains(kc=2.0, tau_i_s=20.0, tau_d_s=5.0)
     """
     ideal = to_ideal(gains)
     if ideal.tau_i_s is None:
@@ -161,8 +162,8 @@ def from_form(form: str, kc: float, tau_i_s: float | None, tau_d_s: float = 0.0)
         The form is unknown or a value is outside what SeriesGains or IdealGains takes.
     """
     if _form(form) is Form.SERIES:
-        return SeriesGains(kc, tau_i_s, tau_d_s).to_parallel()
-    return IdealGains(kc, tau_i_s, tau_d_s).to_parallel()
+        return PidGains.from_series(kc, tau_i_s, tau_d_s)
+    return PidGains.from_ideal(kc, tau_i_s, tau_d_s)
 
 
 def in_form(gains: PidGains, form: str) -> dict[str, float | None]:

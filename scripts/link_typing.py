@@ -19,7 +19,7 @@ def main() -> None:
     tree.mkdir(parents=True)
     sources = [*(ROOT / "src" / "retuner").iterdir(), *(ROOT / room for room in ROOMS)]
     for source in sources:
-        if source.name != "__pycache__":
+        if source.name != "__pycache__" and not source.is_symlink():  # an editable install links the rooms there
             (tree / source.name).symlink_to(os.path.relpath(source, tree))
 
 

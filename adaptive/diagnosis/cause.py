@@ -124,7 +124,7 @@ def tuning_cause(
     }
     cause, reason = _name(found, slack, evidence["kp_ratio"], settings)
     if gains.kd and not model.tau2_s and found.ms > settings.ms_high:
-        unsure = "derivative action is in force: a model without a second lag cannot tell whether it does harm"
+        unsure = "the controller has derivative action, and a model without a second lag cannot judge it"
         return Diagnosis(Cause.UNKNOWN, 1.0, evidence, unsure)
     room = max(slack, evidence["kp_ratio"])
     return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
@@ -133,7 +133,7 @@ def tuning_cause(
 def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) -> tuple[Cause, str]:
     """The table at the head of this file, with the sentence."""
     if not found.stable:
-        return Cause.AGGRESSIVE, "the loop is unstable with the gains in force"
+        return Cause.AGGRESSIVE, "the loop is unstable with the active gains"
     if found.ms > settings.ms_high:
         if found.gm > settings.gm_large:
             return Cause.SLOW_INTEGRATING, (
@@ -142,11 +142,14 @@ def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) ->
             )
         return Cause.AGGRESSIVE, f"Ms {found.ms:.2f} is over {settings.ms_high:g}, gain margin {found.gm:.2f}"
     if slack > settings.slack:
-        return Cause.SLUGGISH, f"loads are rejected {slack:.1f} times slower than Ms {found.ms:.2f} would allow"
+        return (
+            Cause.SLUGGISH,
+            f"load rejection is {slack:.1f} times slower than the tuning rule gives (Ms {found.ms:.2f})",
+        )
     if weak > settings.weak:
         cause = Cause.SLOW_INTEGRATING if weak > slack * settings.slack else Cause.SLUGGISH
-        return cause, f"the gain could be {weak:.1f} times as large at Ms {found.ms:.2f}"
-    return Cause.OK, f"Ms {found.ms:.2f}, loads rejected at {1 / max(slack, 1e-9):.0%} of the attainable speed"
+        return cause, f"the gain could be {weak:.1f} times larger at Ms {found.ms:.2f}"
+    return Cause.OK, f"Ms {found.ms:.2f}, integral gain {1 / max(slack, 1e-9):.0%} of the tuning rule's"
 
 
 def _confidence(found: Margins, slack: float, cause: Cause, gain_uncertainty: float, settings: CauseSettings) -> float:

@@ -140,7 +140,7 @@ def thinned(response: Response, excitation: Excitation, settings: SwingSettings)
     if response.sp_changed or excitation.loads + 1 >= due:
         return None
     reason = (
-        f"the diagnosis after {excitation.asked} load responses did not name the tuning; it is asked again after "
+        f"the diagnosis after {excitation.asked} load responses gave no verdict on the tuning; it is repeated after "
         f"{due:.0f}, or at a setpoint step"
     )
     return _unknown(reason, excitation)

@@ -35,14 +35,14 @@ def evidence_checks(request: ChangeRequest, settings: GuardSettings, *, less: bo
     if not request.models:
         return []
     e, s = request.evidence, settings
-    source = "records behind the model" + (" of the neighbouring region" if e.borrowed else "")
+    source = "records in the model" + (" of the neighbouring region" if e.borrowed else "")
     found = (
         Check("records", source, float(e.records), float(s.records_min), e.records >= s.records_min),
         Check("age", "age of the last record, s", e.age_s, s.age_max_s, e.age_s <= s.age_max_s),
         Check("innovation", "innovation of the last record", e.innovation, e.gate, e.innovation <= e.gate),
-        Check("settled", "the process known well enough for settings, 1 for yes", float(e.settled), 1.0, e.settled),
+        Check("settled", "model accurate enough for tuning (1 = yes)", float(e.settled), 1.0, e.settled),
     )
-    return [_on_terms(check, less, "or only less of everything") for check in found]
+    return [_on_terms(check, less, "or less gain and integral action only") for check in found]
 
 
 def _on_terms(check: Check, met: bool, terms: str) -> Check:
@@ -52,16 +52,16 @@ def _on_terms(check: Check, met: bool, terms: str) -> Check:
     return replace(check, passed=True, words=f"{check.words} ({terms})")
 
 
-def no_worse(check: Check, in_force: float, terms: str = "no farther than") -> Check:
+def no_worse(check: Check, in_force: float, terms: str = "no further than") -> Check:
     """The check of a largest value, which passes where the value in force is as large."""
     met = check.value <= in_force * (1 + ROUNDING)
-    return _on_terms(check, met, f"{terms} in force, {text(check.name, in_force)}")
+    return _on_terms(check, met, f"{terms} the active value, {text(check.name, in_force)}")
 
 
 def no_less(check: Check, in_force: float) -> Check:
     """The check of a least value, which passes where the value in force is as small."""
     met = check.value * (1 + ROUNDING) >= in_force
-    return _on_terms(check, met, f"no farther than in force, {text(check.name, in_force)}")
+    return _on_terms(check, met, f"no further than the active value, {text(check.name, in_force)}")
 
 
 def evidence_doubt(request: ChangeRequest, settings: GuardSettings) -> tuple[Ruling, DoubtNumbers] | None:
@@ -113,7 +113,7 @@ def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor:
         limit = step_limit(parameter, more=more, settings=s) if factor is None else factor
         limit = math.inf if urgent and (not more or parameter is Parameter.TAU_I) else limit
         value = math.exp(abs(way))
-        words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} action"
+        words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} control action"
         found.append(Check(f"step_{parameter.name.lower()}", words, value, limit, value <= limit * (1 + ROUNDING)))
     return found
 
@@ -134,7 +134,7 @@ def _totals(request: ChangeRequest, new: PidGains, s: GuardSettings, over_limit:
             less = (way > 0) != MORE_WHEN_LARGER[parameter]
             value, limit = math.exp(abs(way)), math.inf if over_limit and less else s.total_ratio_max
             forced = least / start if way > 0 else start / most
-            words = f"factor of {parameter} against the commissioned set"
+            words = f"factor of {parameter} relative to the baseline gains"
             name, limit = f"total_{parameter.name.lower()}", max(limit, forced)
             check = Check(name, words, value, limit, value <= limit * (1 + ROUNDING))
             gone = now.get(parameter, before[parameter]) - before[parameter]
@@ -146,21 +146,21 @@ def _absolute(request: ChangeRequest, new: PidGains, s: GuardSettings) -> list[C
     """Limits that somebody set, and the sampling time."""
     old, found = request.in_force, []
     if s.kc_min > 0:
-        found.append(_least("kc_min", "kc, not less than kc_min", abs(new.kp), s.kc_min, abs(old.kp)))
+        found.append(_least("kc_min", "kc, at least kc_min", abs(new.kp), s.kc_min, abs(old.kp)))
     if s.kc_max < math.inf:
-        found.append(_most("kc_max", "kc, not more than kc_max", abs(new.kp), s.kc_max, abs(old.kp)))
+        found.append(_most("kc_max", "kc, at most kc_max", abs(new.kp), s.kc_max, abs(old.kp)))
     if new.kp and new.ki:
         tau_i, now = new.kp / new.ki, old.kp / old.ki if old.kp and old.ki else math.nan
         least = max(s.tau_i_min_s, s.tau_i_samples * request.sample_time_s)
-        found.append(_least("tau_i_min", "tau_I, s, not shorter than its limit", tau_i, least, now))
+        found.append(_least("tau_i_min", "tau_I, s, lower limit", tau_i, least, now))
         if s.tau_i_max_s < math.inf:
-            found.append(_most("tau_i_max", "tau_I, s, not longer than its limit", tau_i, s.tau_i_max_s, now))
+            found.append(_most("tau_i_max", "tau_I, s, upper limit", tau_i, s.tau_i_max_s, now))
     if new.kp and new.kd:
         tau_d, now = new.kd / new.kp, old.kd / old.kp if old.kp and old.kd else math.nan
         least = s.tau_d_samples * request.sample_time_s
-        found.append(_least("tau_d_min", "tau_D, s, not shorter than its limit", tau_d, least, now))
+        found.append(_least("tau_d_min", "tau_D, s, lower limit", tau_d, least, now))
         if s.tau_d_max_s < math.inf:
-            found.append(_most("tau_d_max", "tau_D, s, not longer than its limit", tau_d, s.tau_d_max_s, now))
+            found.append(_most("tau_d_max", "tau_D, s, upper limit", tau_d, s.tau_d_max_s, now))
     return found
 
 
@@ -177,8 +177,8 @@ def _least(name: str, words: str, value: float, limit: float, in_force: float) -
 def robustness_checks(ms: tuple[float, float], in_force: tuple[float, float], settings: GuardSettings) -> list[Check]:
     """Ms on the process and on the worst model, each of the new gains and of those in force."""
     asked = (
-        ("ms_nominal", "Ms on the process", settings.ms_nominal),
-        ("ms_worst", "Ms on the worst model that the records allow", settings.ms_worst),
+        ("ms_nominal", "nominal Ms", settings.ms_nominal),
+        ("ms_worst", "worst-case Ms over the plausible models", settings.ms_worst),
     )
     return [
         no_worse(Check(name, words, now, limit, now <= limit), before, "no worse than")
@@ -190,11 +190,11 @@ def failed_checks(numbers: Numbers) -> Iterator[Check]:
     """What was asked of the gentlest candidate and failed."""
     match numbers:
         case NotRobustNumbers(nominal, worst, limit, worst_limit):
-            asked = "ms_nominal", "Ms on the process, at the gentlest step"
+            asked = "ms_nominal", "nominal Ms, at the smallest step"
             yield Check(*asked, nominal, limit, nominal <= limit)
-            asked = "ms_worst", "Ms on the worst model, at the gentlest step"
+            asked = "ms_worst", "worst-case Ms, at the smallest step"
             yield Check(*asked, worst, worst_limit, worst <= worst_limit)
         case BorderNumbers(ms, limit):
-            yield Check("ms_border", "Ms towards a neighbouring region", ms, limit, False)
+            yield Check("ms_border", "Ms at the boundary to a neighbouring region", ms, limit, False)
         case LimitNumbers(wanted, limit):
-            yield Check("limit", "what was wanted against its limit", wanted, limit, False)
+            yield Check("limit", "requested value and its limit", wanted, limit, False)

@@ -90,7 +90,7 @@ def calmer(request: ChangeRequest, goal: Goal) -> list[Goal]:
         for kp, ki in ((share, share), (1.0, share)):
             gains = request.locks.keep(PidGains(kp * old.kp, ki * old.ki, kp * old.kd), old)
             if not nothing_left(replace(goal, gains=gains), old):
-                found.append(Goal(gains, gains, goal.tau_c_s, ("the rule gives nothing else: calmer than in force",)))
+                found.append(Goal(gains, gains, goal.tau_c_s, ("the rule gives nothing else: less action",)))
     return found
 
 
@@ -144,7 +144,7 @@ class _Limits:
         values : commissioned and in force. What is in force beyond the ratio may stay there, but go no farther.
         """
         start, now = values
-        ratio, name = self._settings.total_ratio_max, "the commissioned set"
+        ratio, name = self._settings.total_ratio_max, "the baseline gains"
         most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
         if start and up and most < high.value:
             high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)

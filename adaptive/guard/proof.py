@@ -357,7 +357,9 @@ def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Chec
     ms, passed = case.asked[key]
     if math.isnan(ms):
         return None
-    return Check("ms_border", f"Ms towards region {border.name} (or no worse than before)", ms, limit, passed)
+    return Check(
+        "ms_border", f"Ms at the boundary to region {border.name} (or no worse than before)", ms, limit, passed
+    )
 
 
 def _why_not(case: _Case, tried: list[TriedSettings]) -> tuple[Ruling, Numbers]:

@@ -12,40 +12,34 @@ from retuner.schedule.gains import PidGains
 class Ruling(StrEnum):
     """Every outcome; the value is its sentence, with the numbers that it needs by name."""
 
-    ACCEPTED = (
-        "proved: Ms {ms_nominal} on the process and {ms_worst} at worst on {models} models that the records allow"
-    )
+    ACCEPTED = "proved: nominal Ms {ms_nominal}, worst case {ms_worst} over the plausible models ({models})"
     URGENT = (
-        "proved, and the whole step at once because the loop oscillates: Ms {ms_before} in force, then {ms_nominal}, "
-        "{ms_worst} at worst on {models} models"
+        "proved, full change at once because the loop oscillates: Ms {ms_before} -> {ms_nominal}, "
+        "worst case {ms_worst} over the plausible models ({models})"
     )
     SAFER = (
-        "accepted because it makes a loop safer that is over its limit: Ms {ms_before} to {ms_nominal}, at worst "
-        "{ms_before_worst} to {ms_worst}"
+        "accepted because it improves a loop over its Ms limit: Ms {ms_before} -> {ms_nominal}, "
+        "worst case {ms_before_worst} -> {ms_worst}"
     )
-    UNPROVED_STEP = "accepted as a small step by the pattern, without a model: factor {factor}, at most {limit}"
-    UNPROVED_WAY_OUT = (
-        "accepted without a model because the loop oscillates: less of everything, by a factor of {factor} at once"
-    )
-    TOO_SMALL = "no change: the settings in force are as good (factor {factor}, {limit} would be worth a write)"
+    UNPROVED_STEP = "accepted without a model, a small step from the response pattern: factor {factor} (limit {limit})"
+    UNPROVED_WAY_OUT = "accepted without a model because the loop oscillates: less action, by a factor of {factor}"
+    TOO_SMALL = "no change: the active settings are as good (change by a factor of {factor}, below {limit})"
     NOT_ROBUST = (
-        "refused: not robust on every model that the records allow, even at a quarter of the step: Ms {ms_tried} on "
-        "the process, {ms_tried_worst} at worst (limits {ms_limit} and {ms_worst_limit})"
+        "refused: not robust even at a quarter of the change: nominal Ms {ms_tried} (limit {ms_limit}), "
+        "worst case {ms_tried_worst} (limit {ms_worst_limit})"
     )
     NOT_ROBUST_AT_BORDER = (
-        "refused: not robust where the gains meet a neighbouring region: Ms {ms_tried} there (limit {ms_limit})"
+        "refused: not robust at the boundary to a neighbouring region: Ms {ms_tried} there (limit {ms_limit})"
     )
-    OUTSIDE_LIMITS = (
-        "refused: the absolute limits leave no room for the change: {wanted} was wanted, the limit is {limit}"
-    )
-    OUTSIDE_TOTAL = "refused: as far from the commissioned set as is allowed: {wanted} was wanted, the limit is {limit}"
-    LOCKED = "refused: what the change needs is locked (it would be a factor of {factor})"
-    WRONG_SIGN = "refused: the controller would act the wrong way (direction {wanted}, in force {in_force})"
-    NOT_FINITE = "refused: the proposal is beyond what numbers hold (kc {wanted})"
-    NO_MODEL = "refused: no model of the process to prove the change on"
-    TOO_FEW_RECORDS = "refused: the model rests on {records} records, {limit} are needed"
+    OUTSIDE_LIMITS = "refused: the absolute limits leave no room for the change: requested {wanted}, limit {limit}"
+    OUTSIDE_TOTAL = "refused: the largest allowed distance from the baseline gains: requested {wanted}, limit {limit}"
+    LOCKED = "refused: the change needs a parameter that is locked (factor {factor})"
+    WRONG_SIGN = "refused: wrong controller action (requested direction {wanted}, active {in_force})"
+    NOT_FINITE = "refused: the proposed gain is out of numeric range (kc {wanted})"
+    NO_MODEL = "refused: no process model to prove the change on"
+    TOO_FEW_RECORDS = "refused: the model has {records} records, {limit} are needed"
     TOO_OLD = "refused: the last record of the process is {age_s} s old (limit {limit} s)"
-    NOT_SETTLED = "refused: the process is not known well enough for settings"
+    NOT_SETTLED = "refused: the model is not accurate enough for tuning"
     CONTRADICTED = "refused: the last record contradicts the model: innovation {innovation} (gate {limit})"
 
 

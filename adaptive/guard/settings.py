@@ -48,7 +48,7 @@ class GuardSettings:
     total_ratio_max: Annotated[
         float,
         Setting(
-            "Greatest factor of kc, tau_I and tau_D against the commissioned set",
+            "Greatest factor of kc, tau_I and tau_D relative to the baseline gains",
             1.0,
             1000.0,
             source="ABB ECA06, page 152",

@@ -273,9 +273,17 @@ NEEDLESS_DELAY = 1e-5
 def performance(
     process: LinearProcess, gains: PidGains, tau_f_s: float = 0.0, *, derivative_on_setpoint: bool = True
 ) -> Performance:
-    """IAE and TV of both steps.
+    """IAE and TV of a step of the setpoint and of a load at the process's input, both of size 1.
 
-    tau_f_s : filter time of the derivative in seconds.
+    Parameters
+    ----------
+    process, gains : as for `margins`. tau_f_s : filter time of the derivative in seconds. derivative_on_setpoint :
+        whether the derivative acts on the error, not on pv alone.
+
+    Returns
+    -------
+    Performance
+        IAE in pv units times seconds, TV in co units; infinite for a loop that is not stable.
 
     Raises
     ------

@@ -171,6 +171,11 @@ def reduce(process: LinearProcess, order: int = 1, leads: Leads = Leads.AUTO) ->
     process : any stable or integrating process. order : 1 (for PI) or 2 (for PID): lags and integrators that remain.
     leads : what becomes of positive numerator time constants; "subtract" takes all of them from the dead time.
 
+    Returns
+    -------
+    Reduction
+        The model, and the steps that led to it (Skogestad 2003, half rule).
+
     Raises
     ------
     ValueError

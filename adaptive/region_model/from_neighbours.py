@@ -79,7 +79,16 @@ def borrowed(
     ranked = sorted(known, key=lambda k: k.evidence)
     names = ", ".join(regions.names[other] for other in sorted(near))
     log = ranked[0].log
-    return RegionModel(tuple(ranked), 0, t_s, None, (), spread(log), identifiable=True, reason=f"borrowed from {names}")
+    return RegionModel(
+        tuple(ranked),
+        0,
+        t_s,
+        None,
+        (),
+        spread(log),
+        identifiable=True,
+        reason=f"estimated from neighbouring regions: {names}",
+    )
 
 
 def _mixed(

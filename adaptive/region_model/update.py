@@ -45,11 +45,11 @@ class Agreement(StrEnum):
     """How a record stood to what was known."""
 
     FIRST = "first record of this region"
-    AGREES = "agrees with what was known"
-    CONTRADICTS = "contradicts what was known; kept as an alternative until another record decides"
+    AGREES = "agrees with the model"
+    CONTRADICTS = "contradicts the model: kept as an alternative until another record decides"
     CHANGED = "a second record confirms the alternative: the process has changed"
-    OPENED = "contradicts what was known, and the loop is in danger: believed at once, the other is the alternative"
-    SILENT = "shows nothing of the process, or two that contradict each other; nothing is learned"
+    OPENED = "contradicts the model near instability: adopted at once, with the old model as the alternative"
+    SILENT = "does not identify the process: not used to update the model"
 
     @property
     def code(self) -> str:

@@ -77,7 +77,7 @@ class Growth(NamedTuple):
         """What is seen."""
         return (
             f"it swings wider by {self.factor:.2f} at every half wave of {self.period_s / 2:.3g} s, "
-            f"{self.half_waves} times in a row: the loop is unstable with the gains in force"
+            f"{self.half_waves} times in a row: the loop is unstable with the active gains"
         )
 
 

@@ -36,9 +36,9 @@ class Ground(StrEnum):
 
     ADMITTED = "admitted: {peak_bands:.1f} noise bands high, inside its region"
     TOO_LONG = "the response is longer than the {kept:.0f} samples kept: its beginning is missing"
-    MANUAL = "{manual:.0f} samples of the response are in manual: nobody regulated there"
+    MANUAL = "{manual:.0f} samples of the response are in manual, without control"
     OUT_OF_RANGE = (
-        "pv stood at {pv_worst:g}, far outside its range of {pv_low:g} to {pv_high:g}: no transmitter says that"
+        "pv reached {pv_worst:g}, far outside its range of {pv_low:g} to {pv_high:g}: a sensor or scaling error"
     )
     LOST_SAMPLES = "{lost_share:.0%} of the samples were lost (limit {limit:.0%})"
     IRREGULAR = "{uneven_share:.0%} of the samples came at uneven times (limit {limit:.0%})"
@@ -48,14 +48,14 @@ class Ground(StrEnum):
     )
     GAINS_CHANGED = "the gains changed {changes:.0f} times during the response (limit {limit:.0f})"
     SETPOINT_LED = (
-        "the setpoint moved {moves:.0f} times, at {moving_share:.0%} of the samples: another loop or a ramp leads it "
+        "the setpoint moved {moves:.0f} times, at {moving_share:.0%} of the samples: a cascade or a ramp moves it "
         "(limits {limit:.0f} and {limit_share:.0%})"
     )
-    SATURATED = "the controller output stood at a limit for {limited_share:.0%} of the response (limit {limit:.0%})"
-    CO_FROZEN = "co does not move: nothing to learn from"
-    PV_FROZEN = "pv does not move: nothing to learn from"
+    SATURATED = "the controller output was at a limit for {limited_share:.0%} of the response (limit {limit:.0%})"
+    CO_FROZEN = "co does not move: no information for the model"
+    PV_FROZEN = "pv does not move: no information for the model"
     LOW_EXCITATION = (
-        "the response is only {peak_bands:.1f} noise bands high: too little to learn from ({limit:g} needed)"
+        "the response is only {peak_bands:.1f} noise bands high: too small to update the model ({limit:g} needed)"
     )
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive import shown
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
@@ -107,6 +108,17 @@ class Decision:
     delay: Delay | None = None
     undos: int | None = None
 
+    def __repr__(self) -> str:
+        return (
+            f"Decision({self.number}, {self.loop!r}, {self.region!r}, {self.t_s:.6g} s, {self.action}: {self.reason})"
+        )
+
+    def __str__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
     def to_dict(self) -> dict[str, object]:
         """Plain values: what the ledger keeps. The key `delay` is there only where a decision was entered later."""
         return {
@@ -179,11 +191,11 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
     assert cause is not None  # of a trial that is being restored
     assert back is not None
     judged = decision.judgement.reason if decision.judgement else ""
-    done = "no other set that ran is as robust, the tried gains stay" if back.stays else _WORDS[back.gains == trial.old]
+    done = "no earlier gains are as robust, so the trial gains stay" if back.stays else _WORDS[back.gains == trial.old]
     reason = "; ".join(filter(None, (f"{done}: {judged or cause}", back.reason)))
     reason += f"; also in {', '.join(also)}" if also else ""
     if promised_wrongly(trial, decision):
-        reason += "; what was known of this process had promised otherwise, and is forgotten"
+        reason += "; the model predicted otherwise and is discarded"
     return replace(
         decision,
         region=region,
@@ -199,7 +211,7 @@ def restoring(decision: Decision, region: str, trial: Trial, also: Sequence[str]
     )
 
 
-_WORDS = {True: "the verified gains are restored", False: "the most robust gains that ran here are restored"}
+_WORDS = {True: "rolled back to the verified gains", False: "rolled back to the most robust earlier gains"}
 """What is done, by whether it is the set before the trial."""
 
 
@@ -211,7 +223,7 @@ def staying(decision: Decision, region: str, trial: Trial, also: Sequence[str]) 
     cause, back, ensure = trial.cause, trial.back, trial.phase is TrialPhase.ENSURING
     assert cause is not None  # of a trial that stays for all that
     assert back is not None
-    reason = f"the gains on trial stay: {cause}, which says nothing of them; {back.reason}"
+    reason = f"the trial gains stay: {cause}, which is no verdict on them; {back.reason}"
     return replace(
         decision,
         region=region,
@@ -231,5 +243,5 @@ def proposing(decision: Decision, trial: Trial, now_s: float) -> Decision:
     if decision.gains_after is None:
         return decision
     left_s = max(trial.until_s - now_s, 0.0)
-    reason = f"a person set the gains in force, they are held for another {left_s:,.0f} s; proposed: {decision.reason}"
+    reason = f"an operator set the active gains, on hold for another {left_s:,.0f} s; proposed: {decision.reason}"
     return replace(decision, action=Action.ADVISE, reason=reason)

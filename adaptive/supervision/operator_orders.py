@@ -42,7 +42,7 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
         return retuner.ordered(region, StageResult("approval_refused", f"proposal {short} is not written: {reason}"))
     promised = Promise.from_dict(proposal.promise) if proposal.promise else None
     outcome = StageResult(
-        "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by a person", verdict=verdict
+        "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", verdict=verdict
     )
     return retuner.ordered(region, outcome, proposal.after, promised)
 
@@ -61,17 +61,17 @@ def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict
     """Why an approved proposal is not written; empty when it is."""
     in_force = retuner.table.gains_of(region)
     if proposal.promise is None:
-        return "it promises nothing that a trial could hold it to"
+        return "it has no predicted performance to judge a trial by"
     if change_factor(in_force, proposal.before) > SAME_GAINS:
         return str(ProposalStanding.OTHER_GAINS)
     if verdict is None:
         moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard)
         whole = moved is not None and change_factor(moved[0], proposal.after) < WHOLE
-        return "" if whole else "it lies outside the limits of a change as they are set now"
+        return "" if whole else "it is outside the present limits of a change"
     if verdict.gains is None:
         return verdict.sentence
     if change_factor(verdict.gains, proposal.after) > WHOLE:
-        return "with what is known now only a smaller step would be proved"
+        return "with the present model only a smaller change is proved"
     return ""
 
 
@@ -82,8 +82,8 @@ def revert(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> Decisi
         return retuner.taken_back(region)
     reason = _no_way_back(retuner, region, gains, t_s)
     if reason:
-        return retuner.ordered(region, StageResult("revert_refused", f"the way back is not taken: {reason}"))
-    return retuner.ordered(region, StageResult("ordered_back", "a person ordered the way back to these gains"), gains)
+        return retuner.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
+    return retuner.ordered(region, StageResult("ordered_back", "an operator requested this rollback"), gains)
 
 
 def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> str:
@@ -91,9 +91,9 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
     in_force, settings = retuner.table.gains_of(region), retuner.settings
     guard: GuardSettings = settings.guard
     if gains.direction != in_force.direction:
-        return "these gains act the other way round"
+        return "these gains have the opposite control action"
     if change_factor(gains, in_force) <= SAME_GAINS:
-        return "they are in force"
+        return "they are active already"
     if not guard.kc_min <= abs(gains.kp) <= guard.kc_max:
         return f"kc {gains.kp:g} lies outside kc_min and kc_max"
     region_model = retuner.region_models.get(region)
@@ -101,7 +101,7 @@ def _no_way_back(retuner: Retuner, region: int, gains: PidGains, t_s: float) -> 
         return ""
     process = predicted(region_model, t_s, settings.tracker).model().seen_by_controller(settings.sample_time_s).linear()
     unstable = math.isinf(sensitivity_peak(process, gains)) and math.isfinite(sensitivity_peak(process, in_force))
-    return "on the process as it is known now they would be unstable" if unstable else ""
+    return "they would be unstable on the present model" if unstable else ""
 
 
 def accept(retuner: Retuner, region: int, t_s: float) -> bool:

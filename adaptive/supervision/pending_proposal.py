@@ -23,7 +23,7 @@ class ProposalStanding(StrEnum):
 
     OPEN = "open"
     EXPIRED = "it has expired"
-    OTHER_GAINS = "other gains are in force in its region than those from which it was proved"
+    OTHER_GAINS = "the active gains of its region are not those it was proved from"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Proposal:
         if not math.isfinite(self.t_s):
             raise ValueError(f"t_s = {self.t_s} must be finite")
         if self.before.direction != self.after.direction:
-            raise ValueError("the proposed gains act the other way round")
+            raise ValueError("the proposed gains have the opposite control action")
 
     @classmethod
     def of(cls, decision: Decision) -> "Proposal | None":

@@ -178,7 +178,7 @@ def without_a_model(found: Findings) -> None:
         return
     stored = record.table.stored_for(record.region, proposed.tuning.gains, *record.at)
     if stored is None:
-        found.stop(NOT_KNOWN, f"{reason}; beside its neighbours' no set of this region puts that in force")
+        found.stop(NOT_KNOWN, f"{reason}; beside its neighbours' no gains of this region give that")
         return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
@@ -260,7 +260,7 @@ def agreement(found: Findings) -> None:
     reason = behaves(record.response, verdict, found.promise, settings)
     if reason:
         found.verdict = found.basis = found.promise = None
-        found.stop("one_record", f"{reason}; {settings.behaving_records} records must agree before it is moved")
+        found.stop("one_record", f"{reason}; {settings.behaving_records} records must agree before a change")
 
 
 def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
@@ -273,7 +273,7 @@ def behaves(response: Response, verdict: Verdict, promised: Promise | None, sett
     swings = seen is not None and seen > settings.trial.harmless_decay
     if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
         return ""
-    return f"the loop behaves (Ms {verdict.ms_before:.2f}, the change would bring IAE to {gain:.0%})"
+    return f"no change yet: the loop is acceptable (Ms {verdict.ms_before:.2f}, new IAE {gain:.0%} of the present)"
 
 
 def confirmation(found: Findings) -> None:

@@ -147,17 +147,16 @@ def overtaken_by(
 
 
 LEFT = {
-    False: StageResult("left_region", "the response left its region; it teaches nothing of either"),
+    False: StageResult("left_region", "the response crossed into another region: not used to update the model"),
     True: StageResult(
         "variable_unknown",
-        "the scheduling variable is not known any more: nobody can say to which region "
-        "the response belongs; it teaches nothing",
+        "the scheduling variable was lost, so the region of the response is unknown: not used to update the model",
     ),
 }
 """What follows from a response that was cut off, by whether a scheduling variable was unknown."""
 
 PASSED_OVER = StageResult(
-    "passed_over", "the response came while the one before it was still being decided; it teaches nothing"
+    "passed_over", "the previous response was still being evaluated: not used to update the model"
 )
 """What follows from a response that completes while a question is open."""
 
@@ -265,7 +264,7 @@ def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     if trial.phase == TrialPhase.COOLING:
         words += f" for another {max(trial.until_s - now_s, 0.0):,.0f} s after {trial.cause}"
     elif trial.phase == TrialPhase.LOCKED:
-        words += f" after {trial.undos} changes that had to be undone; a person must unlock the region"
+        words += f" after {trial.undos} rollbacks; an operator must unlock the region"
     elif trial.phase == TrialPhase.IDLE:
-        words = "the change of another region is on its way"
-    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"nothing is changed now: {words}")
+        words = "a change in another region is being written"
+    return replace(outcome, code=f"held_{trial.phase.name.lower()}", reason=f"no change now: {words}")

@@ -262,7 +262,7 @@ class Retuner:
         phase = self.trials.phase(region)
         free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
         if gains is not None and not free:
-            gains, outcome = None, StageResult(f"held_{phase.name.lower()}", f"nothing is changed now: {phase}")
+            gains, outcome = None, StageResult(f"held_{phase.name.lower()}", f"no change now: {phase}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
         if gains is None:
             return decision
@@ -275,7 +275,7 @@ class Retuner:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
         reason = self.trials.no_way_back(region)
         if reason:
-            return self.ordered(region, StageResult("revert_refused", f"the way back is not taken: {reason}"))
+            return self.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self._now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 

@@ -150,9 +150,9 @@ class Promise:
         """For people."""
         now, then = self.setpoint, self.setpoint_before
         return (
-            f"promised: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}), successive peaks at most "
-            f"{max(now.decay.high, self.load_step.decay.high):.2f}, IAE {_ratio(now.iae, then.iae)} of before after a "
-            f"setpoint step and {_ratio(self.load_step.iae, self.load_before.iae)} after a load"
+            f"predicted: overshoot {_percent(now.overshoot)} (was {_percent(then.overshoot)}); half-cycle decay ratio "
+            f"at most {max(now.decay.high, self.load_step.decay.high):.2f}; IAE {_ratio(now.iae, then.iae)} of the "
+            f"previous after a setpoint step, {_ratio(self.load_step.iae, self.load_before.iae)} after a load step"
         )
 
 

@@ -49,9 +49,9 @@ LIMITED = 0.05
 class TrialFinding(StrEnum):
     """Outcome of a judgement."""
 
-    BETTER = "better than promised"
-    AS_PROMISED = "as promised"
-    WORSE = "worse than promised"
+    BETTER = "better than predicted"
+    AS_PROMISED = "as predicted"
+    WORSE = "worse than predicted"
     INCONCLUSIVE = "inconclusive"
 
 
@@ -177,8 +177,8 @@ def _not_worse(
         return _by_posterior(f"{seen.response.ending}; until then {told}", seen.posterior, settings, numbers)
     cheaper = upset is not None and upset.iae < now.iae.low
     if cheaper and swing.decay <= max(now.decay.best, now.decay.low):
-        return Judgement(TrialFinding.BETTER, f"better than promised: {told}", numbers)
-    return Judgement(TrialFinding.AS_PROMISED, f"as promised: {told}", numbers)
+        return Judgement(TrialFinding.BETTER, f"better than predicted: {told}", numbers)
+    return Judgement(TrialFinding.AS_PROMISED, f"as predicted: {told}", numbers)
 
 
 def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: TrialNumbers) -> Judgement:
@@ -196,7 +196,7 @@ def _says_nothing(seen: JudgedResponse, settings: TrialSettings) -> str:
         return f"not judged: {seen.outside}"
     least = settings.seen_bands * response.band
     if max((abs(peak.e) for peak in response.peaks), default=0.0) < least:
-        return f"not judged: its peaks are below {least:.3g}, {settings.seen_bands:g} noise bands"
+        return f"not judged: the peaks are below {least:.3g}, {settings.seen_bands:g} noise bands"
     return ""
 
 
@@ -210,7 +210,7 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
     before = window.t_s < response.t_start_s
     later = window.sp[_during(seen)]
     if later.size and float(np.ptp(later)) > response.band:
-        return "not judged: the setpoint went on moving during the response"
+        return "not judged: the setpoint kept moving during the response"
     error = (window.sp - window.pv)[before]
     if not error.size:
         return ""
@@ -229,8 +229,8 @@ def _swings(response: Response, now: Expected, before: float, settings: TrialSet
     if sure is None or sure <= limit or sure <= before:
         return _Swings("", numbers)
     words = (
-        f"worse than promised: successive peaks in the ratio {numbers.decay:.2f}, surely over {sure:.2f}; promised at "
-        f"most {now.decay.high:.2f}, the gains before have {before:.2f}"
+        f"worse than predicted: half-cycle decay ratio {numbers.decay:.2f} (at least {sure:.2f} allowing for noise), "
+        f"predicted at most {now.decay.high:.2f}; previous gains {before:.2f}"
     )
     return _Swings(words, numbers)
 
@@ -264,10 +264,10 @@ def _costs(seen: JudgedResponse, gains: PidGains, now: Expected, before: float, 
     numbers = UpsetNumbers(measured, *held_against, travel, storable(now.travel.best))
     if measured <= limit or measured <= before:
         return _Costs("", numbers)
-    kind = "setpoint step" if response.sp_changed else "load"
+    kind = "setpoint step" if response.sp_changed else "load step"
     words = (
-        f"worse than promised: IAE {measured:.3g} per unit of the {kind}; promised at most {now.iae.high:.3g}, "
-        f"the gains before have {before:.3g}"
+        f"worse than predicted: IAE {measured:.3g} per unit {kind}, predicted at most {now.iae.high:.3g}; "
+        f"previous gains {before:.3g}"
     )
     return _Costs(words, numbers)
 
@@ -300,7 +300,7 @@ def _area(values: FloatArray, t: FloatArray) -> float:
 
 def _told(swing: SwingNumbers, upset: UpsetNumbers | None) -> str:
     """The numbers in words."""
-    words = f"successive peaks {swing.decay:.2f} (limit {swing.decay_limit:.2f})"
+    words = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f})"
     if upset is not None and upset.iae_limit >= 0:
-        words += f", IAE {upset.iae:.3g} per unit (promised {upset.iae_promised:.3g})"
+        words += f", IAE {upset.iae:.3g} per unit step (predicted {upset.iae_promised:.3g})"
     return words

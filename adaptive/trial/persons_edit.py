@@ -4,20 +4,20 @@ from retuner.adaptive.trial.way_back import Robustness, StillAllowed, models_wor
 from retuner.schedule.gains import PidGains
 
 NOT_TAKEN = (
-    "somebody has set gains that no set of this region puts in force beside its neighbours'; they run until the "
-    "schedule next writes"
+    "someone set gains that this region cannot hold beside its neighbours; they stay active until the next "
+    "scheduled write"
 )
 
 
 def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float) -> str:
     """A person has set gains where others were in force: recognised, weighed, held."""
-    words = f"a person has set {_set(now)} in place of {_set(ours)}"
+    words = f"an operator replaced {_set(ours)} by {_set(now)}"
     ms = known.ms(now)
     if ms:
         found = Robustness.of(ms)
         weighed = robustness_words(found.ms, found.unstable, len(ms))
-        words += f"; by {models_words(len(ms))} the loop {weighed}"
-    return f"{words}; they are held for {hold_s:,.0f} s, what follows until then is proposed and waits for a person"
+        words += f"; over {models_words(len(ms))}: {weighed}"
+    return f"{words}; held for {hold_s:,.0f} s, in which changes are proposals for operator approval"
 
 
 def _set(gains: PidGains) -> str:

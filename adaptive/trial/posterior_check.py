@@ -132,7 +132,7 @@ def _less_robust(found: PosteriorCheck, limit: float) -> str:
     if not found.robuster or found.ms_tried <= limit:
         return ""
     words = "the loop is unstable" if math.isinf(found.ms_tried) else f"Ms is at least {found.ms_tried:.2f}"
-    return f"worse than promised: by every model that is still allowed {words}, limit {limit:.2f}"
+    return f"worse than predicted: on every plausible model {words}, limit {limit:.2f}"
 
 
 def _slower(found: PosteriorCheck, promised: Promise, limit: float, settings: TrialSettings) -> str:
@@ -141,8 +141,8 @@ def _slower(found: PosteriorCheck, promised: Promise, limit: float, settings: Tr
     if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
         return ""
     return (
-        f"worse than promised: by every model that is still allowed IAE is at least {found.slower:.2f} times that with "
-        f"the gains before, whose Ms is {found.ms_old:.2f} at most; limit {limit:.2f}"
+        f"worse than predicted: on every plausible model IAE is at least {found.slower:.2f} times that with the "
+        f"previous gains (limit {limit:.2f}), whose Ms is at most {found.ms_old:.2f}"
     )
 
 
@@ -150,7 +150,7 @@ def in_favour(found: PosteriorCheck, settings: TrialSettings) -> str:
     """What it says for the tried set, if anything."""
     if not found.settled or found.ms_most > settings.harmless_ms:
         return ""
-    return f"robust: Ms is {found.ms_most:.2f} at most by every model that is still allowed"
+    return f"robust: Ms at most {found.ms_most:.2f} on every plausible model"
 
 
 def promised_cost(promised: Promise) -> float:

@@ -231,7 +231,7 @@ class TrialSupervisor:
         before, tried = known.ms(trial.old), known.ms(trial.new)
         if not before or not all(map(math.isinf, before)) or all(map(math.isinf, tried)):
             return ""
-        return "on every model of the process that is still allowed the gains before would be unstable"
+        return "the previous gains would be unstable on every plausible model"
 
     def look(
         self, sample: LoopSample, region: int | None, band: float, elapsed_s: float, gap_s: float, *, blended: bool
@@ -281,9 +281,9 @@ class TrialSupervisor:
         if trial.silent + 1 < self.settings.inconclusive or not self._end(region, E.TIMED_OUT, t_s):
             return found
         phase = self.phase(region)
-        what = "is taken back" if phase == P.RESTORING else f"stays ({phase})"
+        what = "are rolled back" if phase == P.RESTORING else f"stay ({phase})"
         return replace(
-            found, reason=f"{found.reason}; {trial.silent + 1} responses decided nothing, and the set on trial {what}"
+            found, reason=f"{found.reason}; {trial.silent + 1} responses were inconclusive, the trial gains {what}"
         )
 
     def to_dict(self) -> dict[str, object]:

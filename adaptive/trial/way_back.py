@@ -131,7 +131,7 @@ def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayB
     swung = ran.swung is not None and ran.swung >= SWINGS_ON
     if cause not in UNDOS and swung and less_of_everything(ran.before, tried):
         words = (
-            f"the gains before were seen to swing on (successive peaks {ran.swung:.2f}), these are less of everything"
+            f"the previous gains kept oscillating (half-cycle decay ratio {ran.swung:.2f}), the trial gains act less"
         )
         return WayBack(tried, stays=True, reason=words)
     return WayBack(ran.before, stays=False)
@@ -147,20 +147,20 @@ def _words(found: WayBackNumbers, gains: PidGains, ran: SetsThatRan) -> str:
     """The reason for people."""
     tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)
     before = robustness_words(found.ms_before, found.unstable_before, found.models)
-    words = f"by {models_words(found.models)} the tried set {tried}, the one before {before}"
+    words = f"over {models_words(found.models)}: trial gains {tried}, previous gains {before}"
     if gains in {ran.before, ran.tried}:
         return words
-    return f"{words}; an earlier one is the most robust that ran"
+    return f"{words}; an earlier gain set was the most robust"
 
 
 def models_words(models: float) -> str:
     """How many are asked."""
-    return "the one model that is still allowed" if models == 1 else f"the {models:.0f} models that are still allowed"
+    return "the one plausible model" if models == 1 else f"the {models:.0f} plausible models"
 
 
 def robustness_words(ms: float, unstable: float, models: float) -> str:
     """What is said of one set."""
     if unstable == models:
-        return "is unstable"
-    some = f"is unstable on {unstable:.0f}, else " if unstable else ""
-    return f"{some}has Ms {ms:.2f} at most"
+        return "unstable"
+    some = f"unstable on {unstable:.0f}, otherwise " if unstable else ""
+    return f"{some}Ms at most {ms:.2f}"

@@ -147,20 +147,23 @@ class PatternSettings:
 class PatternReading(StrEnum):
     """What a pattern says; the value is the sentence, with its numbers by name."""
 
-    LIVELY = "by the pattern ({seen}): calmer, {moves}"
-    CALM = "by the pattern ({seen}): room for more, {moves}"
-    OVERDAMPED = "by the pattern ({seen}): carefully faster, {moves}"
-    SLOW = "by the pattern ({seen}): it swings slowly, though pv answers within {tenth_s:.3g} s: more gain, {moves}"
-    ON_TARGET = "the pattern is near its targets ({seen})"
-    OTHER_CAUSE = "the pattern says nothing of the tuning here: {cause}"
-    CONTRADICTED = "the pattern ({seen}) asks for the contrary of the diagnosis: {cause}"
-    CUT_SHORT = "the response was cut short by the next setpoint change before it showed its pattern"
-    NO_ORDINARY = "damping {damping:.2f} is far from overshoot {overshoot:.2f}: no ordinary response"
-    UNEVEN = "its peaks are {first_s:.3g} s and {second_s:.3g} s apart: two upsets, not one oscillation"
-    WEAK = "the response is {height_bands:.1f} noise bands high: too little to read a pattern from"
-    LIMITED = "co stood at a limit for {limited_share:.0%} of the upset: what it did then is not the tuning's doing"
-    PULSE = "co came back to where it had been: the load was a pulse, which makes overshoot by itself"
-    UNDYING = "it swings on (damping {damping:.2f}): a valve or another loop may do that, and no diagnosis rules it out"
+    LIVELY = "from the response pattern ({seen}): less action, {moves}"
+    CALM = "from the response pattern ({seen}): more action, {moves}"
+    OVERDAMPED = "from the response pattern ({seen}): slightly faster, {moves}"
+    SLOW = (
+        "from the response pattern ({seen}): slow oscillation, though pv responds within {tenth_s:.3g} s; "
+        "more gain, {moves}"
+    )
+    ON_TARGET = "the response pattern is near its targets ({seen})"
+    OTHER_CAUSE = "the response pattern does not reflect the tuning here: {cause}"
+    CONTRADICTED = "the response pattern ({seen}) contradicts the diagnosis: {cause}"
+    CUT_SHORT = "the response was cut short by the next setpoint change, before its pattern was complete"
+    NO_ORDINARY = "half-cycle decay ratio {damping:.2f} and overshoot {overshoot:.2f} disagree: not a simple response"
+    UNEVEN = "peaks {first_s:.3g} s and {second_s:.3g} s apart: two disturbances, not one oscillation"
+    WEAK = "the response is {height_bands:.1f} noise bands high: too small for a response pattern"
+    LIMITED = "co was at a limit for {limited_share:.0%} of the response: its pattern does not reflect the tuning"
+    PULSE = "co returned to its start: the load was a pulse, which causes overshoot by itself"
+    UNDYING = "lasting oscillation (half-cycle decay ratio {damping:.2f}): stiction or another loop is not ruled out"
 
 
 MOVING = frozenset({PatternReading.LIVELY, PatternReading.CALM, PatternReading.OVERDAMPED, PatternReading.SLOW})
@@ -182,7 +185,7 @@ class Move:
     def words(self) -> str:
         """What moves by how much."""
         parts = [f"{name} x {f:.2f}" for name, f in (("Kc", self.kc), ("tau_I", self.tau_i)) if f != 1]
-        return ", ".join(parts) or "nothing moves"
+        return ", ".join(parts) or "no change"
 
     @property
     def direction(self) -> int:
@@ -235,7 +238,7 @@ def pattern_rule(
     reading, move = read.reading, read.move
     if diagnosis is not None and move.direction * WANTED.get(diagnosis.cause, 0) < 0:
         reading = PatternReading.CONTRADICTED
-    cause = diagnosis.reason if diagnosis else "nobody looked"
+    cause = diagnosis.reason if diagnosis else "no diagnosis was made"
     sentence = reading.value.format(cause=cause, seen=seen(shown), moves=move.words, **shown.to_dict())
     numbers = AdviceNumbers(shown, read.margin, read.period_over_tau_i)
     if reading not in MOVING:
@@ -253,10 +256,18 @@ class _Read(NamedTuple):
     period_over_tau_i: float | None = None
 
 
+DECAY = "half-cycle decay ratio"
+
+
 def seen(shown: PatternNumbers) -> str:
     """The numbers that a person compares with the targets."""
     said = shown.to_dict()
-    named = {"overshoot": "overshoot", "damping": "damping", "co_overshoot": "overshoot of co", "rebound": "rebound"}
+    named = {
+        "overshoot": "overshoot",
+        "damping": "half-cycle decay ratio",
+        "co_overshoot": "overshoot of co",
+        "rebound": "rebound",
+    }
     parts = [f"{word} {said[name]:.2f}" for name, word in named.items() if name in said]
     return ", ".join(parts if shown.second else ["no second peak", *parts])
 

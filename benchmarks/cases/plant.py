@@ -21,11 +21,13 @@ Section = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def realise(process: LinearProcess) -> Section:
-    """A, B, C of the process without its dead time: strictly proper sections in series, each lead on a lag."""
+    """A, B, C of the process without its dead time: sections in series, each lead on a lag or a pair."""
     leads = sorted((x for x in process.leads_s if x), key=abs)
     sections: list[tuple[FloatArray, FloatArray, FloatArray, float]] = []
-    for c1, c2 in process.quadratics:
-        sections.append((np.array([[0.0, 1.0], [-1 / c2, -c1 / c2]]), np.array([0, 1 / c2]), np.array([1.0, 0]), 0.0))
+    spare = len(leads) - sum(lag > 0 for lag in process.lags_s)
+    for i, (c1, c2) in enumerate(process.quadratics):
+        row = np.array([1.0, leads.pop(0) if i < spare else 0.0])
+        sections.append((np.array([[0.0, 1.0], [-1 / c2, -c1 / c2]]), np.array([0, 1 / c2]), row, 0.0))
     for lag in sorted((x for x in process.lags_s if x > 0), reverse=True):
         lead = leads.pop() if leads else 0.0
         sections.append((np.array([[-1 / lag]]), np.array([1 / lag]), np.array([1 - lead / lag]), lead / lag))

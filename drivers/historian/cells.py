@@ -8,7 +8,7 @@ import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
-from retuner.drivers.historian.raw_table import MISSING, RawTable
+from retuner.drivers.historian.raw_table import MISSING, WITH_UNIT, RawTable
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import NUMBER, RecordingError
 
@@ -39,7 +39,7 @@ def decimal_mark(table: RawTable, places: Iterable[int], form: RecordForm) -> tu
     """
     if form.decimal:
         return form.decimal, ()
-    fields = [f.strip() for p in places for f in _text(table, p)]
+    fields = [_bare(f.strip()) for p in places for f in _text(table, p)]
     commas = [f for f in fields if COMMA.fullmatch(f)]
     if not commas or any("." in f and NUMBER.fullmatch(f) for f in fields):
         return ".", ()
@@ -54,6 +54,34 @@ def _text(table: RawTable, place: int) -> Sequence[str]:
     """A column's fields where they are text."""
     column = table.columns[place]
     return () if isinstance(column, np.ndarray) else column
+
+
+def _bare(text: str) -> str:
+    """A field without the unit that may stand in it."""
+    with_unit = WITH_UNIT.fullmatch(text)
+    return with_unit["number"] if with_unit else text
+
+
+def unit_beside(table: RawTable, place: int) -> str:
+    """The unit that stands in every field of a column beside its value; empty where none does.
+
+    Raises
+    ------
+    RecordingError
+        Values have different units, or only some have one.
+    """
+    first, where = "", ""
+    for i, field in enumerate(_text(table, place)):
+        text = field.strip()
+        with_unit = WITH_UNIT.fullmatch(text)
+        if text.lower() in MISSING or not (with_unit or NUMBER.fullmatch(text)):
+            continue
+        unit = with_unit["unit"] if with_unit else "no unit"
+        if first and unit != first and {unit, first} != {"%", "no unit"}:
+            here = f"{table.source}{table.places[i]}: {table.names[place]} = {text[:40]!a}"
+            raise RecordingError(f"{here}: {unit}, and {first} in{where.replace(':', ' line ')}; export it in one unit")
+        first, where = first or unit, where or table.places[i]
+    return first.removesuffix("no unit")
 
 
 def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> FloatArray:
@@ -82,7 +110,7 @@ def _number(table: RawTable, place: int, row: int, text: str, decimal: str, miss
         return np.nan
     if decimal == "." and NUMBER.fullmatch(text):
         return float(text)
-    plain = text.removesuffix("%")
+    plain = _bare(text)
     if decimal == ",":
         plain = plain.replace(".", "") if THOUSANDS[","].fullmatch(plain) else plain
         plain = plain.replace(",", ".") if "." not in plain else "?"

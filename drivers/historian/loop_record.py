@@ -6,7 +6,7 @@ What is ambiguous is not guessed: the refusal names the option that answers it.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -16,8 +16,9 @@ import numpy as np
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.frames import is_frame, table_of_frame, table_of_parquet
-from retuner.drivers.historian.raw_table import RawTable, read_text_table
+from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
+from retuner.drivers.historian.reshaped import annotated_table, is_annotated
 from retuner.drivers.historian.row_order import Trend, joined
 from retuner.drivers.historian.table_signals import TableSignals, signals_of
 from retuner.drivers.recorded.recording import Recording, RecordingError
@@ -119,7 +120,16 @@ def _tables(source: object, form: RecordForm) -> list[RawTable]:
     if path.is_dir():
         inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in FILES_OF_A_FOLDER)
         return [table for p in inside for table in _tables(p, form)]
-    return [table_of_parquet(path) if path.suffix.lower() == ".parquet" else read_text_table(path, form)]
+    return [table_of_parquet(path) if path.suffix.lower() == ".parquet" else _text_table(path, form)]
+
+
+def _text_table(path: Path, form: RecordForm) -> RawTable:
+    """The table of a text file, whatever wrote it."""
+    text, assumed = decoded(path, form)
+    if is_annotated(text):
+        found = annotated_table(str(path), text)
+        return replace(found, assumed=(*assumed, *found.assumed))
+    return text_table(path, text, assumed, form)
 
 
 def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:

@@ -24,8 +24,15 @@ from retuner.drivers.recorded.recording import SIZE_MAX, RecordingError
 Column = Sequence[str] | FloatArray | npt.NDArray[np.datetime64]
 """Fields as text, numbers (nan where there is none), or times."""
 
+UNITS = (
+    "°C|°F|°|degC|degF|deg C|deg F|C|F|K|%|mbar|barg|bar|psig|psi|hPa|kPa|MPa|Pa|mm|cm|m|l|L|m3|m³|l/s|l/min|l/h|L/min"
+    "|m3/h|m³/h|m3/s|m³/s|Nm3/h|Nm³/h|gpm|kg/s|kg/h|t/h|rpm|1/min|m/s|mm/s|mV|V|mA|A|W|kW|MW|Hz|kg|t|pH|ppm|mS/cm|s|min"
+)
+"""Units that may stand beside a value in its field."""
+WITH_UNIT = re.compile(rf"(?P<number>[+-]?[0-9.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?) *(?P<unit>{UNITS})")
 VALUE = re.compile(
-    r"[+-]?[0-9.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?%?"  # a number, with any point
+    r"[+-]?[0-9.,]*[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?"  # a number, with any point
+    rf"(?: *(?:{UNITS}))?"
     r"|[0-9]{1,4}[-/.][0-9A-Za-z]{1,9}[-/.][0-9]{1,4}.*"  # a date, with or without the time
     r"|[0-9]{1,2}:[0-9]{2}.*"  # a time of day
 )
@@ -68,7 +75,11 @@ def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None)
     RecordingError
         It cannot be read, is no text, or has no rows of values.
     """
-    text, assumed = _decoded(path, form, most_bytes)
+    return text_table(path, *decoded(path, form, most_bytes), form)
+
+
+def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: RecordForm) -> RawTable:
+    """The table of a text; assumed : what was found out of its encoding. Errors as read_text_table."""
     if "\0" in text:
         number = text[: text.index("\0")].count("\n") + 1
         raise RecordingError(f"{path}:{number}: a NUL byte; this is no text file")
@@ -86,7 +97,7 @@ def read_text_table(path: Path, form: RecordForm, most_bytes: int | None = None)
     return RawTable(str(path), names, columns, places, (*assumed, *told), _time_units(header))
 
 
-def _decoded(path: Path, form: RecordForm, most_bytes: int | None) -> tuple[str, tuple[Assumption, ...]]:
+def decoded(path: Path, form: RecordForm, most_bytes: int | None = None) -> tuple[str, tuple[Assumption, ...]]:
     """The file as text: by its mark, else as UTF-8 where it is that, else by its bytes as Windows writes them."""
     try:
         if path.is_file() and path.stat().st_size > SIZE_MAX:

@@ -12,9 +12,10 @@ import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
-from retuner.drivers.historian.cells import decimal_mark, good, numbers
+from retuner.drivers.historian.cells import decimal_mark, good, numbers, unit_beside
 from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
+from retuner.drivers.historian.reshaped import unpaired
 from retuner.drivers.historian.row_order import Trend, in_order
 from retuner.drivers.historian.tags import TIME_UNIT, last_word, loops, named
 from retuner.drivers.historian.time_stamps import DIGITS, Stamps, from_numbers, from_text
@@ -59,6 +60,8 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     RecordingError
         A named column is not there, there is no time, or a field is none of a value's forms.
     """
+    if not form.columns.keys() & {"t", "value"} and form.dt_s is None:
+        table = unpaired(table)
     found = loops(table.names)
     plain = found.get("", {})
     told = list(table.assumed)
@@ -171,8 +174,14 @@ def _clock(
     return _Clock(rows, t_s), [*stamps.assumed, *told]
 
 
-def _stamps(table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm, decimal: str) -> Stamps:
-    """The time of each row."""
+def _stamps(
+    table: RawTable,
+    found: Mapping[str, Mapping[str, list[int]]],
+    form: RecordForm,
+    decimal: str,
+    begins: Sequence[int] = (),
+) -> Stamps:
+    """The time of each row; begins : rows at which the times of another signal begin."""
     times = [place for roles in found.values() for place in roles.get("t", [])]
     dates = [place for roles in found.values() for place in roles.get("date", [])]
     place, date = _column(table, "t", form, times), _column(table, "date", form, dates)
@@ -193,7 +202,7 @@ def _stamps(table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form:
     if text and _written_out(text):
         apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
         days = [str(d) for d in apart] if apart is not None else None
-        return from_text(text, days, form, table.source)
+        return from_text(text, days, form, table.source, begins)
     return _counted(table, place, decimal, form)
 
 
@@ -289,6 +298,7 @@ def _trends(
     """Signals of one loop without what is missing."""
     trends = {}
     for role, place in roles.items():
+        _tell_unit(table, place, role, told)
         values = numbers(table, place, decimal, form)
         known = (np.isfinite(values) & good_rows)[clock.rows]
         held = role != "pv" and _stored_by_exception(table, place)
@@ -300,6 +310,13 @@ def _trends(
             told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))
         trends[role] = Trend(clock.t_s[known], values[clock.rows][known], held)
     return trends
+
+
+def _tell_unit(table: RawTable, place: int, role: str, told: list[Assumption]) -> None:
+    """Tell the unit that stands beside the values of a signal."""
+    unit = unit_beside(table, place)
+    if unit and unit != "%":
+        told.append(Assumption(f"{role} in {unit}, as its values say"))
 
 
 def _stored_by_exception(table: RawTable, place: int) -> bool:
@@ -320,19 +337,27 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     assert value_at is not None
     tags = np.array([str(field).strip() for field in table.columns[tag_at]])
     decimal, mark = decimal_mark(table, [value_at], form)
-    stamps = _stamps(table, {"": plain}, form, decimal)
+    stamps = _stamps(table, {"": plain}, form, decimal, _begins(tags))
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
     told += [*mark, *stamps.assumed]
     for tag, role, name in _signals_named(table, sorted(set(tags)), form):
         of_it = np.flatnonzero(tags == name)
-        values = numbers(_rows(table, of_it), value_at, decimal, form)
+        its = _rows(table, of_it)
+        _tell_unit(its, value_at, role, told)
+        values = numbers(its, value_at, decimal, form)
         fine = np.isfinite(values) & good_rows[of_it]
         rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
         told += more
         known.setdefault(tag, {})[role] = Trend(t_s, values[fine][rows])
         told.append(Assumption(f"{role} is {quoted(name)}"))
     return TableSignals(table.source, known, tuple(told))
+
+
+def _begins(tags: np.ndarray) -> list[int]:
+    """Rows at which another signal begins, where a long table holds one signal after the other."""
+    changes = np.flatnonzero(tags[1:] != tags[:-1]) + 1
+    return changes.tolist() if len(changes) < len(set(tags)) else []
 
 
 def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> list[tuple[str, str, str]]:

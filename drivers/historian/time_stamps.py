@@ -93,8 +93,10 @@ def _days_at_1970(values: FloatArray) -> float:
     return next((at for (low, high), at in calendars if low <= _typical(values) <= high), 0.0)
 
 
-def from_text(fields: Sequence[str], days: Sequence[str] | None, form: RecordForm, source: str) -> Stamps:
-    """Stamps as text, and where the date stands apart its fields.
+def from_text(
+    fields: Sequence[str], days: Sequence[str] | None, form: RecordForm, source: str, begins: Sequence[int] = ()
+) -> Stamps:
+    """Stamps as text, and where the date stands apart its fields; begins : rows at which another signal's begin.
 
     Raises
     ------
@@ -104,21 +106,21 @@ def from_text(fields: Sequence[str], days: Sequence[str] | None, form: RecordFor
     joined = [f"{d.strip()} {f.strip()}" for d, f in zip(days, fields, strict=True)] if days is not None else fields
     texts = [text.strip() for text in joined]
     if form.time_format:
-        return Stamps(_of_format(texts, form, source))
+        return Stamps(_of_format(texts, form, source, begins))
     if all(DIGITS.fullmatch(text) for text in texts[:SHOWN]):
         told = Assumption("stamps as digits of date and time", 'time_format = "%Y%m%d%H%M%S"')
-        return Stamps(_timed(texts, _digits, form, source), (told,))
-    return _of_usual_forms(texts, form, source)
+        return Stamps(_timed(texts, _digits, form, source, begins), (told,))
+    return _of_usual_forms(texts, form, source, begins)
 
 
-def _of_usual_forms(texts: list[str], form: RecordForm, source: str) -> Stamps:
+def _of_usual_forms(texts: list[str], form: RecordForm, source: str, begins: Sequence[int]) -> Stamps:
     """The usual form that fits all rows."""
     fitting: dict[str, FloatArray] = {}
     for date in DATES:
         if not _fits_sample(texts, date):
             continue
         try:
-            fitting[date] = _timed(texts, _reader(date), form, source)
+            fitting[date] = _timed(texts, _reader(date), form, source, begins)
         except _UnfitError:
             continue
     if not fitting:
@@ -248,7 +250,7 @@ def _digits(text: str) -> datetime:
     return moment + timedelta(seconds=float("0" + text[14:]) if len(text) > 14 else 0.0)
 
 
-def _of_format(texts: Sequence[str], form: RecordForm, source: str) -> FloatArray:
+def _of_format(texts: Sequence[str], form: RecordForm, source: str, begins: Sequence[int]) -> FloatArray:
     """Stamps of the format that a person gave."""
 
     def read(text: str) -> datetime:
@@ -257,24 +259,33 @@ def _of_format(texts: Sequence[str], form: RecordForm, source: str) -> FloatArra
         except ValueError:
             raise RecordingError(f"{source}: time {text[:40]!a} is not of the form {form.time_format}") from None
 
-    return _timed(texts, read, form, source)
+    return _timed(texts, read, form, source, begins)
 
 
-def _timed(texts: Sequence[str], read: Callable[[str], datetime], form: RecordForm, source: str) -> FloatArray:
+def _timed(
+    texts: Sequence[str], read: Callable[[str], datetime], form: RecordForm, source: str, begins: Sequence[int]
+) -> FloatArray:
     """Seconds since 1970 of each text, nan where there is none."""
     zone = ZoneInfo(form.zone) if form.zone else None
-    found, last = np.full(len(texts), math.nan), -math.inf
-    backwards = False
+    found, last, zoned = np.full(len(texts), math.nan), -math.inf, zone is not None
+    first = frozenset(begins)
     for i, text in enumerate(texts):
+        last = -math.inf if i in first else last
         if not text:
             continue
-        found[i] = _seconds(read(text), zone, last)
-        backwards |= zone is None and -HOUR_S <= found[i] - last < 0
-        last = found[i]
-    ordered = np.diff(found[np.isfinite(found)])
-    if backwards and int(np.sum(ordered < 0)) == 1 and found[-1] > np.nanmax(found[:-1]):
+        moment = read(text)
+        zoned = zoned or moment.tzinfo is not None
+        found[i] = last = _seconds(moment, zone, last)
+    if not zoned and any(_hour_comes_twice(piece) for piece in np.split(found, sorted(first))):
         raise RecordingError(f"{source}: the clock goes back by an hour once; say --zone as in Europe/Berlin")
     return found
+
+
+def _hour_comes_twice(t_s: FloatArray) -> bool:
+    """Whether stamps of one signal go back once, by an hour at most, and on beyond where they were."""
+    known = t_s[np.isfinite(t_s)]
+    back = np.diff(known)[np.diff(known) < 0]
+    return len(back) == 1 and bool(back[0] >= -HOUR_S) and bool(known[-1] > np.max(known[:-1]))
 
 
 def _seconds(moment: datetime, zone: ZoneInfo | None, last: float) -> float:

@@ -106,7 +106,7 @@ class ConnectInput(Enum):
     """What can happen to it."""
 
     IDENTIFIED = "the right device has said who it is"
-    RUNNING_READ = "the running set is read back"
+    RUNNING_READ = "the active gains are read back"
     LOST = "nothing heard for too long, or the bus is gone"
 
 
@@ -292,7 +292,7 @@ class CanDevice:
         before = self.phase
         if self.machine.take(ConnectInput.RUNNING_READ) and before is ConnectPhase.READING:
             self._contact.made = True
-            self._events.append(LinkChanged(LinkState.UP, "heard, and the running set read back"))
+            self._events.append(LinkChanged(LinkState.UP, "controller found, active gains read back"))
         outcome = self._requests.on_running(running)
         if outcome is not None:
             self._events.append(outcome)

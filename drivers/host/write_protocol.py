@@ -64,7 +64,7 @@ class WriteInput(Enum):
     EXHAUSTED = "no answer, no try is left"
     RESTARTED = "device restarted"
     FENCED = "abort acknowledged"
-    RUNNING_READ = "running set read back"
+    RUNNING_READ = "active gains read back"
 
 
 P, W = WritePhase, WriteInput

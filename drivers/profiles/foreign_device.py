@@ -273,8 +273,8 @@ class ForeignDevice:
         self._boots = 0
         if not self._up:
             self._up = self._contact.made = True
-            known = "the running set read back" if self._access.reads_back else "the running set believed, not read"
-            self._events.append(LinkChanged(LinkState.UP, f"heard, and {known}"))
+            known = "active gains read back" if self._access.reads_back else "gains assumed, cannot be read back"
+            self._events.append(LinkChanged(LinkState.UP, f"controller found, {known}"))
 
     def _require_fitting(self, gains: PidGains) -> None:
         """At the first connection, refuse a controller that runs what nobody knows of and nobody could write over."""

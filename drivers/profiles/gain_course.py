@@ -222,7 +222,7 @@ class GainCourse:
             self._move(CourseInput.LAST)
             self.outcome = Outcome(True, dict(numbers), "")
         else:
-            self.reason = "somebody else wrote gains meanwhile"
+            self.reason = "gains were changed by someone else meanwhile"
             self._move(CourseInput.EXHAUSTED)
 
     def unknown(self) -> str:

@@ -15,11 +15,21 @@ import numpy as np
 from retuner.adaptive.signals.sample import FloatArray, LoopMode, LoopSample
 from retuner.drivers.recorded.bus_log_samples import Overhearing
 from retuner.drivers.recorded.frame_log import read_frames
-from retuner.drivers.recorded.recording import LARGEST, ROLES, RecordingError, read_columns
+from retuner.drivers.recorded.recording import (
+    LARGEST,
+    ROLES,
+    Recording,
+    RecordingError,
+    column_names,
+    read_columns,
+    require_setpoint,
+)
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.gains import PidGains
 
 GAINS = ("kp", "ki", "kd")
+FURTHER = ("x", "x2", "mode", "limited", *GAINS)
+"""What a controller knows beside the signals of its loop: columns of a run's trend."""
 TIME_TOLERANCE = 0.1
 """Share by which the record's sampling interval may differ from the configured one."""
 
@@ -55,9 +65,37 @@ def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> I
         The file is malformed, or sampled at another rate than the controller.
     """
     names = {role: columns.get(role, role) for role in ROLES}
-    further = [name for name in ("x", "x2", "mode", "limited", *GAINS) if name not in names.values()]
+    further = [name for name in FURTHER if name not in names.values()]
     table = read_columns(path, [*names.values(), *further], list(names.values()))
     t, sp, pv, co = (table[names[role]] for role in ROLES)
+    yield from _samples(str(path), (t, sp, pv, co), table, facts)
+
+
+def has_more_than_signals(path: Path, columns: Mapping[str, str]) -> bool:
+    """Whether a table is one of t, sp, pv, co under these names and holds what only a controller knows of itself.
+
+    Such a table is a run's trend; any other is read as historians export it.
+    """
+    try:
+        names = column_names(path)
+    except RecordingError:
+        return False
+    plain = {columns.get(role, role) for role in ROLES}
+    return plain <= names and bool(names - plain & set(FURTHER))
+
+
+def recording_samples(recording: Recording, facts: LoopFacts) -> Iterator[Recorded]:
+    """Samples of a record that is nothing but t, sp, pv and co; errors as table_samples."""
+    require_setpoint(recording)
+    window = recording.window()
+    yield from _samples(recording.source, (window.t_s, window.sp, window.pv, window.co), {}, facts)
+
+
+def _samples(
+    path: str, signals: tuple[FloatArray, ...], table: Mapping[str, FloatArray], facts: LoopFacts
+) -> Iterator[Recorded]:
+    """Samples of t, sp, pv, co and of what else a table holds."""
+    t, sp, pv, co = signals
     _check(path, t, (sp, pv, co), facts)
     inputs = ScheduleInputs.of(facts.variable)
     own = {"sp": sp, "pv": pv, "co": co, "": np.zeros(len(t))}
@@ -69,13 +107,13 @@ def table_samples(path: Path, columns: Mapping[str, str], facts: LoopFacts) -> I
     beyond = np.where(co >= facts.co_max, 1.0, np.where(co <= facts.co_min, -1.0, 0.0))
     limited = table.get("limited", beyond)
     known = all(name in table for name in GAINS)
-    signals = np.column_stack((t, sp, pv, co, mode, limited, x, x2)).tolist()
-    for i, (t_s, sp_i, pv_i, co_i, mode_i, limited_i, x_i, x2_i) in enumerate(signals):
+    rows = np.column_stack((t, sp, pv, co, mode, limited, x, x2)).tolist()
+    for i, (t_s, sp_i, pv_i, co_i, mode_i, limited_i, x_i, x2_i) in enumerate(rows):
         gains = _gains(path, i, *(float(table[name][i]) for name in GAINS)) if known else None
         yield Recorded(LoopSample(t_s, sp_i, pv_i, co_i, int(mode_i), int(limited_i), x_i, 0, x2_i), gains)
 
 
-def _scheduled(path: Path, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:
+def _scheduled(path: str, table: Mapping[str, FloatArray], name: str, own: FloatArray | None) -> FloatArray:
     """A scheduling variable: its column, else what the loop's own signals say of it."""
     found = table.get(name, own)
     if found is None:
@@ -86,7 +124,7 @@ def _scheduled(path: Path, table: Mapping[str, FloatArray], name: str, own: Floa
     return found
 
 
-def _gains(path: Path, i: int, kp: float, ki: float, kd: float) -> PidGains:
+def _gains(path: str, i: int, kp: float, ki: float, kd: float) -> PidGains:
     """Recorded gains; RecordingError when no PID has them."""
     try:
         return PidGains(kp, ki, kd)
@@ -94,7 +132,7 @@ def _gains(path: Path, i: int, kp: float, ki: float, kd: float) -> PidGains:
         raise RecordingError(f"{path}: sample {i + 1}: {error}") from error
 
 
-def _check(path: Path, t: np.ndarray, signals: tuple[np.ndarray, ...], facts: LoopFacts) -> None:
+def _check(path: str, t: np.ndarray, signals: tuple[np.ndarray, ...], facts: LoopFacts) -> None:
     """Refuse what is no record of this loop."""
     if len(t) < 3:
         raise RecordingError(f"{path}: {len(t)} samples; a response has at least dozens of them")

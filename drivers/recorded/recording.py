@@ -9,8 +9,10 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,8 +89,8 @@ def require_setpoint(recording: Recording) -> None:
     """
     if recording.sp is None:
         raise RecordingError(
-            f'{recording.source}: no column "sp"; name it with --columns sp=NAME, or say --open-loop if there was '
-            "no controller"
+            f'{recording.source}: no column "sp"; name it with --columns sp=NAME or give its value with --sp; '
+            "identify takes --open-loop if there was no controller"
         )
 
 
@@ -147,6 +149,22 @@ def read_columns(path: Path, names: list[str], wanted: list[str]) -> dict[str, F
     """
     _check_file(path)
     return (_read_parquet if path.suffix == ".parquet" else _read_csv)(path, names, wanted)
+
+
+def column_names(path: Path) -> frozenset[str]:
+    """Names of the columns of a CSV or Parquet file; a CSV's are the fields of its first line.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    _check_file(path)
+    if path.suffix == ".parquet":
+        with _parquet(path) as file:
+            return frozenset(file.schema_arrow.names)
+    number, text = next(_rows(path), (1, ""))
+    return frozenset(field.strip() for field in _fields(path, number, text, max(DELIMITERS, key=text.count)))
 
 
 def _check_file(path: Path) -> None:
@@ -241,6 +259,18 @@ def _number(path: Path, number: int, name: str, field: str) -> float:
 
 def _read_parquet(path: Path, names: list[str], wanted: list[str]) -> dict[str, FloatArray]:
     """Columns of a Parquet file by their names in it."""
+    with _parquet(path) as file:
+        header = list(file.schema_arrow.names)
+        for name in wanted:
+            if name not in header:
+                raise _missing(path, "", name, header)
+        table = file.read(columns=[name for name in names if name in header])
+        return {name: _column(path, name, table.column(name).to_pylist()) for name in table.column_names}
+
+
+@contextmanager
+def _parquet(path: Path) -> Iterator[Any]:
+    """An open Parquet file; whatever is wrong with it is one line."""
     try:
         import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
         import pyarrow.parquet as pq  # noqa: PLC0415
@@ -248,12 +278,7 @@ def _read_parquet(path: Path, names: list[str], wanted: list[str]) -> dict[str, 
         raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
     try:
         with pq.ParquetFile(path) as file:
-            header = list(file.schema_arrow.names)
-            for name in wanted:
-                if name not in header:
-                    raise _missing(path, "", name, header)
-            table = file.read(columns=[name for name in names if name in header])
-            return {name: _column(path, name, table.column(name).to_pylist()) for name in table.column_names}
+            yield file
     except (OSError, pa.ArrowException) as error:
         raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
 

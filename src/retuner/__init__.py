@@ -1,14 +1,22 @@
 """retuner: gain scheduling and on-line adaptive PID.
 
-    from retuner import Retuner, LoopSample, GainTable, PidGains, identify, diagnose, tune
+    import retuner
 
-Names are loaded when they are first used, so that importing the package costs nothing.
+    record = retuner.read("loop.csv")
+    print(retuner.diagnose(record))                    # the cause of its behaviour
+    print(retuner.identify(record))                    # the process, and settings that follow
+    pid = retuner.PidController(...)                   # a PID controller that retunes itself
+
+Names are loaded when they are first used, so that importing the package costs nothing. Everything is logged under
+"retuner", and nothing is shown unless a handler is added: logging.basicConfig(level="INFO") shows it.
 """
 
+import logging
 import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from retuner.adaptive import shown
 from retuner.adaptive.fit import engine
 
 if TYPE_CHECKING:
@@ -19,9 +27,14 @@ if TYPE_CHECKING:
     from retuner.adaptive.process.model import ProcessType as ProcessType
     from retuner.adaptive.process.reduction import reduce as reduce
     from retuner.adaptive.signals.sample import LoopSample as LoopSample
+    from retuner.adaptive.supervision.decision import Action as Action
     from retuner.adaptive.supervision.decision import Decision as Decision
+    from retuner.adaptive.supervision.decision import Mode as Mode
     from retuner.adaptive.supervision.retuner import Retuner as Retuner
     from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
+    from retuner.adaptive.trial.phase import TrialEvent as TrialEvent
+    from retuner.api import Identification as Identification
+    from retuner.api import RecordDiagnosis as RecordDiagnosis
     from retuner.api import diagnose as diagnose
     from retuner.api import identify as identify
     from retuner.api import read as read
@@ -31,47 +44,100 @@ if TYPE_CHECKING:
     from retuner.conversions import to_control as to_control
     from retuner.conversions import to_scipy as to_scipy
     from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
+    from retuner.pid_controller import PidController as PidController
+    from retuner.schedule.axis import Axis as Axis
+    from retuner.schedule.forms import to_ideal as to_ideal
+    from retuner.schedule.forms import to_series as to_series
     from retuner.schedule.gains import PidGains as PidGains
+    from retuner.schedule.regions import Regions as Regions
     from retuner.schedule.table import GainTable as GainTable
+    from retuner.schedule.table import Lookup as Lookup
+    from retuner.scheduling import design_schedule as design_schedule
+    from retuner.tuning import TuneResult as TuneResult
     from retuner.tuning import tune as tune
 
-engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
+    __version__: str
+
+__all__ = [
+    "Action",
+    "Axis",
+    "BackgroundRetuner",
+    "Decision",
+    "GainTable",
+    "Identification",
+    "LinearProcess",
+    "Lookup",
+    "LoopSample",
+    "Mode",
+    "PidController",
+    "PidGains",
+    "ProcessModel",
+    "ProcessType",
+    "RecordDiagnosis",
+    "Regions",
+    "Retuner",
+    "RetunerSettings",
+    "TrialEvent",
+    "TuneResult",
+    "design_schedule",
+    "diagnose",
+    "gains_of",
+    "identify",
+    "load_config",
+    "margins",
+    "performance",
+    "process_of",
+    "read",
+    "reduce",
+    "to_control",
+    "to_ideal",
+    "to_scipy",
+    "to_series",
+    "tune",
+]
 
 _HOMES = {
-    "BackgroundRetuner": "decisions.background",
-    "Decision": "adaptive.supervision.decision",
-    "GainTable": "schedule.table",
-    "LinearProcess": "adaptive.process.model",
-    "LoopSample": "adaptive.signals.sample",
-    "PidGains": "schedule.gains",
-    "ProcessModel": "adaptive.process.model",
-    "ProcessType": "adaptive.process.model",
-    "Retuner": "adaptive.supervision.retuner",
-    "RetunerSettings": "adaptive.supervision.settings",
-    "diagnose": "api",
-    "gains_of": "conversions",
-    "identify": "api",
-    "read": "api",
-    "load_config": "config",
-    "margins": "adaptive.loop.margins",
-    "performance": "adaptive.loop.performance",
-    "process_of": "conversions",
-    "reduce": "adaptive.process.reduction",
-    "to_control": "conversions",
-    "to_scipy": "conversions",
-    "tune": "tuning",
+    "adaptive.loop.margins": ("margins",),
+    "adaptive.loop.performance": ("performance",),
+    "adaptive.process.model": ("LinearProcess", "ProcessModel", "ProcessType"),
+    "adaptive.process.reduction": ("reduce",),
+    "adaptive.signals.sample": ("LoopSample",),
+    "adaptive.supervision.decision": ("Action", "Decision", "Mode"),
+    "adaptive.supervision.retuner": ("Retuner",),
+    "adaptive.supervision.settings": ("RetunerSettings",),
+    "adaptive.trial.phase": ("TrialEvent",),
+    "api": ("Identification", "RecordDiagnosis", "diagnose", "identify", "read"),
+    "config": ("load_config",),
+    "conversions": ("gains_of", "process_of", "to_control", "to_scipy"),
+    "decisions.background": ("BackgroundRetuner",),
+    "pid_controller": ("PidController",),
+    "schedule.axis": ("Axis",),
+    "schedule.forms": ("to_ideal", "to_series"),
+    "schedule.gains": ("PidGains",),
+    "schedule.regions": ("Regions",),
+    "schedule.table": ("GainTable", "Lookup"),
+    "scheduling": ("design_schedule",),
+    "tuning": ("TuneResult", "tune"),
 }
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = sorted(_HOMES)  # noqa: PLE0605  one list of names, not two that drift apart
+logging.getLogger("retuner").addHandler(logging.NullHandler())
+engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
+shown.shown_by("retuner.notebook", import_module)
 
+if not TYPE_CHECKING:  # a type checker knows the names from above, and refuses any other
 
-def __getattr__(name: str) -> object:
-    """Load a public name from its home."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    def __getattr__(name: str) -> object:
+        """Load a public name from its home."""
+        if name == "__version__":
+            from importlib.metadata import version  # noqa: PLC0415  slow to load
+
+            return version("retuner")
+        if name not in _HOME_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
 
 
 def __dir__() -> list[str]:
     """The public names."""
-    return sorted(_HOMES)
+    return sorted([*__all__, "__version__"])

@@ -1,15 +1,17 @@
 """`retuner.identify` and `retuner.diagnose`: process and cause behind a record of arrays, as frozen results."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any
+from os import PathLike
+from typing import Any, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.diagnosis.cause import Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing_verdict
@@ -20,7 +22,9 @@ from retuner.adaptive.identification.estimate import ModelEstimate
 from retuner.adaptive.identification.identify import FitSettings, identify_manual, identify_window
 from retuner.adaptive.identification.robust_simc import RobustSettings, RobustTuning, robust_simc
 from retuner.adaptive.loop.margins import Margins, margins
+from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.sample import Window
+from retuner.drivers.historian.frames import is_frame
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.schedule.gains import PidGains
@@ -31,12 +35,25 @@ Times = Numbers | Sequence[datetime] | npt.NDArray[np.datetime64] | npt.NDArray[
 """Seconds, or moments."""
 
 
+class Frame(Protocol):
+    """A frame of pandas, polars or arrow: it has columns by name."""
+
+    @property
+    def columns(self) -> Any:  # noqa: ANN401  each library has its own
+        """The columns, or their names."""
+
+
+Record = LoopRecord | Frame | str | PathLike[str]
+"""A whole recorded loop: as `read` gives it, as a frame, or the path of an export."""
+
+
 @dataclass(frozen=True, slots=True)
 class Identification:
     """What a record says of its process, and the settings that follow (None when it does not say enough).
 
     aim : where one event asks for far more gain than is in force, the settings are a first step only
         (diagnosis/first_step.py), and these are what they lead to. step_reason : why; empty where there is no aim.
+    record : what it was found from, for the picture; None where it was not kept.
     """
 
     estimate: ModelEstimate
@@ -44,6 +61,30 @@ class Identification:
     margins_in_force: Margins | None
     aim: TuneResult | None = None
     step_reason: str = ""
+    record: Window | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        if not self.estimate.identifiable:
+            return f"Identification(not identifiable: {self.estimate.reason})"
+        m = self.estimate.log.model()
+        lags = "".join(f" {name} {lag:.4g} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
+        return f"Identification({m.type}: k {m.k:.4g}{lags} theta {m.theta_s:.4g} s; settings {self.settings!r})"
+
+    def __str__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the record says enough of the process."""
+        return self.estimate.identifiable
+
+    @property
+    def model(self) -> ProcessModel | None:
+        """The process, None where the record does not say enough."""
+        return self.estimate.log.model() if self.estimate.identifiable else None
 
     def to_dict(self) -> dict[str, object]:
         """Keys identifiable, model, std, gains, margins, aim, step_reason, margins_in_force, reason, loads, ..."""
@@ -61,7 +102,7 @@ class Identification:
 
 
 def identify(
-    t: Times | LoopRecord,
+    t: Times | Record,
     sp: Numbers | None = None,
     pv: Numbers | None = None,
     co: Numbers | None = None,
@@ -75,20 +116,42 @@ def identify(
 
     Parameters
     ----------
-    t : time in seconds, or moments (datetime64, a DatetimeIndex), increasing; or a record of `retuner.read`, which has
-        all four. sp, pv : setpoint and process value. co : controller output, held between samples. All of shape (n,),
-        n >= 3.
+    t : time in seconds, or moments (datetime64, a DatetimeIndex), increasing; or a whole record, which has all four: of
+        `retuner.read`, a frame of pandas, polars or arrow, or the path of an export.
+    sp, pv : setpoint and process value, pv units. co : controller output, held between samples, co units. All of shape
+        (n,), n >= 3.
     open_loop : the record is an experiment in manual. gains : the controller in force, for the sign
-        of the process and its margins now. co_min, co_max : limits of the final element; a recorded co beyond them is
-        taken to have stood at the limit.
+        of the process and its margins now. co_min, co_max : limits of the final element, co units; a recorded co
+        beyond them is taken to have stood at the limit.
+
+    Returns
+    -------
+    Identification
+        Model, standard deviations and settings; `identifiable` is False where the record does not say enough.
 
     Raises
     ------
     ValueError
-        Shapes differ, a value is not finite, time does not increase, or pv or co never moves.
+        Shapes differ, a value is not finite, time does not increase, or pv or co never moves; a record cannot be read
+        (RecordingError, which is one).
+
+    Examples
+    --------
+    A step of the output from 50 to 60 % in manual; pv follows with gain 2, lag 30 s and dead time 5 s:
+
+    >>> import numpy as np
+    >>> t = np.arange(0.0, 300.0, 1.0)
+    >>> co = np.where(t < 20.0, 50.0, 60.0)
+    >>> pv = 100.0 + 20.0 * -np.expm1(-np.maximum(t - 25.0, 0.0) / 30.0)
+    >>> found = identify(t, pv, pv, co, open_loop=True)
+    >>> found.identifiable
+    True
+    >>> found.model
+    ProcessModel(type=<ProcessType.FOPDT: 'fopdt'>, ...)
     """
     window = window_of(t, sp, pv, co)
-    return identify_record(window, open_loop=open_loop, gains=gains, co_min=co_min, co_max=co_max)
+    found = identify_record(window, open_loop=open_loop, gains=gains, co_min=co_min, co_max=co_max)
+    return replace(found, record=window)
 
 
 def read(*sources: object, form: RecordForm | None = None, **known: Any) -> LoopRecord:
@@ -99,18 +162,30 @@ def read(*sources: object, form: RecordForm | None = None, **known: Any) -> Loop
     sources : a path to text or Parquet, a folder, a frame of pandas, polars or arrow; or several that belong together.
     form : what is known of the record's form; or the fields of a RecordForm by name, as in tag="FIC101".
 
+    Returns
+    -------
+    LoopRecord
+        Time, setpoint, pv and output, and what was assumed; `identify` and `diagnose` take it.
+
     Raises
     ------
     RecordingError (a ValueError)
         It cannot be read, or is ambiguous; the message names what would answer it.
     TypeError
         No such field of a form.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> frame = pd.DataFrame({"PV": [20.0, 20.5, 21.0], "SP": [30.0, 30.0, 30.0], "OP": [50.0, 48.0, 47.0]})
+    >>> read(frame, dt_s=10.0).recording.pv
+    array([20. , 20.5, 21. ])
     """
     return read_loop_record(sources, replace(form or RecordForm(), **known))
 
 
 def window_of(
-    t: Times | LoopRecord, sp: Numbers | None = None, pv: Numbers | None = None, co: Numbers | None = None
+    t: Times | Record, sp: Numbers | None = None, pv: Numbers | None = None, co: Numbers | None = None
 ) -> Window:
     """A record for a fit, out of arrays or as it was read.
 
@@ -119,13 +194,14 @@ def window_of(
     ValueError
         A signal is missing, shapes differ, a value is not finite, or time does not increase.
     """
-    if isinstance(t, LoopRecord):
+    if isinstance(t, LoopRecord | str | PathLike) or is_frame(t):
         if not (sp is None and pv is None and co is None):
             raise ValueError("a record has sp, pv and co of its own; give either it or arrays")
-        return t.recording.window()
+        return (t if isinstance(t, LoopRecord) else read(t)).recording.window()
     if sp is None or pv is None or co is None:
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")
-    return Window(seconds(t), *(np.asarray(v, dtype=np.float64) for v in (sp, pv, co)))
+    times = seconds(cast("Times", t))
+    return Window(times, *(np.asarray(v, dtype=np.float64) for v in (sp, pv, co)))
 
 
 def seconds(t: Times) -> npt.NDArray[np.float64]:
@@ -284,6 +360,7 @@ class RecordDiagnosis:
 
     fits : explanations of pv by name ("linear", "external", "stuck"), on the samples that were fitted.
     aim : where the settings are a first step only (diagnosis/first_step.py), those that they lead to.
+    record : what it was told from, for the picture; None where it was not kept.
     """
 
     diagnosis: Diagnosis
@@ -291,6 +368,22 @@ class RecordDiagnosis:
     settings: TuneResult | None
     fits: Mapping[str, npt.NDArray[np.float64]]
     aim: TuneResult | None = None
+    record: Window | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        told = self.diagnosis
+        return f"RecordDiagnosis({told.cause}, confidence {told.confidence:.0%}: {told.reason})"
+
+    def __str__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
+    @property
+    def cause(self) -> Cause:
+        """What is behind the loop's behaviour."""
+        return self.diagnosis.cause
 
     def to_dict(self) -> dict[str, object]:
         """Keys cause, confidence, retune, evidence, reason, gains, form, margins, aim, rival."""
@@ -307,7 +400,7 @@ class RecordDiagnosis:
 
 
 def diagnose(
-    t: Times | LoopRecord,
+    t: Times | Record,
     sp: Numbers | None = None,
     pv: Numbers | None = None,
     co: Numbers | None = None,
@@ -321,15 +414,30 @@ def diagnose(
     Parameters
     ----------
     t, sp, pv, co : the record in automatic, see identify. gains : the controller in force; where it is not given it is
-        read off the record if the record shows it. co_min, co_max : limits of the controller output.
+        read off the record if the record shows it. co_min, co_max : limits of the controller output, co units.
+
+    Returns
+    -------
+    RecordDiagnosis
+        The cause with its confidence and evidence; settings where tuning is the cause.
 
     Raises
     ------
     ValueError
-        Shapes differ, a value is not finite, or time does not increase.
+        Shapes differ, a value is not finite, or time does not increase; a record cannot be read.
+
+    Examples
+    --------
+    A loop whose setpoint and output stand still while nothing moves it:
+
+    >>> import numpy as np
+    >>> t = np.arange(0.0, 400.0, 1.0)
+    >>> pv = 50.0 + 0.1 * np.random.default_rng(1).standard_normal(400)
+    >>> diagnose(t, np.full(400, 50.0), pv, np.full(400, 30.0)).cause
+    <Cause.UNKNOWN: 'unknown'>
     """
     window = window_of(t, sp, pv, co)
-    return diagnose_record(window, gains=gains, co_min=co_min, co_max=co_max)
+    return replace(diagnose_record(window, gains=gains, co_min=co_min, co_max=co_max), record=window)
 
 
 def diagnose_record(

@@ -18,6 +18,7 @@ from typer.main import get_command
 
 from retuner.errors import UserError, one_line
 from retuner.streams import open_streams
+from retuner.verbosity import Quiet, Verbose, accounted, be_normal, with_verbosity
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h: a defect of ours, told apart from 1 and 2
@@ -38,13 +39,15 @@ COMMANDS = {
     "tune": "Settings for a known process by a tuning rule, with their margins.",
     "identify": "Find the process behind a record: model, standard deviations, and the settings that follow.",
     "diagnose": "Say what is behind a loop's behaviour, with evidence, and what to do about it.",
+    "schedule": "A gain schedule from records: what changes along a variable, and the fewest sets that serve it.",
     "audit": "Which loops of a plant deserve a visit: a folder of trends in, a ranked page out.",
     "reduce": "A first- or second-order model of a process of any order, by the half rule.",
     "ledger": "What was seen, decided and written: read it, and look whether it can be believed.",
     "experiment": "A step, setpoint or relay test: on demand, or from a recording.",
+    "doctor": "What of retuner works on this machine, and what to do about the rest.",
 }
 """Every command and what `retuner --help` says of it."""
-ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "tune"})
+ON_RECORDS = frozenset({"audit", "diagnose", "identify", "reduce", "schedule", "tune"})
 """Those that stand in commands/recorded/: they work on records and models, and write to no controller."""
 
 
@@ -55,14 +58,13 @@ class Commands(TyperGroup):
         """The command's own module in place of its entry in the list."""
         name, _, rest = super().resolve_command(*given, **named)
         room = "commands.recorded" if name in ON_RECORDS else "commands"
-        return name, get_command(import_module(f"retuner.{room}.{name}").app), rest
+        return name, with_verbosity(get_command(import_module(f"retuner.{room}.{name}").app)), rest
 
 
 app = typer.Typer(
     name="retuner",
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
@@ -79,6 +81,8 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def retuner(
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show it.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = 0,
 ) -> None:
     """Gain scheduling and on-line adaptive PID: finds the cause, proves the cure, changes gains over CAN."""
 
@@ -96,10 +100,12 @@ def main(arguments: list[str] | None = None) -> int:
     for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(library, "1")  # fits are thousands of small matrices, which threads only slow down
     open_streams()
+    be_normal()
     if not os.environ.get("RETUNER_TRACEBACK"):
         sys.excepthook = _tell_internal_error
     try:
-        status = get_command(app).main(arguments, prog_name="retuner", standalone_mode=False)
+        with accounted(sys.argv[1:] if arguments is None else arguments):
+            status = get_command(app).main(arguments, prog_name="retuner", standalone_mode=False)
     except UserError as error:
         return _tell(error.exit_status, *error.lines)
     except WRONG_USE as error:

@@ -33,6 +33,10 @@ def process_of(system: System, theta_s: float = 0.0) -> LinearProcess:
     system : TransferFunction, ZerosPolesGain or StateSpace of scipy.signal; TransferFunction or StateSpace of
         python-control. Continuous. theta_s : dead time in seconds, which these objects cannot hold.
 
+    Returns
+    -------
+    LinearProcess
+
     Raises
     ------
     ValueError
@@ -81,6 +85,14 @@ def _of_control(system: System, theta_s: float) -> LinearProcess:
 def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> System:
     """A scipy.signal.TransferFunction of a model (dead time by Pade) or of gains (improper with derivative action).
 
+    Parameters
+    ----------
+    thing : a model or gains. pade_order : order of the approximation of the dead time.
+
+    Returns
+    -------
+    scipy.signal.TransferFunction
+
     Raises
     ------
     ValueError
@@ -93,7 +105,15 @@ def to_scipy(thing: Thing, pade_order: int = PADE_ORDER) -> System:
 
 
 def to_control(thing: Thing, pade_order: int = PADE_ORDER) -> System:
-    """The same as a python-control TransferFunction.
+    """A python-control TransferFunction of a model (dead time by Pade) or of gains.
+
+    Parameters
+    ----------
+    thing : a model or gains. pade_order : order of the approximation of the dead time.
+
+    Returns
+    -------
+    control.TransferFunction
 
     Raises
     ------
@@ -120,6 +140,14 @@ def _polynomials(thing: Thing, pade_order: int) -> tuple[list[float], list[float
 
 def gains_of(system: System) -> PidGains:
     """The gains of a PID controller without derivative filter, kp + ki/s + kd s, from either package.
+
+    Parameters
+    ----------
+    system : TransferFunction of scipy.signal or python-control.
+
+    Returns
+    -------
+    PidGains
 
     Raises
     ------

@@ -1,13 +1,15 @@
 """`retuner.tune`: settings for a process by a named rule, with their margins; frozen results that know their JSON."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from retuner.adaptive import shown
 from retuner.adaptive.loop.margins import Margins, margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.explanation import Explanation, explanation
 from retuner.adaptive.rules.registry import RULES as REGISTRY
 from retuner.adaptive.rules.registry import kind_for, rule_named, settings
 from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
+from retuner.schedule.gains import PidGains
 
 RULES = tuple(REGISTRY)
 """Names of the tuning rules."""
@@ -15,13 +17,33 @@ RULES = tuple(REGISTRY)
 
 @dataclass(frozen=True, slots=True)
 class TuneResult:
-    """Settings of a rule, in a named form, with the margins of the model under them (None without a model)."""
+    """Settings of a rule, in a named form, with the margins of the model under them (None without a model).
+
+    tuning : the rule, its settings as parallel gains (`tuning.gains`), its notes. form : in which they are written.
+    kind : p, pi or pid. explanation : formula and numbers. model : the process that they were worked out for.
+    """
 
     tuning: Tuning
     form: str
     margins: Margins | None
     kind: ControllerKind = ControllerKind.PI
     explanation: Explanation | None = None
+    model: ProcessModel | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        g, ms = self.tuning.gains, "" if self.margins is None else f", Ms {self.margins.ms:.3g}"
+        return f"TuneResult({self.tuning.rule} {self.kind}: kp {g.kp:.4g}, ki {g.ki:.4g}, kd {g.kd:.4g}{ms})"
+
+    def __str__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
+    @property
+    def gains(self) -> PidGains:
+        """The settings as parallel gains."""
+        return self.tuning.gains
 
     def to_dict(self) -> dict[str, object]:
         """Keys rule, kind, form, gains {kc, tau_i, tau_d}, parallel {kp, ki, kd}, tau_c, margins {...}, notes."""
@@ -64,10 +86,21 @@ def tune(
     u0, y_max : largest disturbance (co units) and allowed deviation (pv units) of rule simc-smooth.
     ku, pu : ultimate gain and period (s); from the model where not given. kq, pq : the same at quarter decay.
 
+    Returns
+    -------
+    TuneResult
+        The settings; `gains` has them in parallel form, `margins` what they leave.
+
     Raises
     ------
     ValueError
         The rule or kind is not known, the rule has no answer for this process or no use for what is given (named).
+
+    Examples
+    --------
+    >>> from retuner import ProcessModel, ProcessType
+    >>> tune(ProcessModel(ProcessType.FOPDT, k=0.361, tau1_s=138.0, theta_s=14.2))
+    TuneResult(simc pi: kp 13.46, ki 0.1185, kd 0, Ms 1.61)
     """
     chosen = rule_named(rule)
     wanted = kind_for(chosen, kind, model)
@@ -76,7 +109,7 @@ def tune(
     found = settings(chosen, wanted, model, reading, wishes)
     robustness = margins(model.linear(), found.gains) if model else None
     why = explanation(chosen, wanted, model, reading, wishes, found)
-    result = TuneResult(found, form or found.form, robustness, wanted, why)
+    result = TuneResult(found, form or found.form, robustness, wanted, why, model)
     result.to_dict()  # raises here, not later, when the form does not exist for these gains
     return result
 
@@ -126,5 +159,5 @@ def _number(value: object, unit: str = "") -> str:
     """A number as people read it; none and infinite have words."""
     if value is None:
         return "none"
-    assert isinstance(value, float)
+    assert isinstance(value, int | float)
     return f"{value:.4g}{unit}"

@@ -124,7 +124,7 @@ def test_a_response_that_leaves_its_region_teaches_nothing() -> None:
     bench.run(400)
     found = bench.run(30, sp=1.0, x=10.0) + bench.run(400, sp=1.0, x=80.0)
     assert found[0].region == "a"
-    assert "left its region" in found[0].reason
+    assert "crossed into another region" in found[0].reason
     assert bench.retuner.region_models == {}
 
 

@@ -1,16 +1,14 @@
 """The command line: exit statuses, one line per problem, JSON alone on stdout, never a traceback."""
 
-import io
 import json
 import os
 import re
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+from command_line import run
 from typer.main import get_command
 
 from retuner import cli
@@ -20,26 +18,6 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.errors import UserError, user_input
 
 HEAVY = ("numpy", "scipy", "filterpy", "matplotlib", "can", "cantools", "pydantic", "pyarrow", "asyncio")
-
-
-class Done(NamedTuple):
-    """What a command left: status, stdout, stderr."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-def run(*arguments: str | Path) -> Done:
-    """Run a command in this process, as the console script does."""
-    hook = sys.excepthook
-    out, err = io.StringIO(), io.StringIO()
-    try:
-        with redirect_stdout(out), redirect_stderr(err):
-            status = cli.main([str(argument) for argument in arguments])
-    finally:
-        sys.excepthook = hook
-    return Done(status, out.getvalue(), err.getvalue())
 
 
 def all_commands() -> list[str]:

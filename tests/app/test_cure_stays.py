@@ -72,7 +72,7 @@ def test_its_trial_goes_on_when_it_can_be_watched_again(make_wire: Callable[...,
     assert wire.runs == to_wire(GOOD)
     kept = [d for d in wire.session.decisions if d.code.startswith("kept_")]
     assert kept
-    assert "the one before is unstable" in kept[-1].reason
+    assert "previous gains unstable" in kept[-1].reason
     assert all(d.gains_after in {None, wire.session.table.gains_of(0)} for d in kept)
     assert not any(d.code.startswith("undo_") for d in wire.session.decisions)
 
@@ -107,7 +107,7 @@ def test_ctrl_c_in_the_middle_of_its_write_lets_it_come_through(make_wire: Calla
     assert wire.runs == to_wire(GOOD)
     assert to_wire(wire.session.table.gains_of(0)) == to_wire(GOOD)
     (told,) = (body["reason"] for kind, body in wire.rows if kind == "trial")  # after a decision that gave it up
-    assert str(told).startswith("it was written after all, and stays: by the")
+    assert str(told).startswith("it was written after all, and stays: over the")
 
 
 def test_it_stays_while_another_region_is_in_force(make_wire: Callable[..., Wire]) -> None:
@@ -156,7 +156,7 @@ def test_an_edit_is_taken_over_held_and_told(make_wire: Callable[..., Wire]) -> 
     decision = wire.session.decisions[-1]
     assert decision.code == "edited"
     assert "held for 50 s" in decision.reason
-    assert "has Ms" in decision.reason
+    assert "Ms at most" in decision.reason
     wire.run(60)
     assert wire.runs == to_wire(FOREIGN)
     assert to_wire(wire.session.table.gains_of(0)) == to_wire(FOREIGN)

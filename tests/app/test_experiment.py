@@ -5,6 +5,7 @@ import json
 import signal
 import threading
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -434,6 +435,32 @@ def test_the_heater_step_is_identified_and_drawn(tmp_path: Path, capsys: pytest.
     found = said(capsys)
     assert found["model"]["k"] == pytest.approx(0.361, rel=0.05)  # type: ignore[index]  # a document of known shape
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_export_with_units_and_stamps_is_the_same_experiment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["experiment", "step", "--from", str(HEATER), "--json"]) == 0
+    model = dict(json.loads(capsys.readouterr().out)["model"])
+    names, *rows = [line.split(",") for line in HEATER.read_text().splitlines()]
+    assert names[0] == "t"
+    begin = datetime(2024, 3, 14, 6, tzinfo=UTC)
+    place = {name: names.index(name) for name in ("t", "pv", "co")}
+    lines = ["Zeit;Istwert;Stellwert"]
+    for row in rows:
+        t, pv, co = (row[place[name]] for name in ("t", "pv", "co"))
+        stamp = f"{begin + timedelta(seconds=float(t)):%d.%m.%Y %H:%M:%S.%f}"
+        lines.append(";".join([stamp, f"{pv.replace('.', ',')} °C", co.replace(".", ",")]))
+    file = tmp_path / "heater.csv"
+    file.write_text("\n".join(lines), encoding="latin-1")
+
+    assert main(["experiment", "step", "--from", str(file), "--json"]) == 0
+    shown = capsys.readouterr()
+    again = json.loads(shown.out)["model"]
+    assert again.pop("type") == model.pop("type")
+    assert again == pytest.approx(model, rel=1e-5)
+    assert "decimal comma" in shown.err
+    assert "pv in °C, as its values say" in shown.err
 
 
 def test_the_servo_relay_gives_settings_by_the_ultimate_rules(capsys: pytest.CaptureFixture[str]) -> None:

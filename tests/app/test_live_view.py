@@ -57,7 +57,7 @@ def test_what_is_seen_of_a_loop_is_where_it_is_and_what_it_waits_for() -> None:
     assert seen.here is not None
     assert seen.here.name == "middle"
     assert seen.running == GAINS
-    assert seen.waits_for == "the loop to come to rest"
+    assert seen.waits_for == "the loop to settle"
     told = seen.to_dict()
     assert told["region"] == 1
     assert [one.name for one in seen.regions] == ["low", "middle", "high"]
@@ -103,7 +103,7 @@ def test_what_a_terminal_is_sent_does_not_wrap(width: int) -> None:
     shown = [plain.render_str(line, markup=False) for line in out.getvalue().splitlines()]
     text = [line.plain.split("\x1b[2K")[-1].rstrip() for line in shown]
     assert max(cell_len(line) for line in text) <= width
-    assert any("waits for the loop to come to rest" in line for line in text)
+    assert any("waits for the loop to settle" in line for line in text)
     assert any("unstable" in line for line in text)
 
 
@@ -111,7 +111,7 @@ def test_a_decision_takes_two_lines_and_more_only_when_asked() -> None:
     two = decision_lines(decision(), 120)
     assert len(two) == 2
     assert "middle" in two[0].plain
-    assert "advise Kc 4.2 tau_I 70 s -> Kc 1.26 tau_I 247 s" in two[0].plain
+    assert "proposed: Kc 4.2 tau_I 70 s -> Kc 1.26 tau_I 247 s" in two[0].plain
     assert two[1].plain.endswith("…")
     whole = " ".join(line.plain for line in decision_lines(decision(), 120, detail=True))
     assert whole.count("grows") == 20
@@ -182,7 +182,7 @@ def test_what_needs_a_person_is_said() -> None:
     assert seen.needs_a_person == ""
     locked = replace(seen.regions[0], trial=str(TrialPhase.LOCKED))
     told = replace(seen, regions=(locked, *seen.regions[1:]))
-    assert told.needs_a_person == "low: locked out"
+    assert told.needs_a_person == "low: locked"
     assert "needs you" in loop_lines(told, "degC", [1.0], 80)[-1].plain
 
 

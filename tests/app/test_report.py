@@ -84,8 +84,8 @@ def test_a_set_that_stays_at_the_end_is_not_told_of_as_taken_back() -> None:
     assert "taken back" not in text
     assert "undone" not in text
     assert "put back" not in text
-    assert "The settings on trial stay" in text
-    assert "keep Kc 2 tau_I 4 s" in text
+    assert "The trial settings stay" in text
+    assert "kept: Kc 2 tau_I 4 s" in text
     assert not any(mark.undone for mark in marks_of(told, [row]))
 
 
@@ -100,13 +100,13 @@ def test_ms_over_the_limit_is_red_with_the_reason() -> None:
         "t_s": 900.0,
         "region": "all",
         "action": "none",
-        "reason": "the process is not known well enough",
+        "reason": "the model is not accurate enough",
         "verdict": {"ms": {"before": 1.62}},
     }
     told = ReportData("loop", "u", TABLE, TABLE, [score(2.37, 1.0, None)], [refused], RUN, None, [], ms_limit=1.6)
     text = render(told)
     assert "over 1.6<" in text
-    assert "nothing was changed; the newest decision 7: the process is not known well enough" in text
+    assert "nothing was changed; the newest decision 7: the model is not accurate enough" in text
     assert "on the process as known it was 1.62" in text
 
 

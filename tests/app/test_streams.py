@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from retuner.report.console import RunScreen, counted, scores_table, screen_console, told_values
+from retuner.live_view.event_words import event_line
+from retuner.report.console import RunScreen, counted, scores_table, screen_console
 from retuner.report.scores import RegionScore
 from retuner.schedule.gains import PidGains
 from retuner.streams import LastingStream, open_streams
@@ -105,11 +107,19 @@ def test_a_narrow_screen_cuts_no_number(monkeypatch: pytest.MonkeyPatch, capsys:
 
     shown = capsys.readouterr().out
     assert "a region with a long name 0.425, 250" in shown
-    assert "1.12   1.25 1,140,274   4,230" in shown
+    assert re.search(r"1\.12 +1\.25 +1,140,274 +4,230", shown)
 
 
-def test_rows_are_told_without_empty_values() -> None:
+def test_events_are_sentences_without_empty_values() -> None:
     body = {"accepted": True, "order": "approve", "by": "root", "reason": "", "at": "2026"}
-    assert told_values(body, ("order", "by", "accepted", "reason")) == "order approve, by root, accepted yes"
-    assert told_values({"regions": ["low"]}, ("regions",)) == "regions low"
+    assert event_line("order", body) == "operator request accepted: approve by root"
+    assert event_line("order", {"file": "x", "reason": "is no JSON document"}).endswith("file: is no JSON document")
+    assert event_line("restored", {"regions": ["low", "high"]}) == "gains read back and active: low, high"
+    assert event_line("foreign", {"gains": {"kp": 2.0, "ki": 0.1, "kd": 0.0}}).endswith(": Kc 2 tau_I 20 s")
+    assert event_line("link", {"state": "up", "reason": "controller found"}) == "CAN link up: controller found"
+    assert event_line("decision", body) == ""
+    assert event_line("trial", {"reason": ""}) == ""
+
+
+def test_things_are_counted() -> None:
     assert [counted(number, "change") for number in (1, 2)] == ["1 change", "2 changes"]

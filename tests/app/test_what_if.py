@@ -4,6 +4,7 @@ import itertools
 import json
 import shutil
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -92,14 +93,40 @@ def test_a_bare_table_with_other_names_is_enough(
     assert found["gains"][0]["kp"] == 5.0
 
 
+def test_an_export_is_replayed_as_the_plain_record_of_it(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (recorded / "run" / "trend.csv").read_text().splitlines()
+    rows = [line.split(",")[:4] for line in lines[1:]]
+    assert lines[0].split(",")[:4] == ["t", "sp", "pv", "co"]
+    plain, export = tmp_path / "plain.csv", tmp_path / "export.csv"
+    plain.write_text("\n".join(["t,sp,pv,co", *(",".join(row) for row in rows)]) + "\n")
+    begin = datetime(2024, 3, 14, 6, tzinfo=UTC)
+    stamped = [(begin + timedelta(seconds=float(row[0]) - float(rows[0][0])), *row[1:]) for row in rows]
+    written = [f"{t:%d.%m.%Y %H:%M:%S.%f};{sp};{pv};{co}".replace(".", ",") for t, sp, pv, co in stamped]
+    dots = [line.replace(",", ".", 2) for line in written]  # of the date
+    export.write_text("\n".join(["Zeit;P1.SP;P1.PV;P1.OP", *dots]) + "\n")
+
+    whole = asked(plain, recorded / "short.toml", capsys)["decisions"]
+    main(["replay", str(export), "--config", str(recorded / "short.toml"), "--json", "--tag", "P1"])
+    found = capsys.readouterr()
+
+    assert 'pv is "P1.PV"' in found.err
+    again = json.loads(found.out)["decisions"]
+    assert [d["action"] for d in again] == [d["action"] for d in whole]
+    assert whole
+    for one, other in zip(again, whole, strict=True):  # stamps of a calendar are exact to 1e-7 s
+        assert one["gains_after"] == pytest.approx(other["gains_after"], rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "told"),
     [
         ("none.csv", None, "no such file"),
         ("other.csv", "t,pv,co\n0,1,1\n0.1,1,1\n0.2,1,1\n", 'no column "sp"'),
         ("slow.csv", "t,sp,pv,co\n0,1,1,1\n10,1,1,1\n20,1,1,1\n", "sampled every 10 s, loop.sample_time_s is 0.1 s"),
-        ("back.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1,1\n0.1,1,1,1\n", "must increase"),
-        ("two.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1,1\n", "2 samples"),
+        ("back.csv", "t,sp,pv,co" + "\n0,1,1,1\n0.1,1,1,1\n0.2,1,1,1" * 2, "must increase"),
+        ("two.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1,1\n", "at least 3 samples, this one has 2"),
         ("huge.csv", "t,sp,pv,co\n0,1,1,1\n0.1,1,1e40,1\n0.2,1,1,1\n", "beyond"),
         ("kd.csv", "t,sp,pv,co,kp,ki,kd\n0,1,1,1,0,0,0\n0.1,1,1,1,0,0,0\n0.2,1,1,1,0,0,0\n", "sample 1"),
         ("junk.blf", "junk", "damaged after 0 frames"),

@@ -46,7 +46,7 @@ def test_connecting_reads_what_runs(make_bench) -> None:
     assert (bench.host.connected, bench.host.running) == (False, None)
     events = bench.run(4)
 
-    assert bench.others(events) == [LinkChanged(LinkState.UP, "heard, and the running set read back")]
+    assert bench.others(events) == [LinkChanged(LinkState.UP, "controller found, active gains read back")]
     assert bench.host.running.gains == bench.FIRST
     assert bench.host.running.seq == 0
 

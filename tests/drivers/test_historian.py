@@ -401,7 +401,7 @@ STAMPED = stamps("%Y-%m-%d %H:%M:%S")
         ("t,sp,pv,co\n" + "\n".join(AGAIN), "time must increase, so cut the file where another record begins"),
         (text("Time,SP,PV,OP", stamps("%Y-%m-%d %H:%M:%S,120"), SP, PV, CO), "4 names over rows of 5 fields"),
         (text("t,sp,pv,co", range(N), T, SP, PV, CO), "4 names over rows of 5 fields"),
-        (text("F1.PV Time,F1.PV,F1.OP Time,F1.OP", STAMPED, PV, OWN, CO), "each signal has times of its own"),
+        (text("F1.PV Time,F1.OP Time,F1.PV,F1.OP", STAMPED, OWN, PV, CO), "each signal has times of its own"),
         (text("Time,SP,PV,OP", ["9999-12-31 24:00:00"] * N, SP, PV, CO), "is of no usual form"),
         (text("Time,SP,PV,OP", stamps("%Y-%m-%dT%H:%M:%S+99:99"), SP, PV, CO), "is of no usual form"),
         (text("Time,SP,PV,OP", [f"2024-03-14 24:{i:02d}:00" for i in range(N)], SP, PV, CO), "24:01:00' in row 2"),

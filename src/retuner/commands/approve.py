@@ -258,7 +258,7 @@ def _of_loop(place: LoopPlace, *, every: bool) -> tuple[dict[str, object], list[
     }
     lines = [_line(place, one, able) for one in (able if every else proposals)]
     lines += [
-        f"{one['hash'][:SHORTEST]}  {one['region']}: tried and as promised; approve it to let the region go on"
+        f"{one['hash'][:SHORTEST]}  {one['region']}: trial passed, as predicted; approve it to continue in this region"
         for one in waiting
     ]
     hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""

@@ -15,10 +15,10 @@ from rich.console import Console
 from retuner.adaptive.experiments.plan import Kind, Plan
 from retuner.adaptive.rules.registry import rule_named
 from retuner.commands.options import Channel, Interface, Json, Loop, on_bus, signed_by
-from retuner.commands.recorded.record_form import renamed
+from retuner.commands.recorded.record_form import FormOptions, read_record, tell_assumed
 from retuner.config import Config, load_config
 from retuner.drivers.device import DeviceError
-from retuner.drivers.recorded.recording import read_recording, require_excitation, require_setpoint
+from retuner.drivers.recorded.recording import require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.experiment.drawing import experiment_png
 from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, described, evaluate, headline
@@ -34,6 +34,7 @@ from retuner.session.bench import live, simulated
 from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
 from retuner.session.running import real_time_speed
 from retuner.stopping import stoppable
+from retuner.verbosity import quiet
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -47,11 +48,10 @@ ControllerKind = Annotated[str | None, typer.Option("--kind", help="p, pi or pid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedOptions:
+class RecordedOptions(FormOptions):
     """A recorded experiment and how to show it."""
 
     file: Annotated[Path | None, typer.Option("--from", metavar="FILE", help="Evaluate this recording instead.")] = None
-    columns: Annotated[str, typer.Option(help="Other names in the recording: t=time,pv=temp,co=out,sp=target.")] = ""
     plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the recording.")] = None
     method: Annotated[str, typer.Option(help="Whose model is tuned for; fit, or a named method of this test.")] = "fit"
     rule: Rule = "simc"
@@ -189,7 +189,9 @@ def from_recording(file: Path, options: RecordedOptions, question: Question) -> 
     UserError, RecordingError
         The file or an option cannot be used.
     """
-    recording = read_recording(file, renamed(options.columns))
+    read = read_record([file], options)
+    tell_assumed(read.assumed, options)
+    recording = read.recording
     if question.kind != ULTIMATE:
         require_excitation(recording)
     if question.kind == Kind.SETPOINT:
@@ -245,7 +247,8 @@ def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Questi
     speed = real_time_speed(options.speed, simulated=in_process)
     plan = plan_for(config, kind, options, shape)
     folder = options.out or Path(f"{config.output.directory}-experiment")
-    screen = RunScreen(screen_console(stderr=options.as_json), config.loop.pv_unit, quiet=options.as_json)
+    console = screen_console(stderr=options.as_json)
+    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json, answers_only=quiet())
     fresh = fresh_folder(folder)
     try:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -13,51 +13,71 @@ from retuner.adaptive.guard import change_factor
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
 from retuner.adaptive.supervision.retuner import Retuner
-from retuner.commands.options import Json, Loop
-from retuner.commands.recorded.record_form import renamed
+from retuner.commands.options import Json, Loop, signed_by
+from retuner.commands.recorded.record_form import FormOptions, read_record, renamed, tell_assumed
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
 from retuner.drivers.recorded.frame_log import is_frame_log
-from retuner.drivers.recorded.recorded_samples import LoopFacts, Recorded, frame_samples, table_samples
+from retuner.drivers.recorded.recorded_samples import (
+    LoopFacts,
+    Recorded,
+    frame_samples,
+    has_more_than_signals,
+    recording_samples,
+    table_samples,
+)
 from retuner.errors import UserError
 from retuner.replay.replaying import Replay, Replayed
 from retuner.schedule.gains import PidGains
 from retuner.session.assembly import make_retuner, schedule_inputs
 from retuner.session.recorded_session import RecordedSession, read_loops
 from retuner.session.session_identity import differences
+from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
 
-@app.command(epilog="Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp")
-def replay(
-    target: Annotated[
-        Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")
-    ],
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayOptions(FormOptions):
+    """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
+
+    target: Annotated[Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")]
     config: Annotated[
         Path | None,
         typer.Option(help="Say what would have been done on a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
-    ] = None,
-    columns: Annotated[str, typer.Option(help="Other names in a table: t=time,pv=temp,co=out,sp=target.")] = "",
-    loop: Loop = None,
-    as_json: Json = False,
-) -> int:
-    """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
-    if config is not None:
-        return what_if(target, config, columns, loop, as_json=as_json)
+    ] = None
+    loop: Loop = None
+    as_json: Json = False
+
+
+@app.command(epilog="Example: retuner replay runs/demo; retuner replay loop.csv --config loop.toml --columns pv=temp")
+@signed_by(ReplayOptions)
+def replay(options: ReplayOptions) -> int:
+    """Replay a session or a log; the exit status."""
+    target = options.target
+    if options.config is not None:
+        return what_if(target, options.config, options)
     if target.is_file() and target.suffix != ".sqlite":
         raise UserError(f"{target}: is not the folder of a session; to replay a log of another origin give --config")
-    if columns:
-        raise UserError("--columns: names the columns of a log; a session has its own")
+    _refuse_form(options, "a session has its own")
     recorded, meant = read_loops(target)
-    if loop is not None:
-        recorded = (recorded[meant.place(loop)],)
-    return _again(recorded, as_json=as_json)
+    if options.loop is not None:
+        recorded = (recorded[meant.place(options.loop)],)
+    return _again(recorded, as_json=options.as_json)
+
+
+def _refuse_form(options: FormOptions, why: str) -> None:
+    """Refuse options for the form of a table where there is none."""
+    for field_ in fields(FormOptions):
+        if getattr(options, field_.name) != field_.default:
+            name = field_.name.replace("_", "-")
+            raise UserError(f"--{name}: tells the form of a table; {why}")
 
 
 def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:
     """Decide again in each loop; the exit status."""
-    results = [(one, Replay(one).run()) for one in recorded]
+    with busy("deciding again"):
+        results = [(one, Replay(one).run()) for one in recorded]
     identical, agreed = (all(getattr(one, name) for _, one in results) for name in ("identical", "agrees"))
     if as_json:
         documents = [document(one, result) for one, result in results]
@@ -169,8 +189,8 @@ def answer(retuner: Retuner, recorded: Iterator[Recorded]) -> Answer:
     return found
 
 
-def what_if(log: Path, config_file: Path, columns: str, loop: str | None = None, *, as_json: bool) -> int:
-    """Say what would have been done on a log; the exit status, 0. loop : of the configuration, where it has several.
+def what_if(log: Path, config_file: Path, options: ReplayOptions) -> int:
+    """Say what would have been done on a log; the exit status, 0.
 
     Raises
     ------
@@ -179,10 +199,11 @@ def what_if(log: Path, config_file: Path, columns: str, loop: str | None = None,
     """
     if log.is_dir():
         raise UserError(f"{log}: is a folder; a session is replayed without --config, a log is a file")
-    config = load_config(config_file, loop)
+    config = load_config(config_file, options.loop)
     retuner = make_retuner(config, Mode.ADVISE)
-    found = answer(retuner, recorded_loop(log, columns, config))
-    if as_json:
+    with busy(f"deciding on {log}"):
+        found = answer(retuner, recorded_loop(log, options, config))
+    if options.as_json:
         sys.stdout.write(json.dumps(_answered(log, config_file, retuner, found), indent=2, allow_nan=False) + "\n")
         return 0
     for decision in found.decisions:
@@ -193,15 +214,18 @@ def what_if(log: Path, config_file: Path, columns: str, loop: str | None = None,
     return 0
 
 
-def recorded_loop(log: Path, columns: str, config: Config) -> Iterator[Recorded]:
-    """The samples of a log, by its suffix."""
+def recorded_loop(log: Path, options: FormOptions, config: Config) -> Iterator[Recorded]:
+    """The samples of a log: bus traffic by its suffix, a table with what only a run's trend has, or any export."""
     loop = config.loop
     facts = LoopFacts(loop.sample_time_s, schedule_inputs(config), loop.co_min_pct, loop.co_max_pct, config.bus.node)
-    if not is_frame_log(log):
-        return table_samples(log, renamed(columns), facts)
-    if columns:
-        raise UserError(f"--columns: names the columns of a table; {log} is a log of bus traffic")
-    return frame_samples(log, facts)
+    if is_frame_log(log):
+        _refuse_form(options, f"{log} is a log of bus traffic")
+        return frame_samples(log, facts)
+    if has_more_than_signals(log, renamed(options.columns)):
+        return table_samples(log, renamed(options.columns), facts)
+    read = read_record([log], options, in_automatic=True)
+    tell_assumed(read.assumed, options)
+    return recording_samples(read.recording, facts)
 
 
 def _answered(log: Path, config_file: Path, retuner: Retuner, found: Answer) -> dict[str, object]:

@@ -27,6 +27,7 @@ from retuner.session.assembly import make_plant
 from retuner.session.outputs import GAINS, REPORT, SUMMARY
 from retuner.session.recorded_session import RecordedSession, read_loops, without_place
 from retuner.session.scenario import loads_at
+from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
@@ -42,7 +43,8 @@ def report(
     """Make the report of a recorded session again, or the page of one decision: the whole reasoning with pictures."""
     recorded, config = read_loops(session)
     every = config.several and loop is None and decision is None and out is None
-    told = _all_loops(recorded) if every else _one_loop(recorded[config.place(loop)], decision, out)
+    with busy("drawing the report"):
+        told = _all_loops(recorded) if every else _one_loop(recorded[config.place(loop)], decision, out)
     sys.stdout.write((json.dumps(told, indent=2) if as_json else str(told["file"])) + "\n")
     return 0
 

@@ -57,6 +57,7 @@ from retuner.session.running import Run, nothing, real_time_speed
 from retuner.session.session import Session
 from retuner.session.session_identity import file_sha256, session_identity
 from retuner.stopping import stoppable, unstoppable
+from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)
 
@@ -101,7 +102,8 @@ def run(options: RunOptions) -> int:
         _look_at_benches(options.config, config)
     speed = real_time_speed(options.speed, simulated=config.simulated)
     folder = options.out or Path(config.output.directory)
-    screen = LiveScreen(screen_console(stderr=options.as_json), quiet=options.as_json, detail=options.verbose)
+    console = screen_console(stderr=options.as_json)
+    screen = LiveScreen(console, quiet=options.as_json, answers_only=quiet(), detail=options.verbose)
     require_writer(config.output.trend)
     require_page(wanted=options.serve)
     fresh = fresh_folder(folder)

@@ -28,7 +28,7 @@ class AdaptationConfig(Section):
         source="between SIMC's 1.59 (first order) and 1.70 (integrating) and the limit 1.8",
     )
     ms_worst: float = setting(
-        "Largest Ms on the worst model that the records allow",
+        "Largest worst-case Ms over the plausible models",
         unit="1",
         low=1.2,
         high=3.0,

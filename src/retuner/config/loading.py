@@ -103,9 +103,23 @@ class UnusableError(Exception):
 
 
 def load_config(path: str | FilePath, loop: str | None = None) -> Config:
-    """Read and check a configuration file; errors as load_session, and UserError when its loop is not the only one.
+    """Read and check a configuration file.
 
-    loop : the name of one of several loops.
+    Parameters
+    ----------
+    path : of the TOML file. loop : the name of one of several loops.
+
+    Returns
+    -------
+    Config
+        Every setting with its default; `gain_table()` and `regions()` give what the schedule needs.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or used; one line per problem.
+    UserError
+        There are several loops, and none or an unknown one is named.
     """
     session = load_session(path)[0]
     return session.loops[session.place(loop)]

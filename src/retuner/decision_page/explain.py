@@ -13,7 +13,7 @@ from retuner.schedule.gains import PidGains
 
 WHOLE_STEP = 0.999
 """A step of at least this share is the whole one to a reader."""
-VERBS = {"commit": "write", "advise": "advise", "restore": "restore"}
+VERBS = {"commit": "written", "advise": "proposed", "restore": "rolled back"}
 """What is done with other gains, by action."""
 INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
 
@@ -69,7 +69,7 @@ def response_text(decision: Decision | Document) -> str:
     if overshoot is not None:
         text += f", overshoot {overshoot:.0%}"
     if damping is not None:
-        text += f", damping {damping:.2f}"
+        text += f", half-cycle decay ratio {damping:.2f}"
     if period is not None:
         text += f", period {period:.3g} s"
     return text
@@ -89,7 +89,7 @@ def model_text(decision: Decision | Document) -> str:
     if m is None:
         return ""
     count = int(number(document, "records") or 0)
-    none = "borrowed from its neighbours" if part(document, "known") else "not enough"
+    none = "from neighbouring regions" if part(document, "known") else "not identified"
     records = f"{count} record{'s' if count != 1 else ''}" if count else none
     return f"{process_text(m)} ({records})"
 
@@ -107,8 +107,8 @@ def change_text(decision: Decision | Document) -> str:
     if verb is None or before is None or after is None:
         return "no change"
     if stays(document):
-        return f"keep {settings_text(after)}"
-    moved = f"{verb} {settings_text(before)} -> {settings_text(after)}"
+        return f"kept: {settings_text(after)}"
+    moved = f"{verb}: {settings_text(before)} -> {settings_text(after)}"
     return f"{moved}{_robustness(part(document, 'verdict'))}"
 
 
@@ -119,9 +119,9 @@ def _robustness(verdict: Document) -> str:
         return ""
     before, after = (ms_words(number(ms, name)) for name in ("before", "nominal"))
     worst = number(ms, "worst")
-    at_worst = "unstable at worst" if worst is None else f"at worst {worst:.2f}"
+    at_worst = "worst case unstable" if worst is None else f"worst case {worst:.2f}"
     step = number(verdict, "step")
-    share = "" if step is None or step > WHOLE_STEP else f", {step:.0%} of the step"
+    share = "" if step is None or step > WHOLE_STEP else f", {step:.0%} of the full change"
     return f", Ms {before} -> {after} ({at_worst}{share})"
 
 

@@ -7,20 +7,20 @@ from retuner.decision_page.row_values import Document, number, numbers_or_none, 
 
 MEASURES = {
     "overshoot": ("overshoot (-E2/E1)", 100.0, " %"),
-    "damping": ("damping", 1.0, ""),
-    "decay": ("ratio of successive peaks", 1.0, ""),
-    "iae": ("IAE per unit of the upset", 1.0, ""),
-    "travel": ("travel of co per unit (told, not judged)", 1.0, ""),
-    "settle_s": ("time to settle", 1.0, " s"),
-    "ms": ("Ms on every model that is still allowed, at least", 1.0, ""),
-    "cost": ("IAE on them over that of the settings before, at least", 1.0, ""),
+    "damping": ("half-cycle decay ratio (E3-E2)/(E1-E2)", 1.0, ""),
+    "decay": ("half-cycle decay ratio, as judged", 1.0, ""),
+    "iae": ("IAE per unit step", 1.0, ""),
+    "travel": ("travel of co per unit step (not judged)", 1.0, ""),
+    "settle_s": ("settling time", 1.0, " s"),
+    "ms": ("lowest Ms over the plausible models", 1.0, ""),
+    "cost": ("lowest IAE over them, relative to the previous settings", 1.0, ""),
 }
 """Numbers of a promise in words, with their factor and unit."""
 UPSETS = ("setpoint", "load")
 FINDINGS = {
-    "better": "better than promised",
-    "as_promised": "as promised",
-    "worse": "worse than promised",
+    "better": "better than predicted",
+    "as_promised": "as predicted",
+    "worse": "worse than predicted",
     "inconclusive": "not judged",
 }
 
@@ -41,11 +41,11 @@ def promise_section(view: DecisionView) -> str:
         if models
         else ", from what was seen"
     )
-    spread = f"In brackets the least and the greatest{over}.{_promised_ms(promise)}"
-    heads = ("", "setpoint step: promised", "settings before", "load step: promised", "settings before")
-    heading = "Promise, for the next responses to be judged against"
+    spread = f"In brackets the smallest and largest value{over}.{_promised_ms(promise)}"
+    heads = ("", "setpoint step: predicted", "previous settings", "load step: predicted", "previous settings")
+    heading = "Predicted performance, against which the next responses are judged"
     if view.undoes:
-        heading = f"The promise of what {'is on trial' if stays(view.document) else 'was taken back'}"
+        heading = f"Predicted performance of what {'is on trial' if stays(view.document) else 'was rolled back'}"
     return section(heading, text_table(heads, rows), paragraph(spread, "muted"))
 
 
@@ -55,7 +55,7 @@ def _promised_ms(promise: Document) -> str:
     if len(ms) != 3:
         return ""
     best, low, high = ("unstable" if value is None else _in(value) for value in ms)
-    return f" Ms promised: {best} ({low} .. {high})."
+    return f" Predicted Ms: {best} ({low} .. {high})."
 
 
 def _promised(promise: Document, upset: str, name: str, factor: float, unit: str) -> tuple[str, str]:
@@ -80,9 +80,9 @@ def judgement_section(view: DecisionView) -> str:
     if not judgement:
         return ""
     rows = judged_rows(part(judgement, "numbers"))
-    shown = text_table(("", "measured", "promised", "limit", "the settings before"), rows) if rows else ""
+    shown = text_table(("", "measured", "promised", "limit", "the previous settings"), rows) if rows else ""
     lead = paragraph(_told(judgement))
-    return section("The trial: this response against the promise", lead, shown)
+    return section("The trial: this response against the predicted performance", lead, shown)
 
 
 def _told(judgement: Document) -> str:
@@ -116,9 +116,7 @@ def later_section(view: DecisionView) -> str:
     for later in view.later:
         undone = takes_back(later)
         told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
-        reason = " UNDONE: ".join(one for one in told if one)
+        reason = " ROLLED BACK: ".join(one for one in told if one)
         when = f"{number(later, 't_s') or 0.0:,.0f}"
         rows.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
-    return section(
-        "What came of it", text_table(("decision", "time [s]", "what it showed", "then"), rows) if rows else ""
-    )
+    return section("What came of it", text_table(("decision", "time [s]", "result", "then"), rows) if rows else "")

@@ -25,14 +25,14 @@ from retuner.schedule.gains import PidGains
 
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
 BASES = {
-    "model": "from the process as known",
-    "borrowed": "from the neighbours' process (borrowed)",
-    "pattern": "from the pattern of the response, without a model",
+    "model": "from the identified process",
+    "borrowed": "from the neighbouring regions' models",
+    "pattern": "from the response pattern, without a model",
     "slow_oscillation": "from the slow oscillation, without a model",
-    "pretune": "from a commanded step",
+    "pretune": "from a step test",
 }
 """What a proposal rests on, in words."""
-FIRST_GROUPS = ("margins with the settings in force", "rival explanations")
+FIRST_GROUPS = ("margins with the active settings", "rival explanations")
 """Groups of evidence that are shown at once; the others unfold."""
 SWINGS = 0.25
 """Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""
@@ -59,7 +59,7 @@ def article(view: DecisionView) -> str:
         section("The response", response, paragraph(_how_it_ended(view), "muted")),
         judgement_section(view),
         '<div class="columns">',
-        section("What is known of the process", _learned(view)),
+        section("Process model", _learned(view)),
         section("Cause", _cause(view)),
         section("Settings" if view.undoes else "Proposal", _proposal(view)),
         "" if view.undoes else section("Proof", _proof(view)),
@@ -67,7 +67,7 @@ def article(view: DecisionView) -> str:
         section("Robustness and predicted responses", paragraph(footing(view)), drawing, _margins(view)),
         promise_section(view),
         later_section(view),
-        section("Where it stands", _whereabouts(view)),
+        section("Ledger entry", _whereabouts(view)),
     ]
     return f"<article>{''.join(body)}</article>"
 
@@ -75,7 +75,7 @@ def article(view: DecisionView) -> str:
 def badge(view: DecisionView) -> str:
     """What became of it, in a word or two and a colour."""
     colour = COLOURS.get(view.action, COLOURS["none"])
-    what = "The settings on trial stay" if stays(view.document) else DONE.get(view.action, view.action)
+    what = "The trial settings stay" if stays(view.document) else DONE.get(view.action, view.action)
     return f'<span class="badge" style="color:{colour}">{escaped(what)}</span>'
 
 
@@ -100,7 +100,7 @@ def _how_it_ended(view: DecisionView) -> str:
         "setpoint": "the next setpoint change cut it short",
     }
     ended = endings.get(words(response, "ending"), "")
-    near = f" Errors below {band:.3g} {view.unit} count as none." if band is not None else ""
+    near = f" Errors below {band:.3g} {view.unit} count as noise." if band is not None else ""
     return f"{length}It ended when {ended}.{near}" if ended else f"{length}{near}"
 
 
@@ -112,16 +112,16 @@ def _learned(view: DecisionView) -> str:
     records = number(view.document, "records")
     agreements = {agreement.code: str(agreement) for agreement in Agreement}
     rows: list[tuple[str, object]] = [("structure", structure(model)), *parameters(model, view.spread, view.unit)]
-    none = "none of its own: borrowed from its neighbours" if part(view.document, "known") else ""
+    none = "none of its own: estimated from neighbouring regions" if part(view.document, "known") else ""
     rows += [
-        ("records behind it", f"{records:.0f}" if records else none),
+        ("records in the model", f"{records:.0f}" if records else none),
         ("this record", agreements.get(words(view.document, "surprise"), "")),
-        ("the fit", words(view.estimate, "reason")),
-        ("left by the fit", _residual(view)),
-        ("other models still allowed", str(len(view.allowed)) if view.allowed else ""),
+        ("fit", words(view.estimate, "reason")),
+        ("fit residual", _residual(view)),
+        ("other plausible models", str(len(view.allowed)) if view.allowed else ""),
     ]
     if part(view.document, "known") and view.of_record:
-        rows.append(("the record's own estimate", process_text(view.of_record)))
+        rows.append(("estimate from this record alone", process_text(view.of_record)))
     return pairs(rows)
 
 
@@ -169,9 +169,9 @@ def _proposal(view: DecisionView) -> str:
     proposal = {} if view.undoes else part(view.document, "proposal")
     wanted = gains_of(part(proposal, "parallel"))
     names = (
-        ("on trial", "", "stays" if stays(view.document) else "put back")
+        ("on trial", "", "kept" if stays(view.document) else "rolled back")
         if view.undoes
-        else ("in force", "rule", "let through")
+        else ("active", "rule", "accepted")
     )
     columns = zip(names, (view.before, wanted, view.after), strict=True)
     shown = [(name, gains) for name, gains in columns if gains is not None]
@@ -241,10 +241,12 @@ def _formula(view: DecisionView, wanted: PidGains) -> str:
 
 def _put_in(view: DecisionView, model: ProcessModel, kind: ControllerKind) -> str:
     """How the numbers of the formula come from those of the process."""
-    told = ["half a sampling interval in theta"] if view.sample_time_s else []
+    told = ["half a sampling interval added to theta"] if view.sample_time_s else []
     if model.tau2_s and kind == ControllerKind.PI:
-        told.append("half of tau2 in theta" + (" and half in tau1 (half rule)" if model.tau1_s else " (half rule)"))
-    return f"Put in with {', '.join(told)}." if told else ""
+        told.append(
+            "half of tau2 added to theta" + (" and half to tau1 (half rule)" if model.tau1_s else " (half rule)")
+        )
+    return f"With {', '.join(told)}." if told else ""
 
 
 def _same(one: PidGains, other: PidGains) -> bool:
@@ -272,7 +274,7 @@ def _proof(view: DecisionView) -> str:
                 f'<span class="{"good" if passed else "bad"}">{mark}</span>',
             )
         )
-    shown = table(("asked", "value", "limit", ""), rows) if rows else ""
+    shown = table(("check", "value", "limit", ""), rows) if rows else ""
     reason = words(verdict, "reason")
     return paragraph(f"{reason[:1].upper()}{reason[1:]}.") * bool(reason) + shown
 
@@ -291,7 +293,7 @@ def _margins(view: DecisionView) -> str:
     if not rows:
         return ""
     new = new_name(view)
-    middle = (old_name(view), new, f"{new}, worst model")[: len(rows[0]) - 2]
+    middle = (old_name(view), new, f"{new}, worst case")[: len(rows[0]) - 2]
     return text_table(("", *middle, "usual"), rows)
 
 
@@ -301,9 +303,9 @@ def _whereabouts(view: DecisionView) -> str:
     return pairs(
         [
             ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
-            ("gains in force then", settings_text(view.before) if view.before else ""),
+            ("active gains at the time", settings_text(view.before) if view.before else ""),
             ("code", words(view.document, "code")),
             ("load steps in the record", str(loads) if loads else ""),
-            ("the region then", words(view.document, "trial")),
+            ("state of the region", words(view.document, "trial")),
         ]
     )

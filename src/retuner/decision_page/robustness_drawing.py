@@ -77,7 +77,7 @@ def _nyquist(axes: Axes, view: DecisionView, process: LinearProcess, before: Pid
     others = view.allowed[:MOST_MODELS] if tried else ()
     for i, model in enumerate(others):
         assert tried is not None
-        label = f"{name}, {len(others)} other model{'s' * (len(others) != 1)} still allowed" if not i else None
+        label = f"{name}, {len(others)} other plausible model{'s' * (len(others) != 1)}" if not i else None
         axes.plot(*_curve(model, tried), color=AFTER, lw=0.6, alpha=0.45, label=label)
     axes.plot(
         *_curve(process, before),

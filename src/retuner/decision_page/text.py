@@ -22,8 +22,8 @@ STRUCTURES = {
 }
 DONE = {
     "commit": "Written to the controller",
-    "advise": "Advised, not written",
-    "restore": "The settings from before were put back",
+    "advise": "Proposed, not written",
+    "restore": "Rolled back to the previous settings",
     "none": "Nothing was changed",
 }
 """What became of a decision."""
@@ -41,11 +41,11 @@ def seen(view: DecisionView) -> str:
     response = view.response
     if not response:
         return ""
-    upset = "a setpoint change" if words(response, "upset") == "setpoint" else "a load change"
+    upset = "a setpoint change" if words(response, "upset") == "setpoint" else "a load disturbance"
     overshoot, damping, period = (number(response, name) for name in ("overshoot", "damping", "period_s"))
     if overshoot is None:
-        return f"After {upset} the error came back without a second peak: no overshoot beyond the noise."
-    swing = f", damping {damping:.2f} (0 dead-beat, 1 undamped)" if damping is not None else ""
+        return f"After {upset} the error returned without a second peak: no overshoot beyond the noise."
+    swing = f", half-cycle decay ratio {damping:.2f} (0 dead-beat, 1 sustained)" if damping is not None else ""
     time = f", period {period:.3g} s" if period is not None else ""
     return f"After {upset} the loop overshot by {overshoot:.0%} of the first peak{swing}{time}."
 
@@ -53,7 +53,7 @@ def seen(view: DecisionView) -> str:
 def done(view: DecisionView) -> str:
     """What follows, with the numbers."""
     if stays(view.document) and view.after is not None:
-        return f"The settings on trial stay: {settings_text(view.after)}."
+        return f"The trial settings stay: {settings_text(view.after)}."
     what = DONE.get(view.action, view.action)
     if view.before is None or view.after is None:
         return f"{what}."
@@ -90,7 +90,7 @@ def how_far(view: DecisionView) -> str:
     notes = view.verdict.get("notes")
     cut = "; ".join(one for one in notes if isinstance(one, str)) if isinstance(notes, list) else ""
     why = f" ({cut})" if cut else ""
-    return f"This is {step:.0%} of the way, in the logarithms of the gains, to what the rule gives{why}."
+    return f"This is {step:.0%} of the full change (in the logarithm of the gains){why}."
 
 
 def robustness(view: DecisionView) -> str:
@@ -98,11 +98,11 @@ def robustness(view: DecisionView) -> str:
     ms = part(view.verdict, "ms")
     if "nominal" not in ms or view.verdict.get("allowed") == []:  # no model: nothing is known of Ms
         return ""
-    known = "the process as known" + ", which this record contradicts" * view.contradicted
+    known = "the identified process" + ", which this record contradicts" * view.contradicted
     before, after, worst = (_ms(number(ms, name)) for name in ("before", "nominal", "worst"))
     if view.after is None:
-        return f"With the settings in force: {before} on {known}, at worst {worst} on the models allowed."
-    return f"On {known}: {before} before, {after} after; at worst, on the models still allowed, {worst}."
+        return f"With the active settings: {before} on {known}, worst case {worst} over the plausible models."
+    return f"On {known}: {before} before, {after} after; worst case over the plausible models {worst}."
 
 
 def _ms(ms: float | None) -> str:
@@ -126,21 +126,21 @@ def footing(view: DecisionView) -> str:
     known = ", ".join(f"{label.split()[0]} {value}" for label, value in parameters(model, view.spread, view.unit))
     reason = words(view.estimate, "reason")
     if view.contradicted:
-        own = f": by itself it shows {process_text(shown)}" if shown else ""
-        told = f"what was known before this record ({known}). This record contradicts that{own}"
-        told += "" if settled else f" (not settled either: {reason})"
+        own = f": on its own it gives {process_text(shown)}" if shown else ""
+        told = f"the model before this record ({known}). This record contradicts it{own}"
+        told += "" if settled else f" (not identified either: {reason})"
     elif words(view.document, "surprise") == Agreement.SILENT.code:
-        told = f"what was known before this record ({known}), which shows nothing of the process"
+        told = f"the model before this record ({known}), which does not identify the process"
     else:
-        told = f"a process that the records do not settle yet ({known}): {reason}"
+        told = f"a model that is not accurate enough yet ({known}): {reason}"
     apart = words(view.document, "basis") in WITHOUT_MODEL
-    return f"Curves, margins and predictions rest on {told}." + " The proposal does not rest on it." * apart
+    return f"Curves, margins and predictions use {told}." + " The proposal does not use it." * apart
 
 
 def structure(model: ProcessModel) -> str:
     """The structure in words."""
     text = STRUCTURES[model.type]
-    return f"{text}, swinging (zeta {model.zeta:.2f})" if model.zeta < 1 else text
+    return f"{text}, oscillatory (zeta {model.zeta:.2f})" if model.zeta < 1 else text
 
 
 def parameters(model: ProcessModel, std: dict[str, float], unit: str) -> list[tuple[str, str]]:

@@ -192,7 +192,7 @@ class ExperimentRunner:
             case CommandFailed() | WriteFailed() if self.phase in TAKING_OVER:
                 self.abort(AbortCause.REFUSED, event.reason)
             case Reverted() if self.phase in TAKING_OVER:
-                self.abort(AbortCause.REFUSED, "it went back to its confirmed gains")
+                self.abort(AbortCause.REFUSED, "it returned to its confirmed gains")
             case SamplesLost() if event.count > LOST_MOST and self.phase is Phase.EXCITING:
                 self.abort(AbortCause.SILENT, f"{event.count} samples are missing at {event.t_s:g} s")
 

@@ -86,7 +86,7 @@ class SettingsWriter:
                     case WriteFailed() if event.seq == self._seq:
                         return event.reason
                     case Reverted():
-                        return "the controller went back to its confirmed gains"
+                        return "the controller returned to its confirmed gains"
                     case WriteDone() if event.seq == self._seq:
                         body = {
                             "why": "experiment",

@@ -29,7 +29,7 @@ class LiveScreen:
 
     Parameters
     ----------
-    console : where to. quiet : show nothing (for --json).
+    console : where to. quiet : show nothing (for --json). answers_only : no live view and no decisions (for -q).
     detail : decisions with all that was weighed. now_s : the machine's clock, for how often the picture is renewed.
     """
 
@@ -38,12 +38,14 @@ class LiveScreen:
         console: Console,
         *,
         quiet: bool = False,
+        answers_only: bool = False,
         detail: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.console = console
         self._quiet, self._detail, self._now_s = quiet, detail, now_s
-        self.live = console.is_terminal and not quiet
+        self._answers_only = answers_only
+        self.live = console.is_terminal and not quiet and not answers_only
         self._ascii = not (console.encoding or "").lower().startswith("utf")
         self._title, self._progress = "", 0.0
         self._due_s = float("-inf")
@@ -95,7 +97,7 @@ class LiveScreen:
 
     def decision(self, decision: Decision, loop: str = "") -> None:
         """A decision was taken. loop : its name, where there are several."""
-        if self._quiet:
+        if self._quiet or self._answers_only:
             return
         if not self.live:
             self.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)

@@ -97,7 +97,7 @@ class LoopSeen:
     @property
     def needs_a_person(self) -> str:
         """What waits for a person, empty when nothing does."""
-        told = {str(TrialPhase.WAITING): "tried, waits for a word", str(TrialPhase.LOCKED): "locked out"}
+        told = {str(TrialPhase.WAITING): "trial passed, awaiting operator approval", str(TrialPhase.LOCKED): "locked"}
         return "; ".join(f"{one.name}: {told[one.trial]}" for one in self.regions if one.trial in told)
 
     def to_dict(self) -> dict[str, object]:
@@ -122,24 +122,24 @@ class LoopSeen:
 R = RecogniserPhase
 FOLLOWING = {
     R.LOCATE_1: "the first peak",
-    R.VERIFY_1: "the error to cross over or come to rest",
+    R.VERIFY_1: "the error to change sign or settle",
     R.LOCATE_2: "the second peak",
-    R.VERIFY_2: "the error to swing back or come to rest",
+    R.VERIFY_2: "the error to change sign again or settle",
     R.LOCATE_3: "the third peak",
     R.VERIFY_3: "the third peak to be passed",
     R.ADAPT: "the decision",
-    R.SETTLE: "the loop to come to rest",
+    R.SETTLE: "the loop to settle",
 }
 """What the recogniser waits for in each of its states."""
 T = TrialPhase
 TRIAL_WAITS = {
-    T.RESTORING: "the controller to run the verified gains again",
+    T.RESTORING: "the verified gains to become active again",
     T.WRITING: "the new gains to be written",
-    T.PAUSED: "the loop to be watched again, a change is on trial",
-    T.ENSURING: "the controller to run the gains on trial",
-    T.HELD: "nothing; a person set these gains, and they are held for a while",
-    T.WAITING: "a person to approve what was tried",
-    T.LOCKED: "a person to unlock the region",
+    T.PAUSED: "the loop to be observable again, a change is on trial",
+    T.ENSURING: "the trial gains to become active",
+    T.HELD: "nothing; an operator set these gains, and they are on hold",
+    T.WAITING: "operator approval of the trial",
+    T.LOCKED: "an operator to unlock the region",
 }
 """What a trial waits for, where that comes before the recogniser."""
 
@@ -203,10 +203,10 @@ class LoopObserver:
         if r.settings.mode_of(r.region) == Mode.OFF:
             return "nothing; this region is off and only watched"
         if r.open_question is not None:
-            return "the decision that is being worked out"
+            return "the decision in progress"
         if state is None or (state.phase == R.LOCATE_1 and not state.started):
             trial = " to judge the trial by" * (phase == T.TRIAL)
-            return f"an upset{trial}: a setpoint or load step"
+            return f"a setpoint or load step{trial}"
         return FOLLOWING[R(state.phase)]
 
     def _promised(self) -> str:
@@ -220,8 +220,8 @@ class LoopObserver:
             spread = promise.get(upset)
             iae = spread.get("iae") if isinstance(spread, dict) else None
             if iae and iae[0] is not None and iae[2] is not None:
-                told.append(f"IAE per unit of {upset} {iae[0]:.3g} ({iae[1]:.3g} to {iae[2]:.3g})")
-        kept = f"{trial.kept} of {r.settings.trial.responses} responses have kept it"
+                told.append(f"IAE per unit {upset} step {iae[0]:.3g} ({iae[1]:.3g} to {iae[2]:.3g})")
+        kept = f"{trial.kept} of {r.settings.trial.responses} responses matched"
         return f"{', '.join(told) or 'a decay as before'}; {kept}"
 
     def _every_region(self, t_s: float) -> tuple[RegionSeen, ...]:

@@ -64,7 +64,7 @@ def decision_lines(decision: Decision, width: int, loop: str = "", *, detail: bo
         (f"{decision.t_s:9,.0f}s ", "dim"),
         (f"{one_line(f'{loop} {decision.region}'.strip())}  ", "bold"),
         (f"{cause}  ", COLOURS.get(cause, "magenta")),
-        "nothing is changed" if decision.action is Action.NONE else change_text(decision),
+        "no change" if decision.action is Action.NONE else change_text(decision),
     )
     judged = decision.judgement.reason if decision.judgement and not undone else ""
     why = "; ".join(one for one in (one_line(decision.reason), f"trial: {one_line(judged)}" if judged else "") if one)

@@ -5,35 +5,12 @@ from pathlib import Path
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.config.session_config import SessionConfig
+from retuner.live_view.event_words import event_line
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.loop_seen import LoopObserver
 from retuner.live_view.publishing import Publisher, head_of
-from retuner.report.console import told_values
 from retuner.session.loop_session import LoopSession
 from retuner.session.session import NobodyLooks
-
-TOLD = {
-    "refused": ("region", "reason"),
-    "link": ("state", "reason"),
-    "restart": ("epoch",),
-    "lost": ("count",),
-    "command": ("command", "reason"),
-    "worker": ("reason",),
-    "unknown": ("reason",),
-    "foreign": ("gains",),
-    "dropped": ("reason",),
-    "bus": ("fault", "times"),
-    "variable": ("name", "reason"),
-    "abort": ("reason",),
-    "restored": ("regions",),
-    "trial": ("reason",),
-    "lockout": ("region", "undos"),
-    "unrestored": ("regions", "reason"),
-    "order": ("order", "by", "accepted", "reason"),
-}
-"""Rows beside decisions that a person at the screen should see, and which of their values."""
-SPOKEN = {"restored": "read back, it runs", "unrestored": "not known to run"}
-"""Rows whose kind would mislead: a set that stayed is read back as well."""
 
 
 class OnScreen(NobodyLooks):
@@ -84,9 +61,8 @@ class Watching(OnScreen):
         name = loop.name if loop is not None and self._config.several else ""
         if kind == "decision" and loop is not None:
             self._screen.decision(loop.decisions[-1], name)
-        elif told := told_values(body, TOLD.get(kind, ())):
-            whose = f"{name}: " * bool(name)
-            self._screen.say(f"{t_s:8,.0f} s {whose}{SPOKEN.get(kind, kind)}: {told}")
+        elif told := event_line(kind, body):
+            self._screen.say(f"{t_s:8,.0f} s {f'{name}: ' * bool(name)}{told}")
 
     def said(self, text: str) -> None:
         """See Observer."""

@@ -47,16 +47,16 @@ def what_next(
             why = f"{of}{one.region}: decision {one.number} proposes {step}"
             told.append(Next(why, f"retuner approve {place} {one.digest[:SHORT]}"))
     for region, digest in found.waiting.items():
-        why = f"{of}{region}: tried and as promised; waits for a word"
+        why = f"{of}{region}: trial passed, as predicted: awaiting operator approval"
         told.append(Next(why, f"retuner approve {place} {digest[:SHORT]}"))
     for region in locked:
-        why = f"{of}{region}: locked out after several undone changes"
+        why = f"{of}{region}: locked after repeated rollbacks"
         told.append(Next(why, f"retuner approve {place} --unlock {shlex.quote(region)}"))
     if changed is not None:
         gains, config = (shlex.quote(str(path)) for path in changed)
         told.append(
             Next(
-                f"{of}the gains as they are now, back into the configuration:",
+                f"{of}to put the final gains into the configuration:",
                 f"retuner export {gains} --into {config}",
             )
         )

@@ -1,7 +1,6 @@
 """What a run shows on the screen: progress, each decision in a line, and at the end a table per region."""
 
 import sys
-from collections.abc import Iterable, Mapping
 from typing import TextIO, cast
 
 from rich.console import Console
@@ -18,7 +17,7 @@ from retuner.report.report import ms_text
 from retuner.report.scores import RegionScore
 from retuner.streams import LastingStream
 
-UNDONE, KEPT = "UNDONE", "kept"
+UNDONE, KEPT = "ROLLED BACK", "kept"
 COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
 MOST_CHARACTERS = 1000
 """Longer lines of a table are folded all the same."""
@@ -36,13 +35,15 @@ class RunScreen:
 
     Parameters
     ----------
-    console : where to. unit : of pv. quiet : show nothing (for --json).
+    console : where to. unit : of pv. quiet : show nothing (for --json). answers_only : no
+        progress and no decisions (for -q).
     """
 
-    def __init__(self, console: Console, unit: str, *, quiet: bool = False) -> None:
+    def __init__(self, console: Console, unit: str, *, quiet: bool = False, answers_only: bool = False) -> None:
         self.console = console
         self._unit = unit
         self._quiet = quiet
+        self._answers_only = answers_only
         self._progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(),
@@ -50,7 +51,7 @@ class RunScreen:
             TextColumn("{task.fields[state]}"),
             TimeElapsedColumn(),
             console=console,
-            disable=quiet or not console.is_terminal,
+            disable=quiet or answers_only or not console.is_terminal,
             transient=True,
         )
         self._task: TaskID | None = None
@@ -86,7 +87,7 @@ class RunScreen:
 
     def decision(self, decision: Decision, loop: str = "") -> None:
         """A decision was taken. loop : its name, where there are several."""
-        if not self._quiet:
+        if not (self._quiet or self._answers_only):
             self._progress.console.print(live_line(decision, loop), highlight=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
@@ -107,19 +108,6 @@ def counted(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
-def told_values(body: Mapping[str, object], names: Iterable[str]) -> str:
-    """The named values of a row that say something, in the order of the names."""
-    values = {name: body[name] for name in names if body.get(name) not in (None, "")}
-    return ", ".join(f"{name} {_told(value)}" for name, value in values.items())
-
-
-def _told(value: object) -> object:
-    """A value as people write it."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else value
-
-
 def live_line(decision: Decision, loop: str = "") -> str:
     """A decision as it is shown when it is taken, in rich's markup: when, where, cause, what is done or why not.
 
@@ -135,7 +123,7 @@ def live_line(decision: Decision, loop: str = "") -> str:
     judged = decision.judgement.reason if decision.judgement and not undone else ""
     told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
     model = model_text(decision)
-    return f"{head} {'; '.join(told)}{f' [dim]{escape(model)}[/]' if model else ''}"
+    return f"{head} {'; '.join(told)}{f'; [dim]model: {escape(model)}[/]' if model else ''}"
 
 
 def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit: float = MS_LIMIT) -> Table:
@@ -146,11 +134,11 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
     whose = f"{loop}: " if loop else ""
     over = any((s.ms_after or 0.0) > ms_limit for s in scores)
     limit = f" (!! over the limit of {ms_limit:g}: see the report)" if over else ""
-    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the true process{limit}; IAE in {unit} s{compared}"
+    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the simulated process{limit}; IAE in {unit} s{compared}"
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
-    for name in ("region", "commissioned", "final"):
+    for name in ("region", "baseline", "final"):
         table.add_column(name, no_wrap=True)
-    for name in ("writes", "Ms", "Ms now", "IAE fixed", "IAE now"):
+    for name in ("writes", "baseline Ms", "final Ms", "IAE fixed", "IAE retuned"):
         table.add_column(name, justify="right", no_wrap=True)
     for s in scores:
         fixed = "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}"

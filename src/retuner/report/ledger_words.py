@@ -76,11 +76,11 @@ def told(row: Row) -> Told:
 def _who(kind: str, body: Document) -> str:
     """Who is behind it."""
     if kind == "order":
-        return words(body, "by") or "an order file"
+        return words(body, "by") or "a request file"
     if kind in {"intent", "committed", "refused"}:
         return SCHEDULE if words(body, "why") == "schedule" else RETUNER
     if kind == "decision" and words(body, "code") in BY_ORDER:
-        return "a person"
+        return "an operator"
     return BY.get(kind, PROGRAM)
 
 
@@ -95,7 +95,7 @@ def _decision(body: Document) -> Words:
     proof = words(verdict, "reason")
     if "nominal" in ms:
         before, nominal, worst = (ms_words(number(ms, name)) for name in ("before", "nominal", "worst"))
-        proof = f"{proof}: Ms {before} -> {nominal}, at worst {worst}"
+        proof = f"{proof}: Ms {before} -> {nominal}, worst case {worst}"
     judgement = words(part(body, "judgement"), "reason")
     evidence = " | ".join(text for text in (response_text(body), cause_text(body), model_text(body)) if text)
     title = f"{words(body, 'action')} {int(number(body, 'number') or 0)}: {words(body, 'reason')}"
@@ -122,9 +122,9 @@ def _order(body: Document) -> Words:
     )
     proposal = part(body, "proposal")
     new = _settings(proposal, "after") or _settings(body, "gains")
-    verdict = "taken" if body.get("accepted") is True else f"refused: {words(body, 'reason')}"
+    verdict = "accepted" if body.get("accepted") is True else f"refused: {words(body, 'reason')}"
     why = f"{kind} {about}{f': {note}' if note else ''}".strip()
-    return why, _settings(proposal, "before"), new, f"ordered {words(body, 'at')}".strip(), verdict
+    return why, _settings(proposal, "before"), new, f"requested {words(body, 'at')}".strip(), verdict
 
 
 def _trial(body: Document) -> Words:
@@ -135,7 +135,7 @@ def _trial(body: Document) -> Words:
         for upset in ("setpoint", "load")
     ]
     told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
-    verdict = f"promises IAE per unit of {', '.join(told)}" if told else ""
+    verdict = f"predicted IAE per unit step:  {', '.join(told)}" if told else ""
     return (
         words(body, "reason") or "on trial",
         _settings(body, "verified"),

@@ -90,13 +90,18 @@ def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]
         if not shown.successor(one) and one.region in regions
     ]
     found += [
-        {"what": "tried", "region": region, "digest": digest, "text": "tried and as promised; waits for your word"}
+        {
+            "what": "tried",
+            "region": region,
+            "digest": digest,
+            "text": "trial passed: awaiting your approval",
+        }
         for region, digest in shown.waiting.items()
         if region in regions
     ]
     for region in loop.reader.state().get("regions", ()):
-        if region.get("trial") == "locked out":
-            text = f"locked out after {region.get('undos')} undone changes"
+        if region.get("trial") == "locked":
+            text = f"locked after {region.get('undos')} rollbacks"
             found.append({"what": "locked", "region": region["name"], "digest": "", "text": text})
     return found
 

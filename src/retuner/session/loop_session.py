@@ -48,7 +48,7 @@ class SessionPhase(Enum):
     """How a session stands."""
 
     WATCHING = "watching"
-    ENDING = "ending: an undecided change is taken back"
+    ENDING = "ending: an undecided change is rolled back"
     FAILING = "ending after a defect: no sample is looked at any more"
     SETTLED = "over: nothing is open"
     LEFT_OPEN = "over: patience has ended before the verified set was known to run"

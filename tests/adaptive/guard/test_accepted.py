@@ -34,10 +34,11 @@ def test_a_step_back_towards_the_commissioned_set_passes_and_says_that_it_leads_
     assert verdict.gains is not None
     assert verdict.gains.kp == pytest.approx(0.19 * GAINS.kp)
     assert (
-        words_of(verdict, "total_kc") == "factor of kc against the commissioned set (no farther than in force, 6.667)"
+        words_of(verdict, "total_kc")
+        == "factor of kc relative to the baseline gains (no further than the active value, 6.667)"
     )
     inside = prove(of_pattern(times(0.5, 0.5), times(0.6, 0.6), GAINS), SETTINGS)
-    assert words_of(inside, "total_kc") == "factor of kc against the commissioned set"
+    assert words_of(inside, "total_kc") == "factor of kc relative to the baseline gains"
 
 
 def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
@@ -48,14 +49,14 @@ def test_a_step_beyond_the_commissioned_set_goes_no_farther() -> None:
 def test_what_is_only_safer_says_so() -> None:
     verdict = prove(request(times(2.5, 2.5), models=known(0.6)), SETTINGS)
     assert verdict.ruling == Ruling.SAFER
-    worst = "Ms on the worst model that the records allow (no worse than in force, unstable)"
+    worst = "worst-case Ms over the plausible models (no worse than the active value, unstable)"
     assert words_of(verdict, "ms_worst") == worst
 
 
 def test_doubtful_evidence_says_what_it_still_allows() -> None:
     doubted = Evidence(innovation=40.0, gate=20.0)
     verdict = prove(replace(request(times(3.0, 3.0)), evidence=doubted), SETTINGS)
-    assert words_of(verdict, "innovation") == "innovation of the last record (or only less of everything)"
+    assert words_of(verdict, "innovation") == "innovation of the last record (or less gain and integral action only)"
 
 
 def test_a_derivative_on_its_way_is_left_out_while_it_is_too_short() -> None:
@@ -72,7 +73,7 @@ def test_from_outside_an_absolute_limit_the_way_leads_towards_it(model: bool) ->
     verdict = prove(replace(asked, models=known(), evidence=Evidence()) if model else asked, limits)
     assert verdict.gains is not None
     assert 0.05 * GAINS.kp < verdict.gains.kp < GAINS.kp
-    assert words_of(verdict, "kc_max").startswith("kc, not more than kc_max (no farther than in force")
+    assert words_of(verdict, "kc_max").startswith("kc, at most kc_max (no further than the active value")
 
 
 def test_a_locked_gain_stays_where_it_is_though_it_lies_outside_its_limits() -> None:

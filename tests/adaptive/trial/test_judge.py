@@ -46,7 +46,7 @@ def test_a_loop_that_swings_is_worse_than_promised_in_its_peaks(upset: dict[str,
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
     found = first(Rig(ringing, noise=0.025), 400, **upset)
     assert found.finding is TrialFinding.WORSE
-    assert "successive peaks" in found.reason
+    assert "decay ratio" in found.reason
     numbers = found.numbers.to_dict()
     assert numbers["decay_sure"] > numbers["decay_limit"]
 

@@ -73,7 +73,7 @@ def test_manual_mode_and_gaps_say_nothing_of_a_cure(cause: TrialEvent) -> None:
         assert [d.code for d in told] == ["kept_gap"]
     assert told[0].action is Action.NONE
     assert told[0].gains_after is None
-    assert "the one before is unstable" in told[0].reason
+    assert "previous gains unstable" in told[0].reason
     assert json.loads(told[0].canonical())["numbers"]["unstable_before"] >= 1
     assert stand.samples(2) == []
     assert stand.retuner.trials.phase(0) is P.TRIAL
@@ -106,7 +106,7 @@ def test_the_same_cause_ends_the_trial_of_a_set_that_is_worse() -> None:
     (decision,) = stand.samples(1, mode=LoopMode.MANUAL)
     assert decision.code == "undo_manual"
     assert decision.gains_after == GOOD
-    assert "the tried set is unstable" in decision.reason
+    assert "trial gains unstable" in decision.reason
 
 
 def test_responses_that_say_nothing_end_a_trial_where_nothing_speaks_against_the_set() -> None:
@@ -119,7 +119,7 @@ def test_responses_that_say_nothing_end_a_trial_where_nothing_speaks_against_the
             break
     assert stand.retuner.trials.phase(0) is P.IDLE
     assert judged[-1].judgement is not None
-    assert "decided nothing, and the set on trial stays" in judged[-1].judgement.reason
+    assert "were inconclusive, the trial gains stay" in judged[-1].judgement.reason
     assert stand.retuner.table.gains == (GOOD,)
 
 
@@ -131,13 +131,13 @@ def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() ->
     assert decision is not None
     assert (decision.code, decision.action) == ("edited", Action.NONE)
     assert "held for 5,000 s" in decision.reason
-    assert "Ms 1." in decision.reason
+    assert "Ms at most 1." in decision.reason
     assert stand.retuner.table.gains == (WEAK,)
     stand.samples(200)
     stand.rig.sp = 5.0
     (proposed,) = [d for d in stand.samples(1500) if d.gains_after]
     assert proposed.action is Action.ADVISE
-    assert "a person set the gains in force" in proposed.reason
+    assert "an operator set the active gains" in proposed.reason
     assert stand.retuner.table.gains == (WEAK,)
     proposal = Proposal.of(proposed)
     assert proposal is not None

@@ -79,7 +79,7 @@ def test_a_proposal_of_an_earlier_session_is_held_to_the_limits_per_change() -> 
     far = replace(OFFERED, after=PidGains(SLOW.kp * 5, SLOW.ki * 5))
     refused = approve(Bench().retuner, far, 60.0)
     assert refused.action is Action.NONE
-    assert "outside the limits" in refused.reason
+    assert "outside the present limits" in refused.reason
 
 
 def test_what_is_known_now_decides_and_not_what_was_known() -> None:
@@ -96,7 +96,7 @@ def test_other_gains_or_no_promise_end_a_proposal() -> None:
     bench = Bench(GOOD)
     assert str(ProposalStanding.OTHER_GAINS) in approve(bench.retuner, OFFERED, 60.0).reason
     bare = replace(OFFERED, promise=None)
-    assert "promises nothing" in approve(Bench().retuner, bare, 60.0).reason
+    assert "no predicted performance" in approve(Bench().retuner, bare, 60.0).reason
     with pytest.raises(ValueError, match="does not exist"):
         approve(bench.retuner, replace(OFFERED, region="elsewhere"), 60.0)
 
@@ -128,7 +128,7 @@ def test_a_proposal_comes_back_from_its_document(
         ({"digest": "ab"}, "no SHA-256"),
         ({"digest": "G" * 64}, "no SHA-256"),
         ({"t_s": math.nan}, "finite"),
-        ({"after": PidGains(-1.0, -0.1)}, "other way round"),
+        ({"after": PidGains(-1.0, -0.1)}, "opposite control action"),
     ],
 )
 def test_what_is_no_proposal_is_refused(changed: dict[str, object], told: str) -> None:
@@ -161,7 +161,11 @@ def test_the_way_back_from_a_change_that_is_not_decided_is_to_undo_it() -> None:
 
 @pytest.mark.parametrize(
     ("gains", "told"),
-    [(PidGains(-1.0, -0.1), "the other way round"), (SLOW, "they are in force"), (PidGains(90.0, 1.0), "kc_max")],
+    [
+        (PidGains(-1.0, -0.1), "opposite control action"),
+        (SLOW, "they are active already"),
+        (PidGains(90.0, 1.0), "kc_max"),
+    ],
 )
 def test_a_way_back_that_leads_nowhere_is_refused(gains: PidGains, told: str) -> None:
     bench = Bench()

@@ -57,7 +57,7 @@ def test_a_sluggish_set_that_a_wrong_model_calls_right_is_found_out() -> None:
     assert judge(seen, believed, SLUGGISH, S).finding is not TrialFinding.WORSE  # its IAE is 1/ki, as promised
     found = judge(replace(seen, posterior=check_posterior(TRUE, GOOD, SLUGGISH, DT_S)), believed, SLUGGISH, S)
     assert found.finding is TrialFinding.WORSE
-    assert "times that with the gains before" in found.reason
+    assert "times that with the previous gains" in found.reason
     numbers = found.numbers.to_dict()
     assert numbers["cost"] > numbers["cost_limit"]
 
@@ -171,7 +171,7 @@ def test_a_robust_set_need_not_wait_for_a_step_from_rest() -> None:
     known = replace(moving, posterior=said)
     found = judge(known, believed, GOOD, S)
     assert found.finding is TrialFinding.AS_PROMISED
-    assert "robust: Ms is" in found.reason
+    assert "robust: Ms at most" in found.reason
     doubtful = Plausible(replace(MODEL, k=2.0), 3.0)
     unsure = replace(moving, posterior=check_posterior([*TRUE, doubtful], SLUGGISH, GOOD, DT_S))
     assert judge(unsure, believed, GOOD, S).finding is TrialFinding.INCONCLUSIVE

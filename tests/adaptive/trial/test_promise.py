@@ -102,7 +102,7 @@ def test_plain_values_and_back() -> None:
         promise([Plausible(FOPDT, 0.0)], good, good),
     ):
         assert Promise.from_dict(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
-    assert "of before after a setpoint step" in promise([Plausible(FOPDT, 0.0)], good, good).sentence()
+    assert "of the previous after a setpoint step" in promise([Plausible(FOPDT, 0.0)], good, good).sentence()
 
 
 @pytest.mark.parametrize("values", [(1.0, 2.0, 3.0), (1.0, 0.0, 0.5), (math.nan, 0.0, 1.0)])

@@ -69,7 +69,7 @@ def test_a_loop_that_runs_away_is_taken_back_in_mid_response_and_the_record_teac
     assert decision.response.ending.name == "UNDONE"
     assert 0 in stand.retuner.region_models
     assert stand.retuner.region_models[0].log.model().theta_s == pytest.approx(5.0, rel=0.2)
-    assert json.loads(decision.canonical())["trial"] == "restoring the verified set"
+    assert json.loads(decision.canonical())["trial"] == "rolling back to the verified gains"
 
 
 def test_a_model_that_promised_wrongly_is_not_believed_any_more() -> None:

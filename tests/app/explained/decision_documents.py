@@ -25,7 +25,7 @@ PROMISE = {
 }
 WORSE = {
     "finding": "worse",
-    "reason": "worse than promised: successive peaks in the ratio 0.60",
+    "reason": "worse than predicted: half-cycle decay ratio 0.60",
     "numbers": {
         "overshoot": 0.61,
         "damping": 0.6,
@@ -89,7 +89,7 @@ REFUSED = changed(
     action="none",
     gains_after=None,
     code="not_robust",
-    reason="refused: not robust on every model",
+    reason="refused: not robust even at a quarter of the change",
     verdict={
         "accepted": False,
         "ruling": "not_robust",
@@ -105,7 +105,7 @@ ADVISED = changed(action="advise", mode="advise")
 RESTORED = changed(
     action="restore",
     code="worse_than_promised",
-    reason="the loop answers worse than was promised",
+    reason="the loop responds worse than predicted",
     proposal=None,
     verdict=None,
     estimate=None,
@@ -116,7 +116,7 @@ RESTORED = changed(
     records=0,
     promise=None,
     judgement=WORSE,
-    trial="restoring the verified set",
+    trial="rolling back to the verified gains",
     number=9,
     t_s=END + 900.0,
     gains_before=WANTED,

@@ -40,7 +40,7 @@ def test_the_response_shows_peaks_model_load_and_units() -> None:
 def test_the_robustness_drawing_names_ms_and_the_circle() -> None:
     shown = texts(robustness_svg(view(), 1.75))
     assert "Ms = 1.75" in shown
-    assert "after, 2 other models still allowed" in shown
+    assert "after, 2 other plausible models" in shown
     assert sum(one.startswith(("before: Ms", "after: Ms")) for one in shown) == 2
     assert "predicted: setpoint step of 1 degC" in shown
 

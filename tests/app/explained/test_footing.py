@@ -11,9 +11,9 @@ from retuner.decision_page.text import footing, robustness
 KNOWN = {"model": {**MODEL, "k": 1.4}, "std": {"k": 0.42}}
 FOUND: Any = COMMIT["estimate"]
 VAGUE = {**FOUND, "identifiable": False, "reason": "k is known to 80 % only"}
-RESTS = "Curves, margins and predictions rest on "
-BEFORE = f"{RESTS}what was known before this record (k 1.4 +- 0.42 (30.0%) degC/%, "
-APART = " The proposal does not rest on it."
+RESTS = "Curves, margins and predictions use "
+BEFORE = f"{RESTS}the model before this record (k 1.4 +- 0.42 (30.0%) degC/%, "
+APART = " The proposal does not use it."
 
 
 @pytest.mark.parametrize(
@@ -22,21 +22,21 @@ APART = " The proposal does not rest on it."
         (
             {"surprise": "odd"},
             BEFORE,
-            "This record contradicts that: by itself it shows k 2 tau1 240 s tau2 9 s theta 26 s.",
+            "This record contradicts it: on its own it gives k 2 tau1 240 s tau2 9 s theta 26 s.",
         ),
         (
             {"surprise": "odd", "estimate": VAGUE, "basis": "pattern"},
             BEFORE,
-            f"theta 26 s (not settled either: k is known to 80 % only).{APART}",
+            f"theta 26 s (not identified either: k is known to 80 % only).{APART}",
         ),
         (
             {"surprise": "silent", "estimate": VAGUE, "basis": "pattern"},
             BEFORE,
-            f", which shows nothing of the process.{APART}",
+            f", which does not identify the process.{APART}",
         ),
         (
             {"surprise": "agrees", "estimate": VAGUE, "basis": "slow_oscillation"},
-            f"{RESTS}a process that the records do not settle yet (k 1.4 +- 0.42 (30.0%) degC/%, ",
+            f"{RESTS}a model that is not accurate enough yet (k 1.4 +- 0.42 (30.0%) degC/%, ",
             f": k is known to 80 % only.{APART}",
         ),
     ],
@@ -62,4 +62,4 @@ def test_without_a_process_there_is_nothing_to_rest_on() -> None:
 
 def test_ms_of_a_contradicted_process_is_not_told_as_if_it_held() -> None:
     shown = view(changed(known=KNOWN, surprise="odd"), drawn=False)
-    assert robustness(shown).startswith("On the process as known, which this record contradicts: Ms 2.88 before")
+    assert robustness(shown).startswith("On the identified process, which this record contradicts: Ms 2.88 before")

@@ -18,7 +18,7 @@ def test_each_region_tells_its_newest_state() -> None:
     assert (middle.seen, middle.changes, middle.undone, middle.borrowed) == (4, 2, 1, True)
     assert middle.process.endswith("(4 records)")
     assert middle.cause == "aggressive"
-    assert middle.trial == "restoring the verified set"
+    assert middle.trial == "rolling back to the verified gains"
 
 
 def test_the_overview_says_what_is_known_borrowed_and_advised() -> None:

@@ -63,17 +63,18 @@ def test_every_kind_of_decision_has_a_page(kind: str) -> None:
     ("document", "said", "unsaid"),
     [
         (COMMIT, ["Written to the controller: Kc from 2.4 to 1.5 (x 0.625), tau_I from 150 to 250 s (x 1.67).",
-                  "the loop overshot by 53% of the first peak, damping 0.45", "62% of the way, in the logarithms",
-                  "Ms 2.88 before, Ms 1.65 after; at worst, on the models still allowed, Ms 2.03",
+                  "the loop overshot by 53% of the first peak, half-cycle decay ratio 0.45", "62% of the full change",
+                  "Ms 2.88 before, Ms 1.65 after; worst case over the plausible models Ms 2.03",
                   "By eye: tau_I 150 s under a period of 190 s: the rule does not say"], ["Advised"]),
-        (ADVISED, ["Advised, not written: Kc from 2.4 to 1.5"], ["Written"]),
-        (REFUSED, ["Refused: not robust on every model.", "Nothing was changed.", "at worst unstable"], ["Written"]),
-        (RESTORED, ["The settings from before were put back", "The loop answers worse than was promised."],
-         ["<h3>Proof", "<h3>Cause", "<h3>Proposal", "let through"]),
-        (PATTERN, ["Rule pattern, from the pattern of the response, without a model."],
-         ["<h3>Proof", "<h3>Cause", "<h3>What is known"]),
-        (BORROWED, ["Rule simc, tau_c 36 s, from the neighbours&#x27; process (borrowed).", "26 +- 9 ",
-                    "none of its own: borrowed from its neighbours"], []),
+        (ADVISED, ["Proposed, not written: Kc from 2.4 to 1.5"], ["Written"]),
+        (REFUSED, ["Refused: not robust even at a quarter of the change.", "Nothing was changed.",
+                   "worst case unstable"], ["Written"]),
+        (RESTORED, ["Rolled back to the previous settings", "The loop responds worse than predicted."],
+         ["<h3>Proof", "<h3>Cause", "<h3>Proposal", "accepted"]),
+        (PATTERN, ["Rule pattern, from the response pattern, without a model."],
+         ["<h3>Proof", "<h3>Cause", "<h3>Process model"]),
+        (BORROWED, ["Rule simc, tau_c 36 s, from the neighbouring regions&#x27; models.", "26 +- 9 ",
+                    "none of its own: estimated from neighbouring regions"], []),
     ],
 )  # fmt: skip
 def test_the_page_says_what_happened(document: dict[str, object], said: list[str], unsaid: list[str]) -> None:
@@ -122,7 +123,10 @@ def test_the_formula_is_shown_only_where_it_gives_the_proposal() -> None:
     right = changed(proposal={**proposal, "parallel": {"kp": kc, "ki": kc / tau1, "kd": 0.0}})
     text = article(view(right, drawn=False))
     assert "Kc = 244.5/(2 * (36 + 31.5))" in text
-    assert "Put in with half a sampling interval in theta, half of tau2 in theta and half in tau1 (half rule)." in text
+    assert (
+        "With half a sampling interval added to theta, half of tau2 added to theta and half to tau1 (half rule)."
+        in text
+    )
     assert "Skogestad 2003" in text
 
 
@@ -142,7 +146,7 @@ def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
         "165 s (163 .. never at rest)",
         "never at rest",
         "over the 5 models",
-        "Ms promised: 1.56 (1.5 .. 1.72).",
+        "Predicted Ms: 1.56 (1.5 .. 1.72).",
     ):
         assert told in text, told
     promise: Any = COMMIT["promise"]
@@ -152,10 +156,12 @@ def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
 
 def test_a_judged_response_shows_measured_beside_promised() -> None:
     text = article(view(RESTORED, drawn=False))
-    assert "<td>ratio of successive peaks</td><td>0.6</td><td>0.1</td><td>0.25</td><td>never at rest</td>" in text
-    assert "allowed, at least</td><td>2.64</td><td>1.56</td><td>2.1</td><td>unstable</td>" in text
-    assert "settings before, at least</td><td>0.8</td><td></td><td>1.5</td><td></td>" in text
-    assert "<p>Worse than promised: successive peaks in the ratio 0.60.</p>" in text
+    assert (
+        "<td>half-cycle decay ratio, as judged</td><td>0.6</td><td>0.1</td><td>0.25</td><td>never at rest</td>" in text
+    )
+    assert "plausible models</td><td>2.64</td><td>1.56</td><td>2.1</td><td>unstable</td>" in text
+    assert "relative to the previous settings</td><td>0.8</td><td></td><td>1.5</td><td></td>" in text
+    assert "<p>Worse than predicted: half-cycle decay ratio 0.60.</p>" in text
     assert "Kc from 1.5 to 2.4" in text
 
 
@@ -168,7 +174,7 @@ def test_the_page_of_a_change_tells_what_came_of_it() -> None:
     assert [one["number"] for one in later] == [10, 12]
     text = article(replace(view(drawn=False), later=later))
     assert "Not judged: cut." in text
-    assert "UNDONE: restore Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
+    assert "ROLLED BACK: rolled back: Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
     assert what_came_of(REFUSED, [COMMIT, told]) == ()
 
 
@@ -183,16 +189,16 @@ def test_pages_are_for_what_changes_and_the_newest_of_the_rest() -> None:
 
 def test_one_line_says_the_same_in_short() -> None:
     assert one_line(COMMIT).split(" | ") == [
-        "setpoint response, overshoot 53%, damping 0.45, period 190 s",
+        "setpoint response, overshoot 53%, half-cycle decay ratio 0.45, period 190 s",
         "aggressive: Ms 2.88 is over 1.8, gain margin 1.72",
         "k 2 tau1 240 s tau2 9 s theta 26 s (2 records)",
-        "write Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s, Ms 2.88 -> 1.65 (at worst 2.03, 62% of the step)",
+        "written: Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s, Ms 2.88 -> 1.65 (worst case 2.03, 62% of the full change)",
     ]
     assert one_line(REFUSED).endswith("theta 26 s (2 records) | no change")
     assert one_line(RESTORED) == (
-        "undecided: the loop answers worse than was promised | restore Kc 1.5 tau_I 250 s -> Kc 2.4 tau_I 150 s"
+        "undecided: the loop responds worse than predicted | rolled back: Kc 1.5 tau_I 250 s -> Kc 2.4 tau_I 150 s"
     )
-    assert "(borrowed from its neighbours) | write" in one_line(BORROWED)
+    assert "(from neighbouring regions) | write" in one_line(BORROWED)
     assert one_line(PATTERN).endswith("| write Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s")
 
 

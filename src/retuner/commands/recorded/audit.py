@@ -19,6 +19,7 @@ from retuner.commands.options import Json, signed_by
 from retuner.commands.recorded.record_form import FormOptions, record_form
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
+from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)
 SHOWN = 10
@@ -89,8 +90,8 @@ def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, stor
     left = [task for task in found.tasks if any(done.get(tag) != signed[task] for tag in task.tags)]
     store.drop_others(set(found.tags))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    quiet = options.as_json or not sys.stderr.isatty()
-    with Progress(*columns, console=screen_console(stderr=True), disable=quiet) as bar:
+    hidden = options.as_json or quiet() or not sys.stderr.isatty()
+    with Progress(*columns, console=screen_console(stderr=True), disable=hidden) as bar:
         shown = bar.add_task("loops", total=len(found.tags), completed=len(found.tags) - sum(len(t.tags) for t in left))
         try:
             for task, rows in _done(left, settings, options):

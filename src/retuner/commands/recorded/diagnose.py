@@ -32,6 +32,7 @@ from retuner.errors import user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
 from retuner.tuning import tuning_lines
+from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
@@ -75,7 +76,7 @@ def diagnose(options: DiagnoseOptions) -> int:
     read = read_loop(options)
     recording = read.recording
     require_length(recording)
-    with user_input(recording.source):
+    with user_input(recording.source), busy(f"diagnosing {recording.source}"):
         found = _found(recording, gains, options)
     if options.plot is not None:
         write_whole(options.plot, _picture(found, options))

@@ -27,6 +27,7 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.gains import PidGains
 from retuner.tuning import tuning_lines
+from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
@@ -57,7 +58,7 @@ def identify(options: IdentifyOptions) -> int:
     require_length(recording)
     if options.region_by or options.bounds:
         return _by_region(recording, read.assumed, gains, options)
-    with user_input(recording.source):
+    with user_input(recording.source), busy(f"identifying {recording.source}"):
         found = identify_record(
             recording.window(), open_loop=options.open_loop, gains=gains, co_min=options.co_min, co_max=options.co_max
         )
@@ -84,7 +85,7 @@ def _by_region(
             f"--region-by {options.region_by or 'nothing'}: give pv, sp or co, with --bounds, without --plot"
         )
     limits = {"co_min": options.co_min, "co_max": options.co_max}
-    with user_input(f"{recording.source}, --bounds {options.bounds}"):
+    with user_input(f"{recording.source}, --bounds {options.bounds}"), busy(f"identifying {recording.source}"):
         bounds = [float(text) for text in options.bounds.split(",")]
         by = signals[options.region_by]
         found = identify_by_region(window, by, bounds, open_loop=options.open_loop, gains=gains, **limits)

@@ -12,6 +12,7 @@ from retuner.drivers.historian.assumption import Assumption, in_a_line, in_full
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import COLUMN_ROLES, RecordForm, form_from_toml
 from retuner.errors import UserError, user_input
+from retuner.verbosity import LOGGER, busy, quiet
 
 PANEL = "The form of the record (else found in it, and told)"
 
@@ -85,12 +86,16 @@ def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bo
     UserError, RecordingError
         A file or an option cannot be used.
     """
-    return read_loop_record(files, record_form(options), in_automatic=in_automatic)
+    names = ", ".join(map(str, files))
+    with busy(f"reading {names}"):
+        read = read_loop_record(files, record_form(options), in_automatic=in_automatic)
+    LOGGER.info("read %d samples from %s", len(read.recording.t_s), names)
+    return read
 
 
 def tell_assumed(assumed: tuple[Assumption, ...], options: FormOptions) -> None:
     """What was assumed, on the error stream, beside the result: in one line, or as a [record] section."""
     if options.assume:
         sys.stderr.write("\n".join(in_full(assumed)) + "\n")
-    elif assumed:
+    elif assumed and not quiet():
         sys.stderr.write(f"assumed: {in_a_line(assumed)} (--assume prints how to fix it otherwise)\n")

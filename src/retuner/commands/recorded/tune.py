@@ -17,6 +17,7 @@ from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
 from retuner.schedule.forms import proportional_band_pct, repeats_per_min
 from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
+from retuner.verbosity import busy
 
 app = typer.Typer(add_completion=False)
 
@@ -101,7 +102,7 @@ def tune(options: TuneOptions) -> int:
 
 def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
     """Settings by the rule that is named."""
-    with user_input("retuner tune"):
+    with user_input("retuner tune"), busy("tuning"):
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
     if options.plot is not None:
         _draw_one(model, result, options.plot)

@@ -1,0 +1,1 @@
+"""A gain schedule from ordinary records: curves of the process over a scheduling variable, and the fewest sets."""

@@ -1,0 +1,186 @@
+"""The whole way: records and a variable in, curves, places and the fewest sets out."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.schedule_design.cover import Layout, knots, steps
+from retuner.adaptive.schedule_design.curves import Curves, curves
+from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
+from retuner.adaptive.schedule_design.shapes import Axis
+from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.table import Lookup
+
+PLACES = 25
+"""Places along the variable that are looked at."""
+MOST_SETS = 8
+ROWS = 400
+"""Rows wanted in a typical stretch."""
+LEAST_TRAVEL = 6.0
+"""A variable that moves by no more than so many standard deviations of its noise is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """A candidate variable and what speaks for it. ln_evidence : over a process that is the same everywhere."""
+
+    variable: str
+    ln_evidence: float
+    log_likelihood: float
+    changes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A schedule and what it rests on.
+
+    variable : that it follows. places : along it. layout : the sets; None where nothing is known well enough.
+    hysteresis, min_stay_s, filter_s : of the lookup. candidates : the variables that were weighed. reason : in words.
+    """
+
+    variable: str
+    curves: Curves
+    places: tuple[Place, ...]
+    layout: Layout | None
+    hysteresis: float
+    min_stay_s: float
+    candidates: tuple[Evidence, ...]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A variable at the samples of every record."""
+
+    name: str
+    values: tuple[FloatArray, ...]
+
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest value visited, noise apart."""
+        low = min(float(np.quantile(v, 0.001)) for v in self.values)
+        high = max(float(np.quantile(v, 0.999)) for v in self.values)
+        return low, high
+
+    def noise(self) -> float:
+        """Standard deviation of its noise."""
+        return max(noise_sigma(v) for v in self.values)
+
+
+def design(
+    windows: Sequence[Window],
+    candidates: Sequence[Candidate],
+    limits: DesignLimits,
+    lookup: str,
+    span: tuple[float | None, float | None],
+    progress: Callable[[str, float], None],
+) -> Design:
+    """A schedule along the candidate for which most speaks.
+
+    Parameters
+    ----------
+    windows : the records. candidates : variables that the gains may follow. lookup : "hard", "interpolated", "auto".
+    span : ends of the variable where they are given.
+
+    Raises
+    ------
+    ValueError
+        Nothing moves in the records, or no candidate does.
+    """
+    able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
+    if not able:
+        named = ", ".join(c.name for c in candidates)
+        raise ValueError(f"{named}: does not move in the records beyond its noise; nothing can be told over it")
+    found = {}
+    for i, candidate in enumerate(able):
+        low, high = (given if given is not None else own for given, own in zip(span, candidate.span(), strict=True))
+        axis = Axis(low, high)
+
+        def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
+            progress(f"{name}: {stage}", (i + share) / (len(able) + 0.3))
+
+        found[candidate.name] = curves(_stretches(windows, candidate), axis, told)
+    evidence = tuple(_evidence(name, c) for name, c in found.items())
+    best = max(evidence, key=lambda e: e.log_likelihood)
+    chosen = next(c for c in able if c.name == best.variable)
+    progress("the fewest sets", len(able) / (len(able) + 0.3))
+    return _designed(chosen, found[best.variable], windows, limits, lookup, evidence)
+
+
+def _evidence(name: str, found: Curves) -> Evidence:
+    changes = any(shape > 1 for shape in found.form.shapes)
+    return Evidence(name, found.evidence, found.log_likelihood, changes)
+
+
+def _stretches(windows: Sequence[Window], candidate: Candidate) -> list[Stretch]:
+    """All stretches of all records."""
+    found: list[Stretch] = []
+    for window, values in zip(windows, candidate.values, strict=True):
+        found += moving(cut(signals_of(window, values, _every(window))))
+    return found
+
+
+def _every(window: Window) -> int:
+    """Samples in an interval: a typical time between setpoint changes has ROWS."""
+    n = len(window.t_s)
+    changes = int(np.count_nonzero(np.abs(np.diff(window.sp)) > 0.01 * np.ptp(window.sp))) if np.ptp(window.sp) else 0
+    return max(1, round(n / (changes + 1) / ROWS)) if changes < n / 20 else max(1, n // 40 // ROWS)
+
+
+def _designed(
+    chosen: Candidate,
+    found: Curves,
+    windows: Sequence[Window],
+    limits: DesignLimits,
+    lookup: str,
+    evidence: tuple[Evidence, ...],
+) -> Design:
+    """Places, sets and the numbers of the lookup."""
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    grid = found.form.axis.grid(PLACES)
+    places = tuple(place_at(found, float(x), dt, limits) for x in grid)
+    known = sum(place.known for place in places)
+    if not known:
+        least = min(places, key=lambda p: p.gain_std)
+        factor = math.exp(least.gain_std)
+        reason = f"nowhere known well enough: the gain that follows is known to a factor of {factor:.2f} at best"
+        return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
+    layout = _layout(places, limits, lookup)
+    border = _hysteresis(chosen, layout)
+    stay = max(p.model.theta_s for p in places if p.known) if layout is not None and len(layout.sets) > 1 else 0.0
+    if layout is None:
+        return Design(
+            chosen.name, found, places, None, 0.0, 0.0, evidence, f"more than {MOST_SETS} sets would be needed"
+        )
+    sets = len(layout.sets)
+    how = "one set serves every place" if sets == 1 else f"{sets} sets, {layout.lookup}"
+    return Design(chosen.name, found, places, layout, border, stay, evidence, how)
+
+
+def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:
+    """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
+    options = [] if lookup == Lookup.INTERPOLATED else [steps(places, limits, MOST_SETS)]
+    if lookup != Lookup.HARD:
+        options.append(knots(places, limits, MOST_SETS))
+    able = [layout for layout in options if layout is not None]
+    return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
+
+
+def _mean_j(places: Sequence[Place], layout: Layout) -> float:
+    return float(np.mean([p.judged(layout.gains_at(p.x)).j for p in places if p.known]))
+
+
+def _hysteresis(chosen: Candidate, layout: Layout | None) -> float:
+    """Three standard deviations of the variable's noise, and a hundredth of the range; within what the sets allow."""
+    if layout is None or layout.lookup is not Lookup.HARD or len(layout.sets) == 1:
+        return 0.0
+    low, high = chosen.span()
+    narrowest = min(b - a for a, b in zip(layout.edges, layout.edges[1:], strict=False))
+    wanted = max(3 * chosen.noise(), 0.01 * (high - low))
+    return min(wanted, 0.4 * narrowest)
+
+
+__all__ = ["Candidate", "Design", "Evidence", "design"]

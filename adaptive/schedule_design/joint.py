@@ -1,0 +1,292 @@
+"""All stretches and the curves through them: one misfit, its derivatives, and its smallest value.
+
+    r = white(pv - y(z) - start - slope - loads) / sigma,      least |r|^2 + |z|^2
+
+Start, slope and load steps of each stretch enter linearly and are solved for (variable projection, Kaufman's
+derivatives, 1975). What is left is filtered white by one autoregression, and every stretch counts by what it leaves, so
+that one with an upset that nothing explains does not speak loudest.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.schedule_design.motion import Batch, Local, response
+from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.signals.sample import FloatArray
+
+STEP = 1e-4
+"""Of z, for derivatives."""
+ITERATIONS = 30
+SETTLED = 1e-3
+"""Fall of the misfit that ends the search."""
+LARGEST_MOVE = 0.7
+"""Largest change of any ln p in one iteration."""
+WIDTH = 48
+"""Stretches simulated side by side."""
+PARAMETERS = ("b", "theta", "tau", "tau2")
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What is fitted. shapes : of ln b, ln theta, ln tau and, where there is a second lag, ln tau2.
+
+    centre : of the prior of each. sign : of the process gain. axis : see Axis.
+    """
+
+    axis: Axis
+    shapes: tuple[Shape, ...]
+    centre: tuple[float, ...]
+    sign: int
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients z."""
+        return sum(self.shapes)
+
+    @property
+    def places(self) -> tuple[slice, ...]:
+        """Where each parameter's coefficients stand in z."""
+        ends = np.cumsum(self.shapes).tolist()
+        return tuple(slice(end - int(shape), end) for end, shape in zip(ends, self.shapes, strict=True))
+
+    def curves(self, x: FloatArray, z: FloatArray) -> list[FloatArray]:
+        """ln p at x for each variant of z, shape (size, variants): each (*x.shape, variants)."""
+        return [
+            centre + self.axis.columns(x, shape) @ z[place]
+            for centre, shape, place in zip(self.centre, self.shapes, self.places, strict=True)
+        ]
+
+    def with_shapes(self, shapes: Sequence[Shape], z: FloatArray) -> tuple["Form", FloatArray]:
+        """The same with other shapes, and z carried over: what is new is zero, what goes is lost."""
+        carried = []
+        for place, new in zip(self.places, shapes, strict=True):
+            old = z[place][: int(new)]
+            carried.append(np.pad(old, (0, int(new) - len(old))))
+        return replace(self, shapes=tuple(shapes)), np.concatenate(carried)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What is left, as noise. ar : its autoregression. sigma : of its innovations, one for each stretch."""
+
+    ar: tuple[float, ...]
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Stretches beside each other with the load steps found in them. loads : rows in which they enter, by stretch."""
+
+    batches: tuple[Batch, ...]
+    loads: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, stretches: Sequence[Stretch]) -> "Joint":
+        """Stretches by length, no loads yet."""
+        ordered = sorted(stretches, key=len)
+        batches = [Batch.of(ordered[i : i + WIDTH]) for i in range(0, len(ordered), WIDTH)]
+        return cls(tuple(batches), ((),) * len(ordered))
+
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """In the order of the batches."""
+        return tuple(s for batch in self.batches for s in batch.stretches)
+
+
+@dataclass(frozen=True, slots=True)
+class At:
+    """The misfit at one z. r : whitened, scaled, shape (n,). left : pv that is not explained, one array a stretch.
+
+    jacobian : dr/dz, shape (n, size), or None. starts, sizes : slope at the start, and sizes of the loads in co units.
+    """
+
+    z: FloatArray
+    r: FloatArray
+    left: tuple[FloatArray, ...]
+    jacobian: FloatArray | None
+    starts: FloatArray
+    sizes: tuple[FloatArray, ...]
+
+    @property
+    def cost(self) -> float:
+        """Misfit with the prior's share."""
+        return float(self.r @ self.r + self.z @ self.z)
+
+
+def at(joint: Joint, form: Form, z: FloatArray, noise: Noise, *, derivatives: bool) -> At:
+    """The misfit at z, with its derivatives where they are wanted."""
+    parts: list[At] = []
+    done = 0
+    for batch in joint.batches:
+        end = done + len(batch.stretches)
+        part = Noise(noise.ar, noise.sigma[done:end])
+        parts.append(_at_batch(batch, joint.loads[done:end], form, z, part, derivatives=derivatives))
+        done = end
+    jacobian = np.concatenate([p.jacobian for p in parts if p.jacobian is not None]) if derivatives else None
+    return At(
+        z,
+        np.concatenate([p.r for p in parts]),
+        tuple(left for p in parts for left in p.left),
+        jacobian,
+        np.concatenate([p.starts for p in parts]),
+        tuple(size for p in parts for size in p.sizes),
+    )
+
+
+def local_at(form: Form, batch: Batch, z: FloatArray) -> Local:
+    """The process at every row for each variant of z, shape (size, variants)."""
+    curves = form.curves(batch.x, z)
+    return Local(curves[0], curves[1], curves[2], curves[3] if len(curves) > 3 else None)
+
+
+def _at_batch(
+    batch: Batch,
+    loads: Sequence[tuple[int, ...]],
+    form: Form,
+    z: FloatArray,
+    noise: Noise,
+    *,
+    derivatives: bool,
+) -> At:
+    """The same for one batch."""
+    now = local_at(form, batch, z[:, None])
+    arriving = form.sign * batch.arriving(np.exp(now.theta))
+    y = response(now, arriving, batch.h_s)[..., 0]
+    columns = _columns(batch, loads, now)
+    rs, lefts, bases, starts, sizes = [], [], [], [], []
+    for j, stretch in enumerate(batch.stretches):
+        n = len(stretch)
+        a = white(columns[j][:n], noise.ar) / noise.sigma[j]
+        b = white(batch.pv[:n, j] - y[:n, j], noise.ar) / noise.sigma[j]
+        q, triangle = np.linalg.qr(a)
+        coefficients = np.linalg.lstsq(triangle, q.T @ b, rcond=1e-10)[0]
+        rs.append(b - q @ (q.T @ b))
+        lefts.append(batch.pv[:n, j] - y[:n, j] - columns[j][:n] @ coefficients)
+        bases.append(q)
+        starts.append(coefficients[1])
+        sizes.append(coefficients[2 : 2 + len(loads[j])])
+    found = At(z, np.concatenate(rs), tuple(lefts), None, np.array(starts), tuple(sizes))
+    if not derivatives:
+        return found
+    return replace(found, jacobian=_jacobian(batch, loads, form, found, noise, bases))
+
+
+def _jacobian(
+    batch: Batch,
+    loads: Sequence[tuple[int, ...]],
+    form: Form,
+    now: At,
+    noise: Noise,
+    bases: Sequence[FloatArray],
+) -> FloatArray:
+    """dr/dz with what is solved for linearly held, then projected."""
+    variants = np.concatenate([now.z[:, None], now.z[:, None] + STEP * np.eye(form.size)], axis=1)
+    local = local_at(form, batch, variants)
+    arriving = form.sign * batch.arriving(np.exp(local.theta))
+    for j, rows in enumerate(loads):
+        for row, size in zip(rows, now.sizes[j], strict=True):
+            arriving[row:, j] += size
+    start = np.repeat(now.starts[:, None], variants.shape[1], axis=1)
+    y = response(local, arriving, batch.h_s, start)
+    moved = (y[..., 1:] - y[..., :1]) / STEP
+    found = []
+    for j, stretch in enumerate(batch.stretches):
+        a = white(moved[: len(stretch), j], noise.ar) / noise.sigma[j]
+        found.append(-(a - bases[j] @ (bases[j].T @ a)))
+    return np.concatenate(found)
+
+
+def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local) -> list[FloatArray]:
+    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps.
+
+    Of each load also the one a row later, so that its time need not be a row's.
+    """
+    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0)
+    steps = np.zeros((rows - 1, len(batch.stretches), most))
+    for j, entered in enumerate(loads):
+        for i, row in enumerate(entered, 1):
+            steps[row:, j, i] = 1.0
+    start = np.zeros(steps.shape[1:])
+    start[:, 0] = 1.0
+    y = response(now.repeated(most), steps, batch.h_s, start)
+    ones = np.ones((rows, 1))
+    return [np.concatenate([ones, y[:, j, : 1 + len(entered)]], axis=1) for j, entered in enumerate(loads)]
+
+
+def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
+    """Values along the first axis through the whitening filter, without its first rows."""
+    p = len(ar)
+    found = values[p:].copy()
+    for k, coefficient in enumerate(ar, 1):
+        found -= coefficient * values[p - k : len(values) - k]
+    return found
+
+
+def refined(joint: Joint, form: Form, z: FloatArray, noise: Noise, iterations: int = ITERATIONS) -> At:
+    """The smallest misfit near z (Levenberg and Marquardt)."""
+    now = at(joint, form, z, noise, derivatives=True)
+    damping = 1e-3
+    for _ in range(iterations):
+        step = _step(form, now, damping)
+        trial = at(joint, form, now.z + step, noise, derivatives=False)
+        if trial.cost < now.cost:
+            fall = now.cost - trial.cost
+            now = at(joint, form, trial.z, noise, derivatives=True)
+            damping = max(damping / 5, 1e-9)
+            if fall < SETTLED:
+                break
+        else:
+            damping *= 5
+            if damping > 1e6 or float(np.max(np.abs(step))) < 1e-6:
+                break
+    return now
+
+
+def _step(form: Form, now: At, damping: float) -> FloatArray:
+    """A damped step, no ln p moved too far."""
+    assert now.jacobian is not None
+    normal = now.jacobian.T @ now.jacobian + np.eye(form.size)
+    gradient = now.jacobian.T @ now.r + now.z
+    step = -np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64)
+    places = form.axis.grid(9)
+    farthest = max(
+        float(np.max(np.abs(c - m))) for c, m in zip(form.curves(places, step[:, None]), form.centre, strict=True)
+    )
+    return np.asarray(step * min(1.0, LARGEST_MOVE / max(farthest, 1e-12)), dtype=np.float64)
+
+
+MOST_ORDER = 3
+PRIOR_SAMPLES = 30.0
+"""Samples' worth of the common sigma in each stretch's own."""
+
+
+def noise_of(left: Sequence[FloatArray], floor: float) -> Noise:
+    """The autoregression of what is left, and each stretch's innovations.
+
+    floor : least sigma, in pv units.
+    """
+    rows = [_lags(x - np.mean(x), MOST_ORDER) for x in left if len(x) > 4 * MOST_ORDER]
+    scale = [max(float(np.std(x)), floor) for x in left if len(x) > 4 * MOST_ORDER]
+    matrix = np.concatenate([m / s for m, s in zip(rows, scale, strict=True)])
+    y, past = matrix[:, 0], matrix[:, 1:]
+    best, ar = len(y) * math.log(max(float(y @ y), 1e-300)), ()
+    for order in range(1, MOST_ORDER + 1):
+        coefficients = np.linalg.lstsq(past[:, :order], y, rcond=None)[0]
+        e = y - past[:, :order] @ coefficients
+        criterion = len(y) * math.log(max(float(e @ e), 1e-300)) + order * math.log(len(y))
+        if criterion < best:
+            best, ar = criterion, tuple(coefficients.tolist())
+    variances = [max(float(np.mean(white(x, ar) ** 2)), floor**2) if len(x) > len(ar) + 3 else floor**2 for x in left]
+    common = float(np.median(variances))
+    sizes = np.array([len(x) for x in left])
+    sigma = np.sqrt((PRIOR_SAMPLES * common + sizes * np.array(variances)) / (PRIOR_SAMPLES + sizes))
+    return Noise(ar, np.maximum(sigma, floor))
+
+
+def _lags(x: FloatArray, most: int) -> FloatArray:
+    """Rows of x_i, x_(i-1), ..., x_(i-most)."""
+    return np.stack([x[most - k : len(x) - k] for k in range(most + 1)], axis=1)

@@ -1,0 +1,120 @@
+"""How a process moves whose gain, lags and dead time change along the way, by the velocity of its output.
+
+    dw/dt = -w / tau + b ds/dt,   dy/dt = w,   tau2 dv/dt = u(t - theta) - v,   s = v        b = k / tau
+
+This is what any dy/dt = f(y, v, z) does, however far and fast it travels, when 1/tau, b are -df/dy, df/dv where it is
+at the time (velocity-based linearisation, Leith and Leithead 1998, section 2): no resting points have to be known. An
+integrating process has 1/tau = 0. co is held between rows at its mean over the interval that arrives in it.
+
+Arrays have the row first: (rows, stretches) or (rows, stretches, variants).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.signals.sample import FloatArray
+
+
+class Local(NamedTuple):
+    """ln b, ln theta, ln tau, ln tau2 at every row, each of shape (rows, stretches, variants).
+
+    tau : None for an integrating process. tau2 : None without a second lag.
+    """
+
+    b: FloatArray
+    theta: FloatArray
+    tau: FloatArray | None
+    tau2: FloatArray | None
+
+    def repeated(self, variants: int) -> "Local":
+        """The one variant that it has, so many times."""
+        b, theta, tau, tau2 = (None if p is None else np.broadcast_to(p, (*p.shape[:2], variants)) for p in (*self,))
+        assert b is not None
+        assert theta is not None
+        return Local(b, theta, tau, tau2)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Stretches of like length beside each other, the shorter ones filled up. Shapes (rows, stretches).
+
+    pv, x : filled with their last value. inside : which rows are real. h_s : of each stretch, shape (stretches,).
+    """
+
+    stretches: tuple[Stretch, ...]
+    pv: FloatArray
+    x: FloatArray
+    inside: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    h_s: FloatArray
+
+    @classmethod
+    def of(cls, stretches: Sequence[Stretch]) -> "Batch":
+        """Stretches as they come."""
+        rows = max(len(s) for s in stretches)
+        pv, x = (
+            np.stack([np.pad(values, (0, rows - len(values)), mode="edge") for values in several], axis=1)
+            for several in ([s.pv for s in stretches], [s.x for s in stretches])
+        )
+        inside = np.stack([np.arange(rows) < len(s) for s in stretches], axis=1)
+        return cls(tuple(stretches), pv, x, inside, np.array([s.signals.h_s for s in stretches]))
+
+    def arriving(self, theta_s: FloatArray) -> FloatArray:
+        """Mean co that arrives between row i and i + 1, shape (rows - 1, stretches, variants).
+
+        theta_s : at every row, shape (rows, stretches, variants).
+        """
+        found = np.empty((theta_s.shape[0] - 1, *theta_s.shape[1:]))
+        for j, stretch in enumerate(self.stretches):
+            h = float(self.h_s[j])
+            t = stretch.t_s[0] + h * np.arange(theta_s.shape[0])
+            ends = t[:, None] - theta_s[:, j]
+            fired = stretch.fired(ends)
+            span = np.diff(ends, axis=0)
+            found[:, j] = np.diff(fired, axis=0) / np.maximum(span, 0.1 * h)
+        return found
+
+
+def response(local: Local, arriving: FloatArray, h_s: FloatArray, start: FloatArray | None = None) -> FloatArray:
+    """y from zero, shape (rows, stretches, variants).
+
+    arriving : the input held after each row. start : slope w at the first row, shape (stretches, variants).
+    """
+    h = h_s[:, None]
+    s = arriving if local.tau2 is None else _lagged(np.exp(local.tau2[:-1]), arriving, h)
+    kick = np.zeros_like(s)
+    kick[1:] = np.exp(local.b[1:-1]) * np.diff(s, axis=0)
+    if local.tau is None:
+        decay, gain = np.ones_like(s), np.broadcast_to(h, s.shape)
+    else:
+        tau = np.exp(local.tau[:-1])
+        decay = np.exp(-h / tau)
+        gain = tau * (1 - decay)
+    return _run(kick, decay, gain, start)
+
+
+def _run(kick: FloatArray, decay: FloatArray, gain: FloatArray, start: FloatArray | None) -> FloatArray:
+    """The two recursions of w and y."""
+    y = np.zeros((len(kick) + 1, *kick.shape[1:]))
+    w = np.zeros(kick.shape[1:]) if start is None else np.array(start, dtype=np.float64)
+    for i in range(len(kick)):
+        w += kick[i]
+        np.multiply(w, gain[i], out=y[i + 1])
+        w *= decay[i]
+    return np.cumsum(y, axis=0)
+
+
+def _lagged(tau2: FloatArray, held: FloatArray, h: FloatArray) -> FloatArray:
+    """Means over each interval of a first-order lag of the held input, which rests at the start."""
+    decay = np.exp(-h / tau2)
+    share = tau2 / h * (1 - decay)
+    found = np.empty_like(held)
+    v = held[0].copy()
+    for i in range(len(held)):
+        away = v - held[i]
+        found[i] = held[i] + away * share[i]
+        v = held[i] + away * decay[i]
+    return found

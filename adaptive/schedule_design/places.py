@@ -1,0 +1,149 @@
+"""Places along the variable: the process there, all that it may still be, and how well a set of gains serves it.
+
+J of a set at a place is (IAE_ys/IAE_ys' + IAE_d/IAE_d')/2 against the place's own settings, those that SIMC gives it
+with an Ms within its limit on every model that is still allowed (identification/robust_simc.py).
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.performance import load_variation, setpoint_variation
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.schedule_design.curves import Curves
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.gains import PidGains
+
+OUT = 2.0
+"""Standard deviations out at which a model is still allowed."""
+LEAST_STD = 0.02
+"""Of every ln p: no curve is known better than that."""
+LONGEST_LAG = 30.0
+"""A lag of so many dead times and more is as good as an integrator; longer ones are cut there, the slope gain kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class DesignLimits:
+    """What is demanded of a schedule.
+
+    ms : largest Ms at any place on any model still allowed; 1.5 to 2.5, default 1.8. j : largest J over that of the
+    place's own settings; 1.05 to 2, default 1.25. std : largest standard deviation of ln Kc with which a place counts
+    as known; 0.1 to 0.5, default 0.2 (identification's own limit).
+
+    Raises
+    ------
+    ValueError
+        A limit outside its range.
+    """
+
+    ms: float = 1.8
+    j: float = 1.25
+    std: float = 0.2
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("ms", 1.5, 2.5), ("j", 1.05, 2.0), ("std", 0.1, 0.5)):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} = {getattr(self, name)} is outside {low:g} to {high:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A set at a place. ms : on the likeliest model, ms_worst : on all allowed. j : see the head."""
+
+    ms: float
+    ms_worst: float
+    j: float
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One place x: the process, the models still allowed, and the settings that are its own.
+
+    ln_std : of ln b, ln theta, ln tau (, ln tau2). gain_std : of ln Kc of its own settings. known : whether settings
+    may follow. iae : of its own settings for a step of setpoint and of load.
+    """
+
+    x: float
+    model: ProcessModel
+    allowed: tuple[ProcessModel, ...]
+    ln_std: tuple[float, ...]
+    gain_std: float
+    known: bool
+    own: PidGains
+    iae: tuple[float, float]
+    sample_time_s: float
+    _judged: dict[PidGains, Judged] = field(default_factory=dict, repr=False, compare=False)
+
+    def judged(self, gains: PidGains) -> Judged:
+        """How a set does here; asked once."""
+        if gains not in self._judged:
+            self._judged[gains] = self._judge(gains)
+        return self._judged[gains]
+
+    def keeps(self, gains: PidGains, limits: DesignLimits) -> bool:
+        """Whether a set meets the limits here; a place that is not known demands nothing."""
+        if not self.known:
+            return True
+        if self._worst(gains) > max(limits.ms, self._worst(self.own)):
+            return False
+        return self.judged(gains).j <= limits.j
+
+    def _worst(self, gains: PidGains) -> float:
+        models = (m.seen_by_controller(self.sample_time_s).linear() for m in (self.model, *self.allowed))
+        return max(sensitivity_peak(m, gains) for m in models)
+
+    def _judge(self, gains: PidGains) -> Judged:
+        process = self.model.seen_by_controller(self.sample_time_s).linear()
+        ms, worst = sensitivity_peak(process, gains), self._worst(gains)
+        if not math.isfinite(ms):
+            return Judged(ms, worst, math.inf)
+        setpoint, load = iae(self.model, gains, self.sample_time_s)
+        return Judged(ms, worst, 0.5 * (setpoint / self.iae[0] + load / self.iae[1]))
+
+
+def iae(model: ProcessModel, gains: PidGains, sample_time_s: float) -> tuple[float, float]:
+    """For a unit step of setpoint and of load, of a stable loop."""
+    process = model.seen_by_controller(sample_time_s).linear()
+    setpoint = setpoint_variation(process, gains, derivative_on_setpoint=False, with_output=False)
+    return setpoint.error, load_variation(process, gains, with_output=False).error
+
+
+def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimits) -> Place:
+    """The place x of some curves."""
+    ln = curves.ln(np.array([x]))[0]
+    covariance = curves.ln_covariance(x) + LEAST_STD**2 * np.eye(len(ln))
+    sign = curves.form.sign
+    model = model_of(ln, sign)
+    values, vectors = np.linalg.eigh(covariance)
+    ways = OUT * vectors * np.sqrt(np.maximum(values, 0.0))
+    allowed = tuple(model_of(ln + side * way, sign) for way in ways.T for side in (1.0, -1.0))
+    settings = RobustSettings(ms_worst=max(limits.ms - 0.03, 1.5))
+    own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
+    spread = _gain_spread(ln, covariance)
+    std = tuple(float(s) for s in np.sqrt(np.diag(covariance)))
+    known = spread <= limits.std
+    return Place(x, model, allowed, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
+
+
+def _gain_spread(ln: FloatArray, covariance: FloatArray) -> float:
+    """Standard deviation of ln Kc = -ln b - ln(theta + tau2/2), the larger part of SIMC's answer."""
+    effective = np.exp(ln[1]) + (0.5 * np.exp(ln[3]) if len(ln) > 3 else 0.0)
+    way = np.zeros(len(ln))
+    way[0], way[1] = 1.0, np.exp(ln[1]) / effective
+    if len(ln) > 3:
+        way[3] = 0.5 * np.exp(ln[3]) / effective
+    return float(np.sqrt(way @ covariance @ way))
+
+
+def model_of(ln: FloatArray, sign: int) -> ProcessModel:
+    """The model of ln b, ln theta, ln tau (, ln tau2)."""
+    slope, theta, tau = sign * math.exp(ln[0]), math.exp(ln[1]), math.exp(ln[2])
+    tau2 = math.exp(ln[3]) if len(ln) > 3 else 0.0
+    tau = min(tau, LONGEST_LAG * (theta + tau2))
+    if not tau2:
+        return ProcessModel(ProcessType.FOPDT, slope * tau, tau, 0.0, theta)
+    return ProcessModel(ProcessType.SOPDT, slope * tau, max(tau, tau2), min(tau, tau2), theta)

@@ -1,0 +1,66 @@
+"""Shapes of a parameter over the scheduling variable, and what is thought of them before any record.
+
+    ln p(x) = m + 3 z_0 + 0.7 z_1 xi(x) + 0.35 sum_j z_j e_j(x),    z ~ N(0, 1),    xi from -1 to 1 over the range
+
+Level, slope, and bends: e_j are the principal components of a straight-line-free integrated Wiener process on a few
+knots (the prior of the smoothing spline, Wahba 1978). With the bends left out it is a line in ln p, with the slope left
+out as well a constant; which of the three holds, the evidence decides for each parameter by itself.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+
+LEVEL_STD, SLOPE_STD, BEND_STD = 3.0, 0.7, 0.35
+"""Of ln p: whole level; either end against the middle (a factor of 4 over the range is one); departure from a line."""
+BENDS = 4
+"""Principal components of a bend."""
+KNOTS = 9
+
+
+class Shape(IntEnum):
+    """How many coefficients a parameter has."""
+
+    CONSTANT = 1
+    LINE = 2
+    BENT = 2 + BENDS
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Where the curves live: low to high of the scheduling variable."""
+
+    low: float
+    high: float
+
+    def columns(self, x: FloatArray, shape: Shape) -> FloatArray:
+        """d ln p(x) / dz, shape (*x.shape, shape). Outside low..high it is what it is at the end."""
+        xi = np.clip(2 * (x - self.low) / (self.high - self.low) - 1, -1.0, 1.0)
+        found = [np.full(x.shape, LEVEL_STD), SLOPE_STD * xi]
+        found += [np.interp(xi, _PLACES, bend) for bend in _BENT.T]
+        return np.stack(found[: int(shape)], axis=-1)
+
+    def grid(self, n: int) -> FloatArray:
+        """n places from low to high."""
+        return np.linspace(self.low, self.high, n)
+
+
+def _bends() -> FloatArray:
+    """The bends at the knots, shape (KNOTS, BENDS), scaled by BEND_STD."""
+    t = np.linspace(0.0, 1.0, KNOTS)
+    early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    wiener = early**2 * (3 * late - early) / 6
+    line = np.stack([np.ones(KNOTS), t], axis=1)
+    q = np.linalg.qr(line)[0]
+    free = np.eye(KNOTS) - q @ q.T
+    values, vectors = np.linalg.eigh(free @ wiener @ free)
+    bends = vectors[:, ::-1][:, :BENDS] * np.sqrt(values[::-1][:BENDS])
+    typical = np.sqrt(np.mean(np.sum(bends**2, axis=1)))
+    return np.asarray(bends * BEND_STD / typical, dtype=np.float64)
+
+
+_PLACES = np.linspace(-1.0, 1.0, KNOTS)
+_BENT = _bends()

@@ -1,0 +1,127 @@
+"""Where to start: one process for all stretches, over a grid of lag and dead time; and load steps, one by one."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, local_at, white
+from retuner.adaptive.schedule_design.motion import Batch, Local, response
+from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray
+
+NODES = 10
+"""Lags and dead times each."""
+MOST_STRETCHES = 40
+"""Those that move most are searched; the refinement uses all."""
+NEARLY_DIFFERENCED = (0.97,)
+"""The whitening of the search: slow loads then weigh little."""
+
+
+def start(stretches: Sequence[Stretch], axis: Axis) -> tuple[Form, FloatArray]:
+    """A constant process: its form, and z (zero, as the prior is centred on it)."""
+    chosen = sorted(stretches, key=_excitation, reverse=True)[:MOST_STRETCHES]
+    batch = Batch.of(chosen)
+    h = float(np.median(batch.h_s))
+    longest = h * max(map(len, chosen))
+    lags = np.geomspace(2 * h, 3 * longest, NODES)
+    thetas = np.geomspace(0.5 * h, 0.3 * longest, NODES)
+    best = (math.inf, 0.0, 0.0, 0.0)
+    for theta in thetas.tolist():
+        for lag, cost, slope in zip(lags.tolist(), *_searched(batch, lags, theta), strict=True):
+            if cost < best[0]:
+                best = (cost, slope, theta, lag)
+    _, slope, theta, lag = best
+    centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
+    form = Form(axis, (Shape.CONSTANT,) * 3, centre, 1 if slope >= 0 else -1)
+    return form, np.zeros(form.size)
+
+
+def _excitation(stretch: Stretch) -> float:
+    """Travel of pv over its noise."""
+    return float(np.ptp(stretch.pv)) / max(noise_sigma(stretch.pv), 1e-12 * float(np.ptp(stretch.pv)) + 1e-300)
+
+
+def _searched(batch: Batch, lags: FloatArray, theta: float) -> tuple[list[float], list[float]]:
+    """Misfit and slope gain for each lag at one dead time."""
+    shape = (len(batch.pv), len(batch.stretches), len(lags))
+    ln_tau = np.broadcast_to(np.log(lags), shape)
+    local = Local(np.zeros(shape), np.full(shape, math.log(theta)), ln_tau, None)
+    arriving = np.repeat(batch.arriving(np.full((*shape[:2], 1), theta)), len(lags), axis=2)
+    moved = response(local, arriving, batch.h_s)
+    begun = response(local, np.zeros_like(arriving), batch.h_s, np.ones(shape[1:]))
+    costs, slopes = [], []
+    for i in range(len(lags)):
+        xx = xy = yy = 0.0
+        for j, stretch in enumerate(batch.stretches):
+            n = len(stretch)
+            columns = np.stack([np.ones(n), begun[:n, j, i], moved[:n, j, i], batch.pv[:n, j]], axis=1)
+            q = np.linalg.qr(white(columns, NEARLY_DIFFERENCED) / max(noise_sigma(stretch.pv), 1e-9))[1]
+            xx, xy, yy = xx + q[2, 2] ** 2, xy + q[2, 2] * q[2, 3], yy + q[2, 3] ** 2 + q[3, 3] ** 2
+        slopes.append(xy / max(xx, 1e-300))
+        costs.append(yy - xy * slopes[-1])
+    return costs, slopes
+
+
+COARSE = 6
+"""Every so many rows a load step is tried, then every row near the best."""
+MOST_LOADS = 4
+"""In a stretch."""
+PRICE = 12.0
+"""Fall of the misfit, beyond 2 ln n, that a load step must bring."""
+
+
+def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
+    """The stretches with the load steps that pay for the curves as they are at `now`."""
+    loads: list[tuple[int, ...]] = []
+    done = 0
+    for batch in joint.batches:
+        local = local_at(form, batch, now.z[:, None])
+        arriving = form.sign * batch.arriving(np.exp(local.theta))
+        explained = response(local, arriving, batch.h_s)[..., 0]
+        waves = _waves(batch, local)
+        theta, tau = (
+            float(np.exp(np.median(p))) for p in (local.theta, local.b * 0 if local.tau is None else local.tau)
+        )
+        for j, stretch in enumerate(batch.stretches):
+            n, h = len(stretch), stretch.signals.h_s
+            y = white(stretch.pv - explained[:n, j], noise.ar) / noise.sigma[done]
+            rest = [np.ones(n), waves[0][:n, j]]
+            columns = white(np.stack(rest, axis=1), noise.ar) / noise.sigma[done]
+            barred = int((2 * theta + 0.2 * tau) / h) + 4 if stretch.changed else 0
+            steps = white(waves[1][:n, j], noise.ar) / noise.sigma[done]
+            loads.append(_greedy(y, columns, steps, range(max(barred, 3), n - max(6, int(theta / h)))))
+            done += 1
+    return replace(joint, loads=tuple(loads))
+
+
+def _waves(batch: Batch, local: Local) -> tuple[FloatArray, FloatArray]:
+    """What a slope at the start, (rows, stretches), and a load step entering at each row, (..., rows), do to pv."""
+    rows, count = batch.pv.shape
+    steps = np.broadcast_to((np.arange(rows - 1)[:, None] >= np.arange(rows))[:, None, :], (rows - 1, count, rows))
+    loads = response(local.repeated(rows), steps.astype(np.float64), batch.h_s)
+    begun = response(local, np.zeros((rows - 1, count, 1)), batch.h_s, np.ones((count, 1)))
+    return begun[..., 0], loads
+
+
+def _greedy(y: FloatArray, columns: FloatArray, steps: FloatArray, allowed: range) -> tuple[int, ...]:
+    """Rows of the load steps that pay, one after the other, none within COARSE rows of another."""
+    chosen: list[int] = []
+    price = PRICE + 2 * math.log(max(len(y), 2))
+    while len(chosen) < 2 * MOST_LOADS:
+        q = np.linalg.qr(np.concatenate([columns, steps[:, chosen]], axis=1))[0]
+        left = y - q @ (q.T @ y)
+        free = [row for row in allowed if all(abs(row - c) > COARSE for c in chosen)]
+        if not free:
+            break
+        tried = steps[:, free] - q @ (q.T @ steps[:, free])
+        size = np.einsum("ij,ij->j", tried, tried)
+        fall = np.where(size > 1e-9, (left @ tried) ** 2 / np.maximum(size, 1e-300), 0.0)
+        best = int(np.argmax(fall))
+        if fall[best] < price:
+            break
+        chosen += [free[best], free[best] + 1]  # between the two lies the time at which it entered
+    return tuple(sorted(chosen))

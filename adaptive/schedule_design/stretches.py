@@ -1,0 +1,143 @@
+"""Records cut into stretches: what a joint fit along a scheduling variable works on.
+
+A stretch begins a little before a setpoint change, or where the one before is long enough. Its start is its own: level
+and slope there are unknowns, so that what moves the loop slowly between the stretches teaches nothing wrong. pv and
+the variable are means over an interval round their time; co is kept as its integral, exact at any delay.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+MOST_ROWS = 400
+"""Rows of a stretch at the most; longer ones are cut."""
+FEWEST_ROWS = 24
+"""A shorter stretch shows no dynamics beside its start."""
+LEAD_ROWS = 4
+"""Rows of a stretch before its setpoint change: they tell its start."""
+CHANGED = 3.0
+"""A setpoint has changed when it moves by so many standard deviations of its noise, and by a hundredth of its range."""
+SMOOTHED_ROWS = 5
+"""The scheduling variable is averaged over so many rows: it only says where the loop is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """One record on an even clock. t_s, pv, sp, x : at the middle of each interval of h_s, shape (n,).
+
+    begun_s, fired : times, and the integral of co until each, at the record's own samples.
+    changes : rows at which the setpoint changes.
+    """
+
+    h_s: float
+    t_s: FloatArray
+    pv: FloatArray
+    sp: FloatArray
+    x: FloatArray
+    begun_s: FloatArray
+    fired: FloatArray
+    changes: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Rows first to end of a record. changed : its setpoint changes, LEAD_ROWS after its first row."""
+
+    signals: Signals
+    first: int
+    end: int
+    changed: bool
+
+    def __len__(self) -> int:
+        return self.end - self.first
+
+    @property
+    def pv(self) -> FloatArray:
+        """Of its rows."""
+        return self.signals.pv[self.first : self.end]
+
+    @property
+    def x(self) -> FloatArray:
+        """The scheduling variable of its rows."""
+        return self.signals.x[self.first : self.end]
+
+    @property
+    def t_s(self) -> FloatArray:
+        """Times of its rows."""
+        return self.signals.t_s[self.first : self.end]
+
+    def fired(self, t_s: FloatArray) -> FloatArray:
+        """The integral of co until these times; before the record co was what it was at first."""
+        signals = self.signals
+        found = np.interp(t_s, signals.begun_s, signals.fired)
+        early = signals.begun_s[0] - t_s
+        rate = (signals.fired[1] - signals.fired[0]) / (signals.begun_s[1] - signals.begun_s[0])
+        return np.asarray(np.where(early > 0, signals.fired[0] - rate * early, found), dtype=np.float64)
+
+
+def signals_of(window: Window, x: FloatArray, every: int) -> Signals:
+    """A record with `every` of its samples in an interval.
+
+    Parameters
+    ----------
+    window : the record. x : the scheduling variable at its samples, shape (n,).
+    """
+    dt = window.sample_time_s
+    h = every * dt
+    held = np.diff(window.t_s, append=window.t_s[-1] + dt)
+    fired = np.concatenate([[0.0], np.cumsum(window.co * held)])
+    t = np.arange(window.t_s[0] + h / 2, window.t_s[-1], h) if every > 1 else window.t_s
+    pv, sp, x = (_averaged(window.t_s, values, t, h, dt) for values in (window.pv, window.sp, x))
+    if len(t) > SMOOTHED_ROWS:
+        x = np.convolve(np.pad(x, SMOOTHED_ROWS // 2, mode="edge"), np.full(SMOOTHED_ROWS, 1 / SMOOTHED_ROWS), "valid")
+    begun = np.append(window.t_s, window.t_s[-1] + dt)
+    return Signals(h, t, pv, sp, x, begun, fired, _changes(window, t))
+
+
+def _averaged(at_s: FloatArray, values: FloatArray, t_s: FloatArray, h_s: float, dt: float) -> FloatArray:
+    """Means over h_s round each of t_s; a value stands for the time round its own."""
+    if h_s <= 1.5 * dt:
+        return np.interp(t_s, at_s, values)
+    edges = np.concatenate([[at_s[0] - dt / 2], (at_s[1:] + at_s[:-1]) / 2, [at_s[-1] + dt / 2]])
+    summed = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
+    low, high = (np.interp(t_s + side * h_s / 2, edges, summed) for side in (-1, 1))
+    width = np.clip(t_s + h_s / 2, edges[0], edges[-1]) - np.clip(t_s - h_s / 2, edges[0], edges[-1])
+    return np.asarray((high - low) / width, dtype=np.float64)
+
+
+def _changes(window: Window, t_s: FloatArray) -> tuple[int, ...]:
+    """Rows of an even clock in which the setpoint steps."""
+    moved = np.abs(np.diff(window.sp))
+    least = max(CHANGED * noise_sigma(window.sp), 0.01 * float(np.ptp(window.sp)))
+    if not least:
+        return ()
+    at = window.t_s[1:][moved > least]
+    rows = np.searchsorted(t_s, at)
+    return tuple(int(row) for row in np.unique(rows) if row < len(t_s))
+
+
+def cut(signals: Signals) -> list[Stretch]:
+    """The stretches of a record, in time."""
+    n, last = len(signals.t_s), -MOST_ROWS
+    starts: dict[int, bool] = {0: False}
+    for row in signals.changes:
+        if row - last > FEWEST_ROWS:  # a ramp is one change
+            starts[max(row - LEAD_ROWS, 0)] = row >= LEAD_ROWS
+        last = row
+    edges = [*sorted(starts), n]
+    found: list[Stretch] = []
+    for first, end in pairwise(edges):
+        pieces = -(-(end - first) // MOST_ROWS)
+        inside = np.linspace(first, end, pieces + 1).astype(int).tolist()
+        found += [Stretch(signals, a, b, starts[first] and a == first) for a, b in pairwise(inside)]
+    return [stretch for stretch in found if len(stretch) >= FEWEST_ROWS]
+
+
+def moving(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Those in which both co and pv move."""
+    return [s for s in stretches if np.ptp(s.pv) > 0 and np.ptp(np.diff(s.fired(s.t_s))) > 0]

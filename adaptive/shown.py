@@ -1,0 +1,35 @@
+"""How a result shows itself to a person: as text, and as a page with its picture in a notebook.
+
+The results of this room are values; words and pictures are the hall's, which says here where they are.
+"""
+
+from collections.abc import Callable
+from typing import Protocol, cast
+
+
+class Shows(Protocol):
+    """What the hall's module has."""
+
+    def text(self, result: object) -> str:
+        """The result in words."""
+
+    def html(self, result: object) -> str:
+        """The result with its picture, as a part of an HTML page."""
+
+
+_module: list[Callable[[], Shows]] = []
+
+
+def shown_by(name: str, load: Callable[[str], object]) -> None:
+    """Say which module shows results; it is loaded when the first one is shown."""
+    _module[:] = [lambda: cast("Shows", load(name))]
+
+
+def text(result: object) -> str:
+    """A result in words."""
+    return _module[0]().text(result)
+
+
+def html(result: object) -> str:
+    """A result as a part of an HTML page."""
+    return _module[0]().html(result)

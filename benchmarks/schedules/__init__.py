@@ -1,0 +1,1 @@
+"""How good are gain schedules designed from ordinary records?"""

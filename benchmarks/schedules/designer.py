@@ -1,0 +1,47 @@
+"""The one place that calls what is measured: `retuner.design_schedule` on the record of a case."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import GainTable
+from schedules.lookups import Lookup, Table
+from schedules.loop import Trace
+from schedules.subject import Subject
+
+
+@dataclass(frozen=True)
+class Designed:
+    """lookup : the schedule, None where there is none. size : sets stored. reason : what was told."""
+
+    lookup: Lookup | None
+    size: int
+    reason: str
+
+
+def design(subject: Subject, trace: Trace, in_force: GainTable | PidGains, *, lagging: bool) -> Designed:
+    """From the record alone; the designer is told by what to schedule, the output's range, and the gains in force."""
+    try:
+        from retuner.scheduling import design_schedule
+    except ImportError:
+        return Designed(None, 0, "design_schedule is not there")
+    t = np.arange(len(trace.pv)) * trace.dt_s
+    window = Window(t, np.array(trace.sp), np.array(trace.pv), np.array(trace.co))
+    outside = lagging or subject.by != "pv"
+    by = "x" if outside else "pv"
+    values = {"x": [np.array(trace.x)]} if outside else {}
+    found = design_schedule(
+        window,
+        by,
+        values=values,
+        low=subject.low,
+        high=subject.high,
+        co_min=subject.co_min,
+        co_max=subject.co_max,
+        gains=in_force,
+    )
+    if found.table is None:
+        return Designed(None, 0, found.reason)
+    return Designed(Table(found.table), len(found.table.gains), found.reason)

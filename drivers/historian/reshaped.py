@@ -1,0 +1,143 @@
+"""Exports that are no table of rows yet: annotated CSV of InfluxDB, and pairs of time and value side by side.
+
+Both become the long form, a row for each value with the name of its signal: names time, value and tag.
+
+InfluxDB (annotated CSV): lines that begin with # tell of each column its type and whether it is part of the group key;
+a blank line or a new head begins another table. A signal's name is what tells the series apart, then the field.
+
+Pairs (PI DataLink and spreadsheets made by hand): time, value, time, value, ...; each signal has stamps of its own, and
+its name stands over its value or over its time.
+"""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+
+from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.raw_table import MISSING, VALUE, Column, RawTable
+from retuner.drivers.historian.tags import named
+from retuner.drivers.recorded.recording import RecordingError
+
+LONG = ("time", "value", "tag")
+ANNOTATIONS = ("#group", "#datatype", "#default")
+INFLUX_OWN = frozenset({"", "result", "table", "_start", "_stop", "_time", "_value", "_field"})
+"""Columns of an annotated table that are no tag of the series."""
+Lines = list[tuple[int, list[str]]]
+"""Lines of a file by their number, each as its fields."""
+
+
+def is_annotated(text: str) -> bool:
+    """Whether a text is InfluxDB's annotated CSV."""
+    return text.lstrip("\ufeff\r\n ").startswith(ANNOTATIONS)
+
+
+def annotated_table(source: str, text: str) -> RawTable:
+    """The values of an annotated file, a row each.
+
+    Raises
+    ------
+    RecordingError
+        A table has no column _time, or a row another number of fields than its head.
+    """
+    rows: list[tuple[str, str, str, str]] = []
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)]
+    for filled, block in groupby(lines, key=lambda at: bool(at[1].strip(", "))):
+        if filled:
+            rows += _values(source, [(number, next(csv.reader([line]))) for number, line in block])
+    if not rows:
+        raise RecordingError(f"{source}: annotated, and no value in it")
+    names = _short(sorted({name for _, _, name, _ in rows}))
+    columns = ([r[0] for r in rows], [r[1] for r in rows], [names[r[2]] for r in rows])
+    told = Assumption("annotated CSV of InfluxDB")
+    return RawTable(source, LONG, columns, [r[3] for r in rows], (told,))
+
+
+def _values(source: str, block: Lines) -> list[tuple[str, str, str, str]]:
+    """Time, value, name and place of each value of one block of lines."""
+    plain = [(number, fields) for number, fields in block if not fields[0].startswith("#")]
+    if not plain:
+        return []
+    number, head = plain[0]
+    if "_time" not in head:
+        raise RecordingError(f"{source}:{number}: a table without _time; export it with its times")
+    time = head.index("_time")
+    fields = [head.index("_value")] if "_value" in head else _own_fields(head, block)
+    keys = [i for i, name in enumerate(head) if name not in INFLUX_OWN and i not in fields]
+    found = []
+    for place, row in plain[1:]:
+        if len(row) != len(head):
+            raise RecordingError(f"{source}:{place}: {len(row)} fields, the head of its table has {len(head)}")
+        series = "\0".join(row[i] for i in keys)
+        for i in fields:
+            field = row[head.index("_field")] if head[i] == "_value" and "_field" in head else head[i]
+            found.append((row[time], row[i], f"{series}\0{field}", f":{place}"))
+    return found
+
+
+def _own_fields(head: Sequence[str], block: Lines) -> list[int]:
+    """The columns of values of a table that was pivoted: all that are no part of the group key."""
+    group = next((fields for _, fields in block if fields[0] == "#group"), ["false"] * len(head))
+    return [i for i, name in enumerate(head) if name not in INFLUX_OWN and name[:1] != "_" and group[i] != "true"]
+
+
+def _short(names: Sequence[str]) -> dict[str, str]:
+    """Names of the series by what tells them apart: parts that are the same in all are left out."""
+    parts = [name.split("\0") for name in names]
+    if len({len(p) for p in parts}) > 1:
+        return {name: ".".join(filter(None, p)) for name, p in zip(names, parts, strict=True)}
+    telling = [i for i in range(len(parts[0])) if len({p[i] for p in parts}) > 1]
+    telling = telling or [len(parts[0]) - 1]
+    return {name: ".".join(p[i] for i in telling if p[i]) for name, p in zip(names, parts, strict=True)}
+
+
+def unpaired(table: RawTable) -> RawTable:
+    """The same as a long table, where its columns are pairs of time and value; else as it is."""
+    n = len(table.names)
+    if n < 4 or n % 2 or not all(_is_time(table, i) == (i % 2 == 0) for i in range(n)):
+        return table
+    times, values, tags, places = [], [], [], []
+    for i in range(0, n, 2):
+        name = _name_of_pair(table, i)
+        stamps, column = _text(table.columns[i]), _text(table.columns[i + 1])
+        for stamp, value, place in zip(stamps, column, table.places, strict=True):
+            if stamp.strip().lower() not in MISSING:
+                times.append(stamp)
+                values.append(value)
+                tags.append(name)
+                places.append(place)
+    told = Assumption(f"{n // 2} signals with times of their own, side by side")
+    return replace(table, names=LONG, columns=(times, values, tags), places=places, assumed=(*table.assumed, told))
+
+
+def _name_of_pair(table: RawTable, place: int) -> str:
+    """The signal of a pair: the name over its value, else over its time."""
+    over = [table.names[place + 1], table.names[place]]
+    telling = [name for name in over if not name.isdigit() and named(name).role not in {"t", "date", "value"}]
+    if not telling:
+        raise RecordingError(
+            f"{table.source}: columns {place + 1} and {place + 2} are a time and a value without a name; "
+            f"write the signal's name over them, as in {quoted('FIC101.PV')}"
+        )
+    return telling[0]
+
+
+def _text(column: Column) -> list[str]:
+    """A column's fields as text; nothing where a number or a time is missing."""
+    if not isinstance(column, np.ndarray):
+        return list(column)
+    if column.dtype.kind == "M":
+        return ["" if np.isnat(v) else str(v.astype("datetime64[us]")).replace("T", " ") for v in column]
+    return ["" if np.isnan(v) else repr(float(v)) for v in column]
+
+
+def _is_time(table: RawTable, place: int) -> bool:
+    """Whether a column is a time, by what stands in it, or by its name alone where these are numbers."""
+    column = table.columns[place]
+    if isinstance(column, np.ndarray):
+        return column.dtype.kind == "M" or named(table.names[place]).role == "t"
+    some = [text for text in (field.strip() for field in column[:20]) if text.lower() not in MISSING]
+    dated = bool(some) and all(VALUE.fullmatch(text) and ":" in text for text in some)
+    return dated or named(table.names[place]).role == "t"

@@ -1,0 +1,113 @@
+"""What happens beside decisions, in a line that an engineer at the screen understands: the link, the bus, the trial's
+end, requests of an operator. Rows that need nobody's attention give no line.
+"""
+
+from collections.abc import Callable, Mapping
+
+from retuner.decision_page.explain import settings_text
+from retuner.decision_page.row_values import Document, gains_of, number, part, words
+
+LINK = {"up": "CAN link up", "silent": "CAN link silent", "down": "CAN link down"}
+
+
+def event_line(kind: str, body: Mapping[str, object]) -> str:
+    """A row of the ledger as a sentence; empty where there is nothing to see."""
+    tell = EVENTS.get(kind)
+    return tell(dict(body)) if tell else ""
+
+
+def _after(what: str) -> Callable[[Document], str]:
+    """What happened, with the row's reason."""
+    return lambda body: _because(what, body)
+
+
+def _because(what: str, body: Document) -> str:
+    reason = words(body, "reason")
+    return f"{what}: {reason}" if reason else what
+
+
+def _link(body: Document) -> str:
+    return _because(LINK.get(words(body, "state"), "CAN link"), body)
+
+
+def _refused(body: Document) -> str:
+    return _because(f"write refused, region {words(body, 'region')}", body)
+
+
+def _dropped(body: Document) -> str:
+    return _because(f"change not written, region {words(body, 'region')}", body)
+
+
+def _restart(body: Document) -> str:
+    return f"controller restarted (start {int(number(body, 'epoch') or 0)})"
+
+
+def _lost(body: Document) -> str:
+    count = int(number(body, "count") or 0)
+    return f"{count} sample{'s' * (count != 1)} lost"
+
+
+def _foreign(body: Document) -> str:
+    gains = gains_of(part(body, "gains"))
+    return f"gains changed by someone else: {settings_text(gains)}" if gains else "gains changed by someone else"
+
+
+def _bus(body: Document) -> str:
+    times = int(number(body, "times") or 1)
+    return f"bus fault: {words(body, 'fault')}{f' ({times} times)' * (times > 1)}"
+
+
+def _variable(body: Document) -> str:
+    return _because(f"scheduling variable {words(body, 'name')}", body)
+
+
+def _command(body: Document) -> str:
+    return _because(f"command {words(body, 'command')} failed", body)
+
+
+def _lockout(body: Document) -> str:
+    return f"region {words(body, 'region')} locked after {int(number(body, 'undos') or 0)} rollbacks"
+
+
+def _regions(what: str) -> Callable[[Document], str]:
+    """What holds for the regions of a row."""
+
+    def told(body: Document) -> str:
+        found = body.get("regions")
+        names = ", ".join(map(str, found)) if isinstance(found, list | tuple) else ""
+        return _because(f"{what}: {names}" if names else what, body)
+
+    return told
+
+
+def _trial(body: Document) -> str:
+    return f"trial: {reason}" if (reason := words(body, "reason")) else ""
+
+
+def _request(body: Document) -> str:
+    """What an operator asked for, and whether it was accepted."""
+    what = " ".join(filter(None, (words(body, "order") or "unreadable file", words(body, "mode"))))
+    by = f" by {who}" if (who := words(body, "by")) else ""
+    return _because(f"operator request {'accepted' if body.get('accepted') is True else 'refused'}: {what}{by}", body)
+
+
+EVENTS: dict[str, Callable[[Document], str]] = {
+    "refused": _refused,
+    "link": _link,
+    "restart": _restart,
+    "lost": _lost,
+    "command": _command,
+    "worker": _after("decision process"),
+    "unknown": _after("write not confirmed"),
+    "foreign": _foreign,
+    "dropped": _dropped,
+    "bus": _bus,
+    "variable": _variable,
+    "abort": _after("trial interrupted"),
+    "restored": _regions("gains read back and active"),
+    "trial": _trial,
+    "lockout": _lockout,
+    "unrestored": _regions("gains not known to be active"),
+    "order": _request,
+}
+"""Rows beside decisions that a person at the screen should see, and their words."""

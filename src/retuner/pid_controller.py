@@ -1,0 +1,354 @@
+"""`retuner.PidController`: a scheduled PID controller that watches and retunes its own loop.
+
+    pid = PidController(PidGains(kp=2.0, ki=0.05), dt_s=1.0, pv_range=(0, 200), mode="auto")
+    while True:
+        heater(pid.step(setpoint, thermometer()))       # once every dt_s
+
+What a decision asks for is done here: gains change without a bump, and a change that disappoints is taken back. Nothing
+of that is left to the caller. `close` decides what runs on when nobody watches any more.
+"""
+
+import logging
+import math
+from dataclasses import dataclass
+from types import TracebackType
+
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.supervision import operator_orders
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
+from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.decisions.background import BackgroundRetuner
+from retuner.schedule.axis import CAN
+from retuner.schedule.gains import PidGains
+from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, step, track
+from retuner.schedule.regions import Regions, RegionState, choose, enter, values
+from retuner.schedule.table import GainTable
+
+LOG = logging.getLogger("retuner")
+PROPOSAL_S = 86400.0
+"""How long a proposal may be approved: a day, as in the configuration."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where the loop stood after a sample."""
+
+    t_s: float
+    region: RegionState
+    pid: StateTuple
+    sp: float
+    pv: float
+
+
+class PidController:
+    """A PID controller with scheduled gains, and the retuner that watches it.
+
+    Parameters
+    ----------
+    gains : one set for all, or a GainTable with a set for each operating region.
+    dt_s : usual time between two steps, seconds; more than 0.
+    pv_range : lowest and highest pv that the transmitter can show, pv units.
+    co_range : lowest and highest output, co units; the integral does not wind up there. Default 0 to 100 (percent).
+    mode : what the retuner may do: "off", "advise" (default: proposals wait for `approve`), "trial" or "auto".
+    b : setpoint weight of the proportional action, 0 to 1. tau_f_s : filter time of the derivative action, seconds.
+    co_rate_per_s : fastest move of the output, co units per second; None for no limit.
+    background : decisions are made in another process, so that no step takes long; close the controller then.
+    settings : all settings of the retuner; in place of mode, and of what follows from dt_s, pv_range, b and tau_f_s.
+    name : of the loop, in decisions and in the log.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite or outside what is said here, or there is no such mode.
+
+    Examples
+    --------
+    >>> pid = PidController(PidGains(kp=2.0, ki=0.05), dt_s=1.0, pv_range=(0, 200))
+    >>> pid.step(60.0, 20.0)
+    80.0
+    >>> pid.step(60.0, 21.0)
+    80.0
+    >>> pid
+    PidController('loop', advise: kp 2, ki 0.05, kd 0; co 80, no decision yet)
+    """
+
+    def __init__(
+        self,
+        gains: PidGains | GainTable,
+        *,
+        dt_s: float,
+        pv_range: tuple[float, float],
+        co_range: tuple[float, float] = (0.0, 100.0),
+        mode: Mode | str = Mode.ADVISE,
+        b: float = 1.0,
+        tau_f_s: float = 0.0,
+        co_rate_per_s: float | None = None,
+        background: bool = False,
+        settings: RetunerSettings | None = None,
+        name: str = "loop",
+    ) -> None:
+        low, high = pv_range
+        if not (0.0 < dt_s < math.inf):
+            raise ValueError(f"dt_s = {dt_s} must be a positive finite number of seconds")
+        if not (-math.inf < low < high < math.inf):
+            raise ValueError(f"pv_range = {pv_range} must be two finite numbers, the lower one first")
+        table = _one_region(name, gains, low, high) if isinstance(gains, PidGains) else gains
+        watched = settings or RetunerSettings(
+            dt_s, high - low, _mode(mode), setpoint_weight=b, filter_s=tau_f_s, pv_range=(low, high)
+        )
+        self._retuner = Retuner(table, watched)
+        self._dt_s = dt_s
+        self._law = law(
+            table.gains[0], b=b, tau_f_s=tau_f_s, co_min=co_range[0], co_max=co_range[1], co_rate_per_s=co_rate_per_s
+        )
+        self._regions = table.regions.law()
+        self._place: _Place | None = None
+        self._background = BackgroundRetuner(self._retuner) if background else None
+        self._decision: Decision | None = None
+        self._last: Decision | None = None
+        self._proposed: Decision | None = None
+
+    def step(
+        self,
+        sp: float,
+        pv: float,
+        dt_s: float | None = None,
+        *,
+        x: float | None = None,
+        x2: float | None = None,
+        manual_co: float | None = None,
+    ) -> float:
+        """Take one sample; the output to apply until the next one.
+
+        Parameters
+        ----------
+        sp, pv : setpoint and process value, pv units. dt_s : time since the last step, seconds; None for the usual one.
+        x, x2 : values of the scheduling variables, where the table follows something else than sp, pv or co.
+        manual_co : the output that somebody else sets, co units: the controller follows it, and takes over without a
+            bump when it is left out again.
+
+        Returns
+        -------
+        float
+            The output, co units, inside its range and rate.
+
+        Raises
+        ------
+        ValueError
+            A number is not finite or the time not positive. Nothing is changed: go on with the next good sample, and
+            give the time since the last good one.
+        """
+        sp, pv = float(sp), float(pv)
+        elapsed_s = self._dt_s if dt_s is None else float(dt_s)
+        place = self._advanced(sp, pv, elapsed_s, (x, x2), manual_co)
+        co, limited = place.pid[3], int(place.pid[LIMITED])
+        mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
+        xs = self._scheduled(sp, pv, (x, x2))
+        sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
+        self._decision = (self._background or self._retuner).observe(sample)
+        self._place = place
+        if self._decision is not None:
+            self._obey(self._decision)
+        return co
+
+    @property
+    def decision(self) -> Decision | None:
+        """The decision that came with the last step; None with most steps."""
+        return self._decision
+
+    @property
+    def last_decision(self) -> Decision | None:
+        """The newest decision so far."""
+        return self._last
+
+    @property
+    def table(self) -> GainTable:
+        """The gains of all regions as they stand."""
+        return self._retuner.table
+
+    @property
+    def gains(self) -> PidGains:
+        """The gains that the next step works with, unless it enters another region."""
+        if self._place is None or self._retuner.region is None:
+            return self._law.gains
+        return self._retuner.table.at(self._retuner.region, *self._retuner.scheduled)
+
+    @property
+    def retuner(self) -> Retuner:
+        """What watches the loop."""
+        return self._retuner
+
+    def approve(self, decision: Decision | None = None) -> Decision:
+        """Put a proposal in force, on trial: the newest one, unless another is given.
+
+        Returns
+        -------
+        Decision
+            What was done, or why not.
+
+        Raises
+        ------
+        ValueError
+            There is no proposal, it is older than a day, or other gains have come into force since.
+        """
+        advised = decision or self._proposed
+        proposal = Proposal.of(advised) if advised is not None else None
+        if proposal is None or self._place is None:
+            raise ValueError("there is no proposal to approve")
+        in_force = self._retuner.table.gains_of(proposal.region)
+        standing = proposal.standing(in_force, self._place.t_s, PROPOSAL_S)
+        if standing is not ProposalStanding.OPEN:
+            raise ValueError(f"this proposal cannot be approved: {standing}")
+        return self._obey(operator_orders.approve(self._retuner, proposal, self._place.t_s))
+
+    def take_back(self, region: int | str = 0) -> Decision | None:
+        """Take a change back that is on trial or waits for a person; None when there is none."""
+        back = self._retuner.taken_back(self._retuner.table.index(region))
+        return None if back is None else self._obey(back)
+
+    def set_gains(self, gains: PidGains) -> Decision | None:
+        """Set other gains by hand in the region where the loop is; they are kept for a shift, see TrialSettings.
+
+        Raises
+        ------
+        ValueError
+            The controller has made no step yet, or the table cannot hold these gains there.
+        """
+        if self._place is None:
+            raise ValueError("the controller has made no step yet; make it with these gains")
+        made = self._retuner.edited(gains)
+        if made is not None and made.code == "edit_not_taken":
+            raise ValueError(made.reason)
+        return None if made is None else self._obey(made)
+
+    def set_mode(self, mode: Mode | str) -> Decision | None:
+        """Say what the retuner may do from now on; "off" takes back what is on trial."""
+        back = operator_orders.set_mode(self._retuner, None, _mode(mode))
+        return None if back is None else self._obey(back)
+
+    def close(self) -> Decision | None:
+        """End the watching. Of a change that is still on trial the more robust set runs on, the tried or the old one.
+
+        Returns
+        -------
+        Decision or None
+            Which set runs on; None where nothing was on trial.
+        """
+        last = self._retuner.abort(TrialEvent.STOPPED)
+        if last is not None:
+            self._obey(last)
+        if self._background is not None:
+            self._background.close()
+        return last
+
+    def __enter__(self) -> "PidController":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        g, table = self.gains, self._retuner.table
+        co = "not stepped yet" if self._place is None else f"co {self._place.pid[3]:.4g}"
+        said = "no decision yet" if self._last is None else f"last decision {self._last.number}: {self._last.code}"
+        mode = self._retuner.settings.mode
+        return f"PidController({table.loop!r}, {mode}: kp {g.kp:.4g}, ki {g.ki:.4g}, kd {g.kd:.4g}; {co}, {said})"
+
+    def _advanced(
+        self, sp: float, pv: float, dt_s: float, x: tuple[float | None, float | None], manual_co: float | None
+    ) -> _Place:
+        """Where the loop stands after this sample; nothing is changed here but the law in force."""
+        xs, last = self._scheduled(sp, pv, x), self._place
+        if last is None:
+            region = enter(self._regions, xs[0], 0.0, xs[1])
+            t_s, now = 0.0, self._law_at(region, xs)
+            state: StateTuple = _begin(now, sp, pv)
+        else:
+            t_s = last.t_s + dt_s
+            region = choose(self._regions, last.region, xs[0], t_s, xs[1])
+            now, state = self._law_at(region, xs), last.pid
+            if now is not self._law:
+                state = change(self._law, now, state, last.sp, last.pv)
+        if manual_co is None:
+            state, _ = step(now, state, sp, pv, dt_s)
+        else:
+            state, _ = track(now, state, sp, pv, manual_co, dt_s)
+        self._law = now
+        return _Place(t_s, region, state, sp, pv)
+
+    def _law_at(self, region: RegionState, xs: tuple[float, float]) -> PidLaw:
+        """The law with the gains of this place; the same object as long as they do not change."""
+        now, at = self._law, values(self._regions, region, *xs)
+        if self._place is not None and not all(map(math.isfinite, at)):
+            return now
+        gains = self._retuner.table.at(region.region, *at)
+        same = (gains.kp, gains.ki, gains.kd) == (now.kp, now.ki, now.kd)
+        return now if same else now.with_gains(gains)
+
+    def _scheduled(self, sp: float, pv: float, x: tuple[float | None, float | None]) -> tuple[float, float]:
+        """The values of the scheduling variables.
+
+        Raises
+        ------
+        ValueError
+            The table follows something that is not given.
+        """
+        co = self._law.co_min if self._place is None else self._place.pid[3]
+        known = {"sp": sp, "pv": pv, "co": co}
+        found = [0.0, 0.0]
+        for i, axis in enumerate(self._retuner.table.regions.axes):
+            given = x[i]
+            if given is None and axis.variable == CAN:
+                raise ValueError(f"the gains follow {axis.label}: give it as {('x', 'x2')[i]}")
+            found[i] = float(known[axis.variable] if given is None else given)
+        return found[0], found[1]
+
+    def _obey(self, decision: Decision) -> Decision:
+        """Do what a decision asks for: the next step works with what the table has then."""
+        self._last = decision
+        if decision.action is Action.COMMIT and decision.gains_after is not None:
+            self._retuner.committed(self._retuner.table.index(decision.region), decision.gains_after)
+        elif decision.action is Action.RESTORE:
+            self._retuner.restored()
+        elif decision.action is Action.ADVISE:
+            self._proposed = decision
+        LOG.info("%s, region %s, %.0f s: %s", decision.loop, decision.region, decision.t_s, decision.reason)
+        return decision
+
+
+def _one_region(name: str, gains: PidGains, low: float, high: float) -> GainTable:
+    """The same gains over the whole range of pv."""
+    return GainTable(name, Regions("pv", "pv", ("all",), low, (), high), (gains,))
+
+
+def _mode(mode: Mode | str) -> Mode:
+    """The mode of that name.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    if mode not in tuple(Mode):
+        raise ValueError(f"mode = {mode!r} is unknown; use {', '.join(Mode)}")
+    return Mode(mode)
+
+
+def _begin(law_now: PidLaw, sp: float, pv: float) -> PidState:
+    """Before the first sample: the integral at 0, so that the first output is that of the proportional action.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite.
+    """
+    wish = law_now.kp * (law_now.b * sp - pv)
+    if not math.isfinite(wish):
+        raise ValueError(f"sp = {sp}, pv = {pv}: give finite numbers")
+    co = min(max(wish, law_now.co_min), law_now.co_max)
+    return PidState(0.0, pv, 0.0, co, 0)

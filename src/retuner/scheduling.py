@@ -1,0 +1,292 @@
+"""`retuner.design_schedule`: a gain schedule from ordinary records of a loop, with what it rests on."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.schedule_design.cover import Layout
+from retuner.adaptive.schedule_design.design import Candidate, Design, design
+from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
+from retuner.adaptive.signals.sample import Window
+from retuner.api import Numbers, window_of, within
+from retuner.drivers.historian.loop_record import LoopRecord
+from retuner.schedule.axis import CAN
+from retuner.schedule.forms import to_ideal
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
+
+Record = Window | LoopRecord
+"""A stretch of samples of one loop, or a record of `retuner.read`."""
+AUTO = "auto"
+OWN = ("sp", "pv", "co")
+"""Signals of every record that gains may follow."""
+SCHEMA = 1
+"""Version of the JSON document."""
+NOTHING: Mapping[str, Sequence[Numbers]] = MappingProxyType({})
+DIGITS = 5
+"""Significant digits of gains, borders and times in the table: a person reads them."""
+
+
+def silent(stage: str, share: float) -> None:
+    """Progress that nobody wants to see."""
+    del stage, share
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduleDesign:
+    """A gain schedule and what it rests on.
+
+    design : curves, places, sets and the evidence of each candidate variable. table : the gain table, None where
+    nothing is known well enough. in_force : the gains while the records were made, where they are known.
+    """
+
+    design: Design
+    table: GainTable | None
+    in_force: GainTable | PidGains | None = None
+
+    @property
+    def variable(self) -> str:
+        """That the schedule follows."""
+        return self.design.variable
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Places along the variable, with process, band and settings of each."""
+        return self.design.places
+
+    @property
+    def reason(self) -> str:
+        """How many sets, or why there are none."""
+        return self.design.reason
+
+    def model_at(self, x: float) -> ProcessModel:
+        """The process at x; outside the records' range as at its end."""
+        curves = self.design.curves
+        return model_of(curves.ln(np.array([x]))[0], curves.form.sign)
+
+    def gains_at(self, x: float) -> PidGains:
+        """The gains that the table has in force at x when it rests there.
+
+        Raises
+        ------
+        ValueError
+            There is no table.
+        """
+        return self.layout.gains_at(x)
+
+    @property
+    def layout(self) -> Layout:
+        """The sets along the variable; errors as gains_at."""
+        if self.design.layout is None:
+            raise ValueError(f"no schedule follows from these records: {self.reason}")
+        return self.design.layout
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys schema, variable, reason, candidates, lookup, regions, hysteresis, min_stay_s, places."""
+        return {
+            "schema": SCHEMA,
+            "variable": self.variable,
+            "reason": self.reason,
+            "candidates": [
+                {
+                    "variable": e.variable,
+                    "ln_evidence": e.ln_evidence,
+                    "changes": e.changes,
+                    "chosen": e.variable == self.variable,
+                }
+                for e in self.design.candidates
+            ],
+            "lookup": None if self.table is None else str(self.table.lookup),
+            "hysteresis": self.design.hysteresis,
+            "min_stay_s": self.design.min_stay_s,
+            "regions": [] if self.table is None else _regions_dict(self.table),
+            "places": [self._place_dict(place) for place in self.places],
+        }
+
+    def _place_dict(self, place: Place) -> dict[str, object]:
+        now = None if self.table is None else place.judged(self.gains_at(place.x))
+        names = ("slope", "theta", "tau", "tau2")
+        told: dict[str, object] = {
+            "x": place.x,
+            "known": place.known,
+            "model": place.model.to_dict(),
+            "ln_std": dict(zip(names, place.ln_std, strict=False)),
+            "own": _gains_dict(place.own),
+        }
+        if now is not None:
+            finite = {"ms": now.ms, "ms_worst": now.ms_worst, "j": now.j}
+            told["gains"] = _gains_dict(self.gains_at(place.x))
+            told |= {name: value if math.isfinite(value) else None for name, value in finite.items()}
+        return told
+
+
+def _gains_dict(gains: PidGains) -> dict[str, float]:
+    return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
+
+
+def _regions_dict(table: GainTable) -> list[dict[str, object]]:
+    """Each region with its ends and its set."""
+    regions = table.regions
+    return [
+        {
+            "name": name,
+            "low": regions.span(i)[0],
+            "high": regions.span(i)[1],
+            "centre": regions.centre(i),
+            **_gains_dict(g),
+        }
+        for i, (name, g) in enumerate(zip(regions.names, table.gains, strict=True))
+    ]
+
+
+def design_schedule(
+    records: Record | Sequence[Record],
+    by: str | Sequence[str] = AUTO,
+    *,
+    values: Mapping[str, Sequence[Numbers]] = NOTHING,
+    low: float | None = None,
+    high: float | None = None,
+    co_min: float | None = None,
+    co_max: float | None = None,
+    ms_limit: float = 1.8,
+    j_limit: float = 1.25,
+    lookup: str = AUTO,
+    name: str = "loop",
+    unit: str = "",
+    gains: GainTable | PidGains | None = None,
+    progress: Callable[[str, float], None] = silent,
+) -> ScheduleDesign:
+    """Find what of a process changes along a variable, and the fewest sets of gains that serve it everywhere.
+
+    Parameters
+    ----------
+    records : of one loop, in automatic or manual, one or several. by : the variable, "sp", "pv", "co" or a key of
+        values; several of them, or "auto" for all, and the evidence chooses. values : further variables, one array for
+        each record at its samples.
+    low, high : ends of the variable; left out, what the records visit. co_min, co_max : limits of the final element.
+    ms_limit : largest Ms at any place on any model that the records allow. j_limit : largest J over that of a place's
+        own settings. lookup : "hard", "interpolated" or "auto". name, unit : of the loop and of the variable.
+    gains : in force while the records were made, for comparison only. progress : told each stage and the share done.
+
+    Raises
+    ------
+    ValueError
+        A record or a value cannot be used, or nothing moves; the message says which.
+    """
+    windows = tuple(within(window, co_min, co_max) for window in windows_of(records))
+    if lookup not in {AUTO, *Lookup}:
+        raise ValueError(f"lookup = {lookup!r}: give {AUTO}, {' or '.join(Lookup)}")
+    if low is not None and high is not None and not low < high:
+        raise ValueError(f"low = {low:g} must be below high = {high:g}")
+    candidates = [_candidate(one, windows, values) for one in _names(by, values)]
+    found = design(windows, candidates, DesignLimits(ms_limit, j_limit), lookup, (low, high), progress)
+    return ScheduleDesign(found, table_of(found, name, unit), gains)
+
+
+def _names(by: str | Sequence[str], values: Mapping[str, object]) -> list[str]:
+    """The variables to weigh."""
+    if by == AUTO:
+        return [*OWN, *values]
+    return [by] if isinstance(by, str) else list(dict.fromkeys(by))
+
+
+def windows_of(records: Record | Sequence[Record]) -> tuple[Window, ...]:
+    """Records, one or several, as windows.
+
+    Raises
+    ------
+    ValueError
+        There is none, or one lacks a signal.
+    """
+    several = [records] if isinstance(records, Window | LoopRecord) else list(records)
+    if not several:
+        raise ValueError("no record; give at least one")
+    return tuple(one if isinstance(one, Window) else window_of(one) for one in several)
+
+
+def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequence[Numbers]]) -> Candidate:
+    """A variable at the samples of every record."""
+    if name in values:
+        arrays = [np.asarray(v, dtype=np.float64) for v in values[name]]
+        if len(arrays) != len(windows):
+            raise ValueError(f"{name}: {len(arrays)} arrays for {len(windows)} records; give one for each")
+    elif name in OWN:
+        arrays = [np.asarray(getattr(window, name), dtype=np.float64) for window in windows]
+    else:
+        known = ", ".join([*OWN, *values])
+        raise ValueError(f"by = {name!r}: no such variable; there is {known}")
+    for array, window in zip(arrays, windows, strict=True):
+        if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
+            raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
+    return Candidate(name, tuple(arrays))
+
+
+def table_of(found: Design, name: str, unit: str) -> GainTable | None:
+    """The gain table of a design; None where it has no sets."""
+    if found.layout is None:
+        return None
+    edges = [_rounded(edge) for edge in found.layout.edges]
+    own = found.variable in OWN
+    regions = Regions(
+        found.variable if own else CAN,
+        unit,
+        _region_names(len(found.layout.sets)),
+        edges[0],
+        tuple(edges[1:-1]),
+        edges[-1],
+        _rounded(found.hysteresis, 2),
+        _rounded(found.min_stay_s, 2),
+        signal="" if own else found.variable,
+    )
+    sets = tuple(PidGains(*(_rounded(g) for g in (s.kp, s.ki, s.kd))) for s in found.layout.sets)
+    return GainTable(name, regions, sets, found.layout.lookup)
+
+
+def _region_names(n: int) -> tuple[str, ...]:
+    """As people call them: low, middle, high; numbers where there are more."""
+    few = {1: ("all",), 2: ("low", "high"), 3: ("low", "middle", "high")}
+    return few.get(n, tuple(f"part {i + 1}" for i in range(n)))
+
+
+def _rounded(value: float, digits: int = DIGITS) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def schedule_section(table: GainTable) -> str:
+    """The [schedule] of a configuration (loop.toml) that runs this table."""
+    axis = table.regions.axes[0]
+    simple = table.lookup is Lookup.HARD and axis.variable != CAN
+    lines = ["[schedule]"]
+    if table.lookup is Lookup.INTERPOLATED:
+        lines.append('lookup = "interpolated"')
+    if not simple:
+        lines += ["", "[[schedule.axis]]"]
+    lines.append(f'variable = "{axis.variable}"')
+    if not simple:
+        lines.append(f"range = [{axis.low!r}, {axis.high!r}]")
+    if axis.variable == CAN:
+        lines += [f'unit = "{axis.unit or "-"}"', 'message = "FILL_IN"', f'signal = "{axis.signal}"']
+    if axis.bounds:
+        lines.append(f"bounds = [{', '.join(map(repr, axis.bounds))}]")
+    for key, value in (("hysteresis", axis.hysteresis), ("min_stay_s", axis.min_stay_s)):
+        lines += [f"{key} = {value!r}"] if value else []
+    for region, gains in zip(table.regions.names, table.gains, strict=True):
+        lines += ["", *_region_lines(region, gains)]
+    return "\n".join(lines) + "\n"
+
+
+def _region_lines(name: str, gains: PidGains) -> list[str]:
+    """One [[schedule.region]]."""
+    ideal = to_ideal(gains)
+    kc, tau_i, tau_d = ideal.kc, ideal.tau_i_s, ideal.tau_d_s
+    told = '"none"' if tau_i is None else repr(_rounded(tau_i, 8))
+    lines = ["[[schedule.region]]", f'name = "{name}"', f"kc = {_rounded(kc, 8)!r}", f"tau_i_s = {told}"]
+    return [*lines, *([f"tau_d_s = {_rounded(tau_d, 8)!r}"] if tau_d else []), 'form = "ideal"']
+
+
+__all__ = ["AUTO", "Record", "ScheduleDesign", "design_schedule", "schedule_section", "table_of"]

@@ -1,0 +1,198 @@
+"""`retuner.PidController`: a loop in ten lines, whose gains change and come back without the caller's help."""
+
+import logging
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import retuner
+from retuner import Action, Axis, GainTable, Mode, PidController, PidGains, Regions
+from retuner.schedule.pid import StateTuple, law, start, step
+
+WEAK = PidGains(kp=12.0, ki=0.3)
+"""A quarter of the right gain for the tank."""
+
+
+class Tank:
+    """Gain 0.1, lag 50 s, dead time 5 s; its gain may grow."""
+
+    def __init__(self) -> None:
+        self.k, self.y, self._past, self._rng = 0.1, 0.0, [0.0] * 5, np.random.default_rng(1)
+
+    def pv(self) -> float:
+        return self.y + 0.001 * float(self._rng.standard_normal())
+
+    def take(self, co: float) -> None:
+        self._past.append(co)
+        self.y += (self.k * self._past.pop(0) - self.y) / 50
+
+
+def controller(mode: Mode | str = "auto") -> PidController:
+    return PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), mode=mode)
+
+
+def run(pid: PidController, tank: Tank, samples: int, sp: float = 1.0) -> list[retuner.Decision]:
+    found = []
+    for _ in range(samples):
+        tank.take(pid.step(sp, tank.pv()))
+        found += [pid.decision] if pid.decision is not None else []
+    return found
+
+
+def changed(pid: PidController, tank: Tank) -> retuner.Decision:
+    """Run until the first change is on trial."""
+    run(pid, tank, 100, sp=0.0)
+    made = run(pid, tank, 600)
+    assert [one.action for one in made] == [Action.COMMIT]
+    return made[0]
+
+
+def test_the_gains_follow_the_decision_and_the_output_makes_no_bump() -> None:
+    pid, tank = controller(), Tank()
+    made = changed(pid, tank)
+    assert pid.gains == made.gains_after != WEAK
+    assert pid.last_decision is made
+    assert pid.table.revision == 1
+
+
+def test_at_the_end_it_is_decided_what_runs_when_nobody_watches() -> None:
+    tank = Tank()
+    with controller() as pid:
+        made = changed(pid, tank)
+    last = pid.last_decision
+    assert last is not None
+    assert last.code == "kept_stopped"
+    assert pid.gains == made.gains_after == last.gains_after
+    assert not pid.retuner.trials.restored(0.0)  # it was told that they run
+
+
+def test_a_process_that_runs_away_gets_its_old_gains_back() -> None:
+    pid, tank = controller(), Tank()
+    changed(pid, tank)
+    tank.k *= 6.0
+    while not any(one.action is Action.RESTORE for one in run(pid, tank, 1, sp=1.5)):
+        assert tank.y < 10.0
+    assert pid.gains == WEAK
+
+
+def test_a_proposal_waits_for_approval_and_can_be_taken_back() -> None:
+    pid, tank = controller("advise"), Tank()
+    with pytest.raises(ValueError, match="no proposal"):
+        pid.approve()
+    run(pid, tank, 100, sp=0.0)
+    advised = run(pid, tank, 600)[0]
+    assert (advised.action, pid.gains) == (Action.ADVISE, WEAK)
+    assert pid.approve().action is Action.COMMIT
+    assert pid.gains == advised.gains_after
+    with pytest.raises(ValueError, match="other gains"):
+        pid.approve()
+    back = pid.take_back()
+    assert back is not None
+    assert pid.gains == WEAK
+    assert pid.take_back() is None
+
+
+def test_gains_set_by_hand_are_kept() -> None:
+    pid, tank, mine = controller(), Tank(), PidGains(14.0, 0.3)
+    with pytest.raises(ValueError, match="no step yet"):
+        pid.set_gains(mine)
+    run(pid, tank, 100, sp=0.0)
+    pid.set_gains(mine)
+    assert pid.gains == mine
+    assert [one.action for one in run(pid, tank, 600)] == [Action.ADVISE]
+    assert pid.gains == mine
+
+
+def test_mode_off_takes_back_what_is_on_trial() -> None:
+    pid, tank = controller(), Tank()
+    changed(pid, tank)
+    assert pid.set_mode("off") is not None
+    assert pid.gains == WEAK
+    with pytest.raises(ValueError, match="use off, advise, trial, auto"):
+        pid.set_mode("on")
+
+
+def test_the_output_is_that_of_the_law() -> None:
+    pid, tank = controller("off"), Tank()
+    plain = law(WEAK)
+    state: StateTuple = start(plain, 0.0, 0.0, 0.0)
+    for i in range(50):
+        sp, pv, dt = (3.0 if i > 5 else 1.0), tank.pv(), 0.5 + 0.01 * i
+        state, co = step(plain, state, sp, pv, dt)
+        assert pid.step(sp, pv, dt) == pytest.approx(co, abs=1e-9)
+        tank.take(co)
+
+
+def test_manual_and_back_makes_no_bump() -> None:
+    pid = controller("off")
+    pid.step(1.0, 0.5)
+    assert pid.step(1.0, 0.5, manual_co=42.0) == 42.0
+    assert pid.step(1.0, 0.5) == pytest.approx(42.0)
+    assert pid.step(1.0, 0.5, manual_co=400.0) == 100.0
+
+
+@pytest.mark.parametrize(
+    ("sp", "pv", "dt_s"), [(math.nan, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, 0.0), (1.0, 1.0, math.nan)]
+)
+def test_a_bad_sample_is_refused_and_changes_nothing(sp: float, pv: float, dt_s: float) -> None:
+    pid, other = controller(), controller()
+    with pytest.raises(ValueError, match="finite"):
+        pid.step(math.nan, 1.0)
+    assert pid.step(1.0, 0.4) == other.step(1.0, 0.4)
+    with pytest.raises(ValueError, match=r"finite|positive"):
+        pid.step(sp, pv, dt_s)
+    assert pid.step(1.0, 0.5) == other.step(1.0, 0.5)
+
+
+def test_the_region_chooses_the_gains_without_a_bump() -> None:
+    regions = Regions("sp", "m", ("low", "high"), 0.0, (5.0,), 10.0)
+    table = GainTable("level", regions, (WEAK, PidGains(3.0, 0.1)))
+    pid = PidController(table, dt_s=1.0, pv_range=(0, 10), mode="off")
+    before = [pid.step(4.0, 4.0) for _ in range(3)][-1]
+    assert pid.gains == WEAK
+    after = pid.step(6.0, 6.0)
+    assert pid.gains == table.gains[1]
+    assert after == pytest.approx(before)
+
+
+def test_what_the_gains_follow_must_be_given() -> None:
+    axis = Axis("can", "kg/h", 0.0, (5.0,), 10.0, signal="flow")
+    table = GainTable("level", Regions.along(("low", "high"), axis), (WEAK, PidGains(3.0, 0.1)))
+    pid = PidController(table, dt_s=1.0, pv_range=(0, 10), mode="off")
+    with pytest.raises(ValueError, match="give it as x"):
+        pid.step(1.0, 1.0)
+    pid.step(1.0, 1.0, x=7.0)
+    assert pid.gains == table.gains[1]
+    pid.step(1.0, 1.0, x=math.nan)
+    assert pid.gains == table.gains[1]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"dt_s": 0.0}, "dt_s"),
+        ({"dt_s": math.nan}, "dt_s"),
+        ({"pv_range": (1.0, 1.0)}, "pv_range"),
+        ({"pv_range": (0.0, math.inf)}, "pv_range"),
+        ({"mode": "maybe"}, "maybe"),
+        ({"co_range": (5.0, 5.0)}, "co_min"),
+    ],
+)
+def test_a_wrong_argument_is_told_by_its_name(wrong: dict[str, Any], said: str) -> None:
+    given: dict[str, Any] = {"dt_s": 1.0, "pv_range": (0.0, 1.0), **wrong}
+    with pytest.raises(ValueError, match=said):
+        PidController(WEAK, **given)
+
+
+def test_decisions_are_logged_and_nothing_is_shown_by_itself(
+    caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pid, tank = controller("advise"), Tank()
+    with caplog.at_level(logging.INFO, "retuner"):
+        run(pid, tank, 100, sp=0.0)
+        run(pid, tank, 600)
+    assert "loop, region all" in caplog.text
+    assert capsys.readouterr() == ("", "")
+    assert any(isinstance(one, logging.NullHandler) for one in logging.getLogger("retuner").handlers)

@@ -1,0 +1,95 @@
+"""Plants that schedules are judged on: against their own linearisation, exact results, and what is counted of them."""
+
+import numpy as np
+import pytest
+from cases.plant import HeldPlant
+from schedules import drawn, measure, physics, rivals
+from schedules.lookups import Curve
+from schedules.ode import transfer
+from schedules.stream import stream
+from schedules.tables import table
+from schedules.truth import Truth, counts
+
+from retuner.adaptive.process.model import LinearProcess
+from retuner.schedule.gains import PidGains
+
+
+def small_step(subject, place, size, n):
+    """pv after a small step of co, a unit of it."""
+    live = subject.live(place)
+    return np.array([live.move(subject.rest(place) + size, place) - subject.sp_at(place) for _ in range(n)]) / size
+
+
+@pytest.mark.parametrize("name", sorted(physics.MAKERS))
+def test_small_steps_of_a_plant_show_its_linearisation(name):
+    subject = physics.MAKERS[name]()
+    for place in subject.places(2):
+        local = subject.local(place)
+        held = HeldPlant(local, subject.dt_s)
+        exact = np.array([held.move(1.0) for _ in range(200)])
+        found = small_step(subject, place, 1e-3 * subject.span / abs(local.k), 200)
+        assert found == pytest.approx(exact, abs=0.03 * np.max(np.abs(exact)))
+
+
+def test_a_lead_on_a_swinging_pair_is_held_exactly():
+    pair = LinearProcess(2.0, (), (3.0,), 0.0, 0, ((1.0, 4.0),))
+    plant, h = HeldPlant(pair, 0.01), 0.01
+    found = np.array([plant.move(1.0) for _ in range(3000)])
+    t = h * np.arange(1, 3001)
+    sigma, w = 0.125, np.sqrt(0.25 - 0.125**2)
+    rest = np.exp(-sigma * t) * (np.cos(w * t) + (sigma - 0.25 * 3.0) / w * np.sin(w * t))
+    assert found == pytest.approx(2.0 * (1 - rest), abs=1e-9)
+
+
+def test_poles_zeros_and_gain_of_state_equations():
+    a = np.array([[-0.5, 0.0, 0.0], [0.5, -0.1, 0.0], [0.0, 0.1, -2.0]])
+    found = transfer(a, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 0.7)
+    assert (found.k, found.theta_s) == pytest.approx((10.0, 0.7))
+    assert sorted(found.lags_s) == pytest.approx([2.0, 10.0])
+    assert found.leads_s == ()
+
+
+@pytest.mark.parametrize("kind", ["smooth", "kink"])
+def test_rest_of_a_drawn_process_is_the_integral_of_one_over_its_gain(kind):
+    subject = drawn.draw(np.random.default_rng(3), kind, 10.0)
+    for y in (7.0, 31.0, 64.0, 93.0):
+        slope = (subject.rest(y + 0.3) - subject.rest(y - 0.3)) / 0.6
+        assert slope == pytest.approx(1 / subject.local(y).k, rel=0.02)
+
+
+def test_a_place_from_outside_changes_the_process_and_not_its_rest():
+    subject = drawn.draw(np.random.default_rng(4), "smooth", 4.0, by="flow")
+    live = subject.live(10.0)
+    assert {live.move(0.0, place) for place in (10.0, 40.0, 90.0)} == {subject.sp0}
+    assert small_step(subject, 80.0, 1e-3, 400)[-1] == pytest.approx(subject.local(80.0).k, rel=0.02)
+
+
+def test_a_curve_is_straight_between_its_points_and_level_outside():
+    curve = Curve([0.0, 10.0], [PidGains(1.0, 0.1), PidGains(3.0, 0.5)])
+    assert [curve.frozen(x).kp for x in (-5.0, 0.0, 2.5, 10.0, 40.0)] == pytest.approx([1.0, 1.0, 1.5, 3.0, 3.0])
+
+
+def test_one_set_suffices_for_a_constant_process_and_not_for_one_that_changes_by_ten():
+    constant = Truth(drawn.draw(np.random.default_rng(1), "constant", 1.0), 3)
+    assert constant.fewest == (1, 1)
+    changing = Truth(drawn.draw(np.random.default_rng(5), "kink", 10.0), 5)
+    assert min(changing.fewest) > 1
+    assert counts(changing, changing.perfect())["spec"] == 5
+    assert counts(changing, rivals.fixed(changing))["spec"] < 5
+
+
+def test_a_case_is_walked_counted_and_not_run_twice(tmp_path):
+    tasks = measure.tasks(1, 1, ("constant",), ("fixed",), visits=1, places=3, walk=2, rivals=False)
+    file, ran = tmp_path / "rows.jsonl", []
+
+    def work(task):
+        ran.append(task)
+        return measure.measure(task)
+
+    for _ in range(2):
+        rows, whole = stream(work, tasks, lambda f, items, _: map(f, items), 1, file, None)
+        assert whole
+    assert len(ran) == 1
+    assert rows[0]["who"]["perfect"]["iae"] == 1.0
+    assert rows[0]["who"]["before"]["iae"] > 1.0
+    assert table(rows)[0] == "constant x1, fixed: 1 cases"

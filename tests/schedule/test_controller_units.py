@@ -1,0 +1,122 @@
+"""Gains in the units of the trade: there and back, the analytic values, the action, and what is refused."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.schedule.controller_units import NAMES, Acting, ControllerUnits
+from retuner.schedule.forms import Form, SeriesGains
+from retuner.schedule.gains import PidGains
+
+SPANS = st.floats(1e-2, 1e4)
+ORDINARY = st.floats(1e-4, 1e4)
+
+
+@given(
+    name=st.sampled_from(NAMES),
+    form=st.sampled_from(["", "-series", "-ideal"]),
+    sets=st.tuples(ORDINARY, ORDINARY, st.floats(0.0, 0.9)),
+    spans=st.tuples(SPANS, SPANS),
+    sign=st.sampled_from([-1, 1]),
+    acting=st.booleans(),
+)
+def test_there_and_back(
+    name: str, form: str, sets: tuple[float, float, float], spans: tuple[float, float], sign: int, acting: bool
+) -> None:
+    kc, tau_i, share = sets
+    gains = SeriesGains(sign * kc, tau_i, share * tau_i).to_parallel()
+    action = Acting.of(gains) if acting else None
+    units = ControllerUnits.named(name + (form if name != "parallel" else ""), *spans, action=action)
+    shown = units.numbers(gains)
+    assert shown.form == units.form
+    assert shown.gain > 0 or not acting
+    back = units.gains(*shown[:3])
+    for one, two in zip((gains.kp, gains.ki, gains.kd), (back.kp, back.ki, back.kd), strict=True):
+        assert one == pytest.approx(two, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        ("kc-s", (2.0, 20.0)),
+        ("kc-min", (2.0, 1 / 3)),
+        ("gain-s", (4.0, 20.0)),  # 2 %/degC over 200 degC: 4 % of span for one
+        ("pb-rpm", (25.0, 3.0)),  # 100/4 percent; once in 20 s
+        ("pb-min", (25.0, 1 / 3)),
+        ("parallel", (2.0, 0.1)),
+    ],
+)
+def test_known_numbers(name: str, numbers: tuple[float, float]) -> None:
+    shown = ControllerUnits.named(name, pv_span=200.0).numbers(PidGains(2.0, 0.1))
+    assert shown[:2] == pytest.approx(numbers)
+
+
+def test_a_controller_without_integral_action_says_so() -> None:
+    for name in NAMES:
+        units = ControllerUnits.named(name, 200.0)
+        shown = units.numbers(PidGains(2.0, 0.0))
+        assert shown.integral is None
+        assert units.gains(shown.gain) == PidGains(2.0, 0.0)
+
+
+def test_the_action_is_a_word_and_the_numbers_are_positive() -> None:
+    cooling = PidGains(-2.0, -0.1)
+    units = ControllerUnits.named("pb-rpm", 200.0, action="direct")
+    assert units.text(cooling) == "PB 25 % reset 3 repeats/min, direct acting"
+    assert units.gains(25.0, 3.0) == cooling
+    with pytest.raises(ValueError, match="give a positive number"):
+        units.gains(-25.0, 3.0)
+    assert units.numbers(PidGains(2.0, 0.1)).gain == -25.0  # the other way round: it shows
+    assert ControllerUnits.named("pb-rpm", 200.0).numbers(cooling).gain == -25.0
+
+
+def test_what_has_no_form_of_its_own_is_shown_in_another_by_name() -> None:
+    swinging = PidGains(1.0, 1.0, 1.0)  # tau_I 1 s, tau_D 1 s: no series form
+    shown = ControllerUnits.named("kc-s").numbers(swinging)
+    assert shown == (1.0, 1.0, 1.0, Form.IDEAL)
+    assert ControllerUnits.named("kc-s").text(swinging) == "Kc 1 tau_I 1 s tau_D 1 s (ideal)"
+    assert ControllerUnits.named("pb-min", 50.0).text(PidGains(0.0, 0.5)) == "Ki 0.5/s (integral only)"
+    assert ControllerUnits.named("parallel").text(PidGains(0.0, 0.5)) == "kp 0 ki 0.5/s"
+
+
+def test_a_narrow_table_has_the_numbers_alone() -> None:
+    units = ControllerUnits.named("pb-rpm", 200.0)
+    assert units.short(PidGains(2.0, 0.1)) == "25, 3"
+    assert units.short(SeriesGains(2.0, 20.0, 3.0).to_parallel()) == "25, 3, 0.05 (series)"
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_not_finite_is_refused(name: str, place: int, bad: float) -> None:
+    numbers = [2.0, 3.0, 0.1]
+    numbers[place] = bad
+    with pytest.raises(ValueError, match="not a finite number"):
+        ControllerUnits.named(name, 200.0).gains(*numbers)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("pb",), "use kc-s"),
+        (("",), "use kc-s"),
+        (("pb-h", 1.0), "use kc-s"),
+        (("parallel-min",), "use kc-s"),
+        (("pb-rpm",), "give pv_span"),
+        (("gain-s", 0.0), "pv_span = 0.0"),
+        (("gain-s", math.nan), "pv_span = nan"),
+        (("gain-s", 1.0, math.inf), "co_span = inf"),
+        (("kc-s", None, 100.0, "sideways"), "direct"),
+    ],
+)
+def test_what_are_no_units_is_refused(arguments: tuple[object, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        ControllerUnits.named(*arguments)
+
+
+@pytest.mark.parametrize("numbers", [(0.0, 1.0), (2.0, -1.0), (2.0, 0.0), (2.0, 1.0, -1.0)])
+def test_what_makes_no_controller_is_refused(numbers: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match=r"nothing|positive|negative|tau"):
+        ControllerUnits.named("kc-min").gains(*numbers)
