@@ -75,7 +75,7 @@ def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.Captu
     capsys.readouterr()
     assert main(["replay", str(recorded / "run" / "trend.csv"), "--config", str(recorded / "short.toml")]) == 0
     shown = capsys.readouterr().out.splitlines()
-    assert "advise Kc 5 tau_I 4 s -> Kc" in shown[0]
+    assert "proposed: Kc 5 tau_I 4 s -> Kc" in shown[0]
     assert shown[-1].endswith("nothing was written")
 
 
