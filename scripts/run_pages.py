@@ -60,7 +60,7 @@ class Block:
     @property
     def to_run(self) -> bool:
         """Whether it can be run here."""
-        return not self.note.startswith("not run: ") and not re.search(r"<[a-z][^>]*>", self.code)
+        return not self.note.startswith("not run: ") and not re.search(r"<[A-Za-z][^>\n]*>", self.code)
 
 
 def blocks(text: str) -> list[Block]:
