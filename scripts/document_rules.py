@@ -23,7 +23,7 @@ k' = k/tau1 for `fopdt`.
 
 Each rule gives its settings in the form of its source; `--form series|ideal|parallel` converts them. Series:
 Kc (1 + 1/(tau_I s))(tau_D s + 1). Ideal: Kc (1 + 1/(Ti s) + Td s). Series to ideal: f = 1 + tau_D/tau_I, Kc f, tau_I
-f, tau_D/f; the way back exists for Ti >= 4 Td.
+f, tau_D/f; the reverse exists for Ti >= 4 Td.
 
 A rule that has no place for a second lag gets the first order model of the half rule, and says so. A rule that has no
 answer (wrong type, no dead time, no ultimate gain) says why in one line, status 2. Settings that would make the loop

@@ -18,10 +18,9 @@ from itertools import product
 import numpy as np
 
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
-from retuner.adaptive.schedule_design.start import start, with_loads
+from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Shape
+from retuner.adaptive.schedule_design.start import starts, with_loads
 from retuner.adaptive.schedule_design.stretches import Stretch
-from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 
 SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)
@@ -64,8 +63,8 @@ class Curves:
         return np.asarray(rows @ self.covariance @ rows.T, dtype=np.float64)
 
 
-def curves(stretches: Sequence[Stretch], axis: Axis, progress: Progress) -> Curves:
-    """The curves of some stretches over an axis.
+def curves(stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress: Progress) -> Curves:
+    """The curves of some stretches over an axis. sign : of the process gain, where it is known.
 
     Raises
     ------
@@ -75,39 +74,55 @@ def curves(stretches: Sequence[Stretch], axis: Axis, progress: Progress) -> Curv
     if not stretches:
         raise ValueError("no stretch of the records is long enough and moves both pv and co: nothing to learn from")
     joint = Joint.of(stretches)
-    floor = np.array([0.1 * noise_sigma(s.pv) + 1e-12 * float(np.ptp(s.pv)) for s in joint.stretches])
     progress("one process for all", 0.0)
-    form, z = start(stretches, axis)
-    noise = Noise((0.9,), np.array([2 * noise_sigma(s.pv) + 1e-9 * float(np.ptp(s.pv)) for s in joint.stretches]))
-    noise = noise_of(at(joint, form, z, noise, derivatives=False).left, float(np.median(floor)))
-    now = refined(joint, form, z, noise)
-    joint = with_loads(joint, form, now, noise)
-    progress("curves", 0.2)
-    form, z = form.with_shapes((Shape.BENT,) * 3, now.z)
-    fit = _settled(joint, form, z, 2)
-    progress("a second lag", 0.5)
-    fit = _better(fit, _settled(fit[0], *_with_second_lag(fit[1], fit[3].z), 2))
-    progress("which of them change", 0.8)
-    chosen, gain = chosen_shapes(fit[1], fit[3])
-    form, z = fit[1].with_shapes(chosen, fit[3].z)
-    joint, form, noise, now = _settled(fit[0], form, z, 1)
-    progress("curves", 1.0)
-    return Curves(form, now.z, _covariance(form, now), joint, noise, now, _log_likelihood(now, noise), gain)
+    first = [_settled(joint, form, np.zeros(form.size), 1) for form in starts(stretches, axis, sign)]
+    constant = max(first, key=_innovations)
+    progress("a second lag", 0.2)
+    constants = [constant, _settled(constant[0], *_with_second_lag(constant[1], constant[3].z), 1)]
+    progress("curves", 0.35)
+    bent = [_settled(fit[0], *_bent(fit), 2) for fit in constants]
+    progress("which of them change", 0.7)
+    noise = max(bent, key=_innovations)[2]
+    rich = [_under(noise, *fit[:2], fit[3].z) for fit in bent]
+    chosen = [_under(noise, fit[0], *fit[1].with_shapes(chosen_shapes(fit[1], fit[3]), fit[3].z)) for fit in rich]
+    level = [_under(noise, *fit[:2], fit[3].z) for fit in constants]
+    return _weighed(level, [*chosen, *rich], max(1.0, *(inflation(fit[3]) for fit in rich)))
+
+
+def _weighed(level: Sequence["Fit"], others: Sequence["Fit"], c: float) -> Curves:
+    """The fit with the most evidence, all of them under one noise."""
+    constant = max(evidence_of(fit, c) for fit in level)
+    best = max([*level, *others], key=lambda fit: evidence_of(fit, c))
+    joint, form, noise, now = best
+    covariance = _covariance(form, now, c)
+    return Curves(form, now.z, covariance, joint, noise, now, _innovations(best), evidence_of(best, c) - constant)
 
 
 Fit = tuple[Joint, Form, Noise, At]
 
 
+def _bent(fit: Fit) -> tuple[Form, FloatArray]:
+    """Slope gain, dead time and lag free to bend; a second lag stays what it is everywhere."""
+    _, form, _, now = fit
+    return form.with_shapes([*(Shape.BENT,) * 3, *(Shape.CONSTANT,) * (len(form.shapes) - 3)], now.z)
+
+
 def _settled(joint: Joint, form: Form, z: FloatArray, rounds: int) -> Fit:
     """Curves, noise and load steps in turn."""
-    noise = _noise(joint, at(joint, form, z, Noise((0.9,), np.ones(len(joint.loads))), derivatives=False))
+    noise = _noise(joint, at(joint, form, z, Noise((), np.ones(len(joint.loads))), derivatives=False))
     now = refined(joint, form, z, noise)
     for _ in range(rounds):
         noise = _noise(joint, now)
         joint = with_loads(joint, form, now, noise)
         now = refined(joint, form, now.z, noise)
-    noise = _noise(joint, now)
-    return joint, form, noise, refined(joint, form, now.z, noise)
+    return joint, form, _noise(joint, now), now
+
+
+def _under(noise: Noise, joint: Joint, form: Form, z: FloatArray) -> Fit:
+    """The same under a noise that is given."""
+    now = at(joint, form, z, noise, derivatives=False)
+    joint = with_loads(joint, form, now, noise)
+    return joint, form, noise, refined(joint, form, z, noise)
 
 
 MODEL_ERROR = 0.005
@@ -123,21 +138,33 @@ def _noise(joint: Joint, now: At) -> Noise:
 
 def _with_second_lag(form: Form, z: FloatArray) -> tuple[Form, FloatArray]:
     """A lag beside the first, out of the dead time."""
-    ln_theta = form.centre[1]
-    centre = (form.centre[0], ln_theta + math.log(1 - SECOND_LAG), form.centre[2], ln_theta + math.log(SECOND_LAG))
-    return replace(form, shapes=(*form.shapes, Shape.CONSTANT), centre=centre), np.append(z, 0.0)
+    ln_theta = form.centre[1] + float(form.axis.columns(np.array(form.axis.low), form.shapes[1]) @ z[form.places[1]])
+    centre = (form.centre[0], form.centre[1], form.centre[2], ln_theta + math.log(SECOND_LAG))
+    less = z.copy()
+    less[form.places[1].start] += math.log(1 - SECOND_LAG) / LEVEL_STD
+    return replace(form, shapes=(*form.shapes, Shape.CONSTANT), centre=centre), np.append(less, 0.0)
 
 
-def _better(one: Fit, two: Fit) -> Fit:
-    """The larger form where it leaves clearly less."""
-    gain = _log_likelihood(two[3], two[2]) - _log_likelihood(one[3], one[2])
-    return two if gain > SIMPLER + 0.5 * math.log(len(one[3].r)) else one
+LOAD_PRICE = 6.0
+"""Nats that a load step costs: its size, and its time among those in which it might have stood."""
 
 
-def _log_likelihood(now: At, noise: Noise) -> float:
-    """Of the white remainder, shares of correlated samples counted as what they are worth."""
+def _innovations(fit: Fit) -> float:
+    """ln likelihood by the size of the innovations, each stretch with its own: what variables are compared by."""
+    joint, _, _, now = fit
+    noise = noise_of(now.left, 1e-12)
     sizes = np.array([len(x) for x in now.left])
-    return float(-np.sum(sizes * np.log(noise.sigma)) - 0.5 * now.r @ now.r) / inflation(now)
+    return float(-np.sum(sizes * np.log(noise.sigma))) - LOAD_PRICE * sum(map(len, joint.loads)) / 2
+
+
+def evidence_of(fit: Fit, c: float) -> float:
+    """ln of the evidence of a fit under its noise, load steps and shapes paid for. c : inflation of all compared."""
+    joint, form, _, now = fit
+    assert now.jacobian is not None
+    occam = float(np.linalg.slogdet(np.eye(form.size) + now.jacobian.T @ now.jacobian / c)[1])
+    steps = sum(SHAPES.index(shape) for shape in form.shapes) + (len(form.shapes) - 3)
+    loads = sum(map(len, joint.loads)) / 2
+    return -0.5 * (float(now.r @ now.r) / c + float(now.z @ now.z) + occam) - SIMPLER * steps - LOAD_PRICE * loads
 
 
 def inflation(now: At) -> float:
@@ -147,16 +174,14 @@ def inflation(now: At) -> float:
     return max(float(r @ r) / max(len(r), 1), 0.2) * (1 + rho) / (1 - rho)
 
 
-def _covariance(form: Form, now: At) -> FloatArray:
+def _covariance(form: Form, now: At, c: float) -> FloatArray:
     """Of z."""
     assert now.jacobian is not None
-    return np.asarray(
-        np.linalg.inv(now.jacobian.T @ now.jacobian / inflation(now) + np.eye(form.size)), dtype=np.float64
-    )
+    return np.asarray(np.linalg.inv(now.jacobian.T @ now.jacobian / c + np.eye(form.size)), dtype=np.float64)
 
 
-def chosen_shapes(form: Form, now: At) -> tuple[tuple[Shape, ...], float]:
-    """The shapes with the most evidence, and ln E of them over that of constants.
+def chosen_shapes(form: Form, now: At) -> tuple[Shape, ...]:
+    """The shapes with the most evidence, as far as the misfit is a parabola.
 
     form, now : a fit with every shape as rich as it may become.
     """
@@ -180,5 +205,4 @@ def chosen_shapes(form: Form, now: At) -> tuple[tuple[Shape, ...], float]:
 
     options = [[s for s in SHAPES if s <= most] for most in form.shapes]
     ranked = {shapes: evidence(shapes) for shapes in product(*options)}
-    best = max(ranked, key=ranked.__getitem__)
-    return best, ranked[best] - ranked[tuple([Shape.CONSTANT] * len(form.shapes))]
+    return max(ranked, key=ranked.__getitem__)

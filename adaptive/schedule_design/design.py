@@ -102,12 +102,33 @@ def design(
         def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
             progress(f"{name}: {stage}", (i + share) / (len(able) + 0.3))
 
-        found[candidate.name] = curves(_stretches(windows, candidate), axis, told)
+        found[candidate.name] = curves(_stretches(windows, candidate), axis, direction(windows), told)
     evidence = tuple(_evidence(name, c) for name, c in found.items())
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = next(c for c in able if c.name == best.variable)
     progress("the fewest sets", len(able) / (len(able) + 0.3))
     return _designed(chosen, found[best.variable], windows, limits, lookup, evidence)
+
+
+SEEN = 5
+"""Setpoint changes that must agree on the direction in which the controller acts, on balance, weighed by their size."""
+
+
+def direction(windows: Sequence[Window]) -> int | None:
+    """Sign of the process gain as the controller's answers to setpoint changes show it; None where there are too few.
+
+    In a loop that is closed and works, co goes the process' way when the setpoint moves.
+    """
+    votes = []
+    for window in windows:
+        moved = np.diff(window.sp)
+        large = np.flatnonzero(np.abs(moved) > 0.1 * max(float(np.ptp(window.sp)), 1e-300))
+        for row in large[(large > SEEN) & (large < len(moved) - SEEN)].tolist():
+            kick = float(np.mean(window.co[row + 1 : row + 1 + SEEN]) - np.mean(window.co[row - SEEN + 1 : row + 1]))
+            votes.append(math.copysign(1.0, moved[row]) * kick)
+    total = sum(votes)
+    against = sum(abs(v) for v in votes if v * total < 0)
+    return None if not votes or against > abs(total) else int(math.copysign(1, total))
 
 
 def _evidence(name: str, found: Curves) -> Evidence:
@@ -146,7 +167,7 @@ def _designed(
     if not known:
         least = min(places, key=lambda p: p.gain_std)
         factor = math.exp(least.gain_std)
-        reason = f"nowhere known well enough: the gain that follows is known to a factor of {factor:.2f} at best"
+        reason = f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
     layout = _layout(places, limits, lookup)
     border = _hysteresis(chosen, layout)

@@ -259,7 +259,7 @@ def _step(form: Form, now: At, damping: float) -> FloatArray:
     return np.asarray(step * min(1.0, LARGEST_MOVE / max(farthest, 1e-12)), dtype=np.float64)
 
 
-MOST_ORDER = 3
+MOST_ORDER = 5
 PRIOR_SAMPLES = 30.0
 """Samples' worth of the common sigma in each stretch's own."""
 

@@ -17,27 +17,38 @@ NODES = 10
 """Lags and dead times each."""
 MOST_STRETCHES = 40
 """Those that move most are searched; the refinement uses all."""
-NEARLY_DIFFERENCED = (0.97,)
-"""The whitening of the search: slow loads then weigh little."""
+WHITENINGS: tuple[tuple[float, ...], ...] = ((), (0.97,))
+"""Of the search: as measurement noise, and nearly differenced, in which slow loads weigh little. Noise beside a
+controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
 
 
-def start(stretches: Sequence[Stretch], axis: Axis) -> tuple[Form, FloatArray]:
-    """A constant process: its form, and z (zero, as the prior is centred on it)."""
+def starts(stretches: Sequence[Stretch], axis: Axis, sign: int | None) -> list[Form]:
+    """Constant processes to start from, one for each whitening; their z is zero, as the prior is centred on it.
+
+    sign : of the process gain, where it is known.
+    """
     chosen = sorted(stretches, key=_excitation, reverse=True)[:MOST_STRETCHES]
     batch = Batch.of(chosen)
     h = float(np.median(batch.h_s))
     longest = h * max(map(len, chosen))
     lags = np.geomspace(2 * h, 3 * longest, NODES)
     thetas = np.geomspace(0.5 * h, 0.3 * longest, NODES)
-    best = (math.inf, 0.0, 0.0, 0.0)
+    best = [(math.inf, 0.0, 0.0, 0.0)] * len(WHITENINGS)
     for theta in thetas.tolist():
-        for lag, cost, slope in zip(lags.tolist(), *_searched(batch, lags, theta), strict=True):
-            if cost < best[0]:
-                best = (cost, slope, theta, lag)
-    _, slope, theta, lag = best
+        for w, found in enumerate(_searched(batch, lags, theta)):
+            nodes = zip(lags.tolist(), found, strict=True)
+            right = [(cost, slope, theta, lag) for lag, (cost, slope) in nodes if sign is None or slope * sign > 0]
+            best[w] = min(best[w], *right, (math.inf, 0.0, 0.0, 0.0))
+    found_any = [node for node in dict.fromkeys(best) if node[0] < math.inf]
+    if not found_any:
+        raise ValueError("pv goes against co everywhere, where the controller says otherwise: are the columns right?")
+    return [_constant(axis, *node[1:]) for node in found_any]
+
+
+def _constant(axis: Axis, slope: float, theta: float, lag: float) -> Form:
+    """The form of a constant process."""
     centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
-    form = Form(axis, (Shape.CONSTANT,) * 3, centre, 1 if slope >= 0 else -1)
-    return form, np.zeros(form.size)
+    return Form(axis, (Shape.CONSTANT,) * 3, centre, 1 if slope >= 0 else -1)
 
 
 def _excitation(stretch: Stretch) -> float:
@@ -45,25 +56,27 @@ def _excitation(stretch: Stretch) -> float:
     return float(np.ptp(stretch.pv)) / max(noise_sigma(stretch.pv), 1e-12 * float(np.ptp(stretch.pv)) + 1e-300)
 
 
-def _searched(batch: Batch, lags: FloatArray, theta: float) -> tuple[list[float], list[float]]:
-    """Misfit and slope gain for each lag at one dead time."""
+def _searched(batch: Batch, lags: FloatArray, theta: float) -> list[list[tuple[float, float]]]:
+    """Misfit and slope gain for each whitening and lag, at one dead time."""
     shape = (len(batch.pv), len(batch.stretches), len(lags))
     ln_tau = np.broadcast_to(np.log(lags), shape)
     local = Local(np.zeros(shape), np.full(shape, math.log(theta)), ln_tau, None)
     arriving = np.repeat(batch.arriving(np.full((*shape[:2], 1), theta)), len(lags), axis=2)
     moved = response(local, arriving, batch.h_s)
     begun = response(local, np.zeros_like(arriving), batch.h_s, np.ones(shape[1:]))
-    costs, slopes = [], []
-    for i in range(len(lags)):
-        xx = xy = yy = 0.0
-        for j, stretch in enumerate(batch.stretches):
-            n = len(stretch)
-            columns = np.stack([np.ones(n), begun[:n, j, i], moved[:n, j, i], batch.pv[:n, j]], axis=1)
-            q = np.linalg.qr(white(columns, NEARLY_DIFFERENCED) / max(noise_sigma(stretch.pv), 1e-9))[1]
-            xx, xy, yy = xx + q[2, 2] ** 2, xy + q[2, 2] * q[2, 3], yy + q[2, 3] ** 2 + q[3, 3] ** 2
-        slopes.append(xy / max(xx, 1e-300))
-        costs.append(yy - xy * slopes[-1])
-    return costs, slopes
+    return [[_node(batch, moved[..., i], begun[..., i], ar) for i in range(len(lags))] for ar in WHITENINGS]
+
+
+def _node(batch: Batch, moved: FloatArray, begun: FloatArray, ar: Sequence[float]) -> tuple[float, float]:
+    """Misfit and slope gain of one process, start and slope of every stretch solved for."""
+    xx = xy = yy = 0.0
+    for j, stretch in enumerate(batch.stretches):
+        n = len(stretch)
+        columns = np.stack([np.ones(n), begun[:n, j], moved[:n, j], batch.pv[:n, j]], axis=1)
+        q = np.linalg.qr(white(columns, ar) / max(noise_sigma(stretch.pv), 1e-9), mode="r")
+        xx, xy, yy = xx + q[2, 2] ** 2, xy + q[2, 2] * q[2, 3], yy + q[2, 3] ** 2 + q[3, 3] ** 2
+    slope = float(xy / max(xx, 1e-300))
+    return float(yy - xy * slope), slope
 
 
 COARSE = 6

@@ -282,9 +282,9 @@ class ForeignDevice:
             return
         shown = f"kp = {gains.kp:.6g}, ki = {gains.ki:.6g}, kd = {gains.kd:.6g}"
         raise DeviceMismatchError(
-            f"{self.settings.where}: it runs {shown} (parallel), which no region has, and a set of several messages is "
-            "not written over it without a proof: give the region the gains that it runs (retuner export --into puts "
-            'tuned ones there), or [device] accept = ["unproved_order"]'
+            f"{self.settings.where}: it runs {shown} (parallel), which no region has; gains of several messages are "
+            "not written over unknown ones; give the region the gains that it runs (retuner export --into writes tuned "
+            'ones there), or [device] accept = ["unproved_order"]'
         )
 
     def _first_numbers(self) -> Numbers:

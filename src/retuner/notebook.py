@@ -106,8 +106,8 @@ def _cause(result: RecordDiagnosis, *, reason: bool = True) -> str:
 def _cure(result: RecordDiagnosis) -> list[str]:
     """The settings that follow, if any do."""
     if not result.diagnosis.retune or result.settings is None:
-        return ["no change of settings"]
-    title = "settings that would cure it:" if result.aim is None else "settings for a first step:"
+        return ["no change of settings recommended"]
+    title = "recommended settings:" if result.aim is None else "recommended first step:"
     return [title, *tuning_lines(result.settings)]
 
 

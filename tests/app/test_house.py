@@ -30,8 +30,8 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api", "scheduling",
-    "config", "ledger", "decisions", "pid_controller", "",
+    "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
+    "scheduling", "config", "ledger", "decisions", "pid_controller", "",
     "decision_page", "report", "experiment", "audit", "session", "live_view", "replay", "serve", "gain_export",
     "doctor", "commands", "notebook", "cli", "__main__",
 )

@@ -21,7 +21,7 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 
 @app.command(epilog="Example: retuner check oven.toml")
 def check(path: ConfigFile, as_json: Json = False) -> int:
-    """Say what is wrong with a configuration: file, line, key, limit; or show it when all is well."""
+    """Check a configuration: each error with file, line, key and limit; without errors, a summary."""
     from retuner.config.loading import (  # noqa: PLC0415  see above
         UnusableError,
         parse_session,

@@ -29,7 +29,7 @@ from retuner.session.recorded_session import ledger_path
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    help="What was seen, decided and written: read it, and look whether it can be believed.",
+    help="Read, verify, export or revert what was seen, decided and written.",
     epilog="Example: retuner ledger show runs/demo",
 )
 
@@ -274,5 +274,5 @@ def revert(
     loop: Loop = None,
     as_json: Json = False,
 ) -> int:
-    """Order the way back: the gains before a decision, in its region; by the running session, or by the next one."""
+    """Request a rollback to the gains before a decision, in its region, by the running or the next session."""
     return order_back(session, decision, Person(by, note), loop, as_json=as_json)

@@ -15,14 +15,12 @@ if TYPE_CHECKING:  # slow to load, and most commands have no configuration
     from retuner.config.session_config import SessionConfig
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")]
-Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder that a run leaves, or fills right now.")]
+Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of a session, finished or running.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-Interface = Annotated[
-    str | None, typer.Option("--interface", "-i", help="python-can interface, as python-can spells it.")
-]
+Interface = Annotated[str | None, typer.Option("--interface", "-i", help="python-can interface.")]
 Channel = Annotated[str | None, typer.Option("--channel", "-c", help="Channel of the interface.")]
 Loop = Annotated[str | None, typer.Option("--loop", metavar="NAME", help="Which loop, where there are several.")]
-By = Annotated[str | None, typer.Option(help="Who orders it; default: the user of this process.")]
+By = Annotated[str | None, typer.Option(help="Who requests it; default: the user of this process.")]
 Note = Annotated[str, typer.Option(help="Why, for the ledger.")]
 
 Options = TypeVar("Options")
@@ -58,6 +56,6 @@ def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | N
     """
     if (interface or channel) is not None and len(session.buses) > 1:
         raise UserError(
-            f"--interface, --channel: name one bus, and the loops hang on {len(session.buses)}; name them in the file"
+            f"--interface, --channel: name one bus, and the loops depend on {len(session.buses)}; name them in the file"
         )
     return replace(session, loops=tuple(on_bus(config, interface, channel) for config in session.loops))

@@ -39,12 +39,12 @@ app = typer.Typer(add_completion=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions(FormOptions):
-    """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
+    """Repeat the decisions of a session byte for byte, or apply retuner to a recorded log."""
 
     target: Annotated[Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")]
     config: Annotated[
         Path | None,
-        typer.Option(help="Say what would have been done on a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
+        typer.Option(help="Apply this configuration to a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
     ] = None
     loop: Loop = None
     as_json: Json = False
@@ -71,7 +71,7 @@ def _refuse_form(options: FormOptions, why: str) -> None:
     for field_ in fields(FormOptions):
         if getattr(options, field_.name) != field_.default:
             name = field_.name.replace("_", "-")
-            raise UserError(f"--{name}: tells the form of a table; {why}")
+            raise UserError(f"--{name}: gives the form of a table; {why}")
 
 
 def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:

@@ -40,7 +40,7 @@ def report(
     loop: Loop = None,
     as_json: Json = False,
 ) -> int:
-    """Make the report of a recorded session again, or the page of one decision: the whole reasoning with pictures."""
+    """Make the report of a recorded session again, or the page of one decision with its full reasoning."""
     recorded, config = read_loops(session)
     every = config.several and loop is None and decision is None and out is None
     with busy("drawing the report"):

@@ -75,8 +75,12 @@ class RunOptions:
     mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
-    pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="On a terminal: what decisions weighed.")] = False
+    pretune: Annotated[
+        bool, typer.Option("--pretune", help="Begin with a step test of co, for a first model and gains.")
+    ] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="On a terminal: the evidence behind each decision.")
+    ] = False
     serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
     as_json: Json = False
 

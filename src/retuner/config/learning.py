@@ -24,7 +24,7 @@ class LimitsConfig(Section):
 
 @holding(AdmissionSettings)
 class AdmissionConfig(Section):
-    """[adaptation.admission]: which responses may teach their region anything."""
+    """[adaptation.admission]: which responses may update the model of their region."""
 
 
 @holding(PatternSettings)

@@ -93,13 +93,13 @@ class Config(Section):
         "Version of this file's layout", unit="-", alias="schema", source="this release"
     )
     loop: LoopConfig = setting("The loop", unit="-", source="the user")
-    schedule: ScheduleConfig = setting("Which gains are in force where", unit="-", source="the user")
+    schedule: ScheduleConfig = setting("Which gains apply where", unit="-", source="the user")
     adaptation: AdaptationConfig = setting(
         "What the retuner may do", unit="-", default=AdaptationConfig(), source="advise only"
     )
     bus: BusConfig = setting("The CAN bus", unit="-", default=BusConfig(), source="virtual")
     device: AnyDevice | None = setting(
-        "The device; absent: a controller of the native protocol hangs on the bus",
+        "The device; absent: a controller of the native protocol is connected",
         unit="-",
         default=None,
         source="the user",

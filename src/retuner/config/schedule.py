@@ -29,13 +29,13 @@ class RegionConfig(Section):
         unit="%/pv",
         low=-1e9,
         high=1e9,
-        source="the gains in force",
+        source="the active gains",
     )
     tau_i_s: IntegralTime | Literal["none"] = setting(
-        'Integral time of the named form, or "none" for no integral action', unit="s", source="the gains in force"
+        'Integral time of the named form, or "none" for no integral action', unit="s", source="the active gains"
     )
     tau_d_s: float = setting(
-        "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the gains in force"
+        "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the active gains"
     )
     form: Literal["series", "ideal", "parallel"] = setting(
         "Form of kc, tau_i_s and tau_d_s; parallel means the times are kp/ki and kd/kp",
@@ -45,8 +45,8 @@ class RegionConfig(Section):
     )
 
     cell: Many[Annotated[int, Field(ge=1, le=64)]] = setting(
-        "With two axes the place on each, counted from 1; for all regions or for none (then row by row: the first "
-        "place on the first axis with all of the second, then the next)",
+        "With two axes the place on each, counted from 1; for all regions or for none; if none, the second axis "
+        "counts fastest",
         unit="-",
         text=(0, 2),
         default=(),
@@ -69,7 +69,7 @@ class RegionConfig(Section):
     def problems(self) -> Iterator[Problem]:
         """Gains that a controller can have."""
         if self.kc == 0:
-            yield Problem(("kc",), "= 0 would control nothing; give the gain in force, negative when reverse-acting")
+            yield Problem(("kc",), "= 0 would control nothing; give the active gain, negative when reverse-acting")
 
     @property
     def integral_time_s(self) -> float | None:
@@ -82,7 +82,7 @@ class RegionConfig(Section):
 
 
 class AxisConfig(Section):
-    """[[schedule.axis]]: one scheduling variable and the borders on it; one or two of these."""
+    """[[schedule.axis]]: one scheduling variable and the boundaries on it; one or two of these."""
 
     variable: Literal["sp", "pv", "co", "can"] = setting(
         "What the gains follow; can: another signal on the bus", unit="-", source="the user"
@@ -97,9 +97,9 @@ class AxisConfig(Section):
         default=(),
         source="[loop]",
     )
-    bounds: Many[float] = setting("Borders on the axis, increasing", unit="unit", default=(), source="the user")
+    bounds: Many[float] = setting("Boundaries on the axis, increasing", unit="unit", default=(), source="the user")
     hysteresis: float = setting(
-        "How far beyond a border a place is kept",
+        "How far beyond a boundary a place is kept",
         unit="unit",
         low=0,
         high=1e9,
@@ -128,8 +128,8 @@ class AxisConfig(Section):
     )
     signal: str = setting("With can: name of the signal in it", unit="-", text=(0, 128), default="", source="the DBC")
     stale_after_s: float = setting(
-        "With can: age of the last value after which the variable is not known; the region stays then, and nothing is "
-        "learned",
+        "With can: age of the last value after which the variable is not known; the region then stays, and no model is "
+        "updated",
         unit="s",
         above=0,
         high=1e6,
@@ -185,13 +185,13 @@ class ScheduleConfig(Section):
 
     variable: Literal["sp", "pv", "co"] = setting("What the gains follow", unit="-", default="sp", source="sp is quiet")
     bounds: Many[float] = setting(
-        "Borders between the regions, increasing; none for a single region",
+        "Boundaries between the regions, increasing; none for a single region",
         unit="pv or %",
         default=(),
         source="the user",
     )
     hysteresis: float = setting(
-        "How far beyond a border a region is kept",
+        "How far beyond a boundary a region is kept",
         unit="pv or %",
         low=0,
         high=1e9,

@@ -32,7 +32,7 @@ BASES = {
     "pretune": "from a step test",
 }
 """What a proposal rests on, in words."""
-FIRST_GROUPS = ("margins with the active settings", "rival explanations")
+FIRST_GROUPS = ("margins with the active settings", "competing explanations")
 """Groups of evidence that are shown at once; the others unfold."""
 SWINGS = 0.25
 """Ratio of successive half swings from which a response looks like an oscillation: a quarter decay."""
@@ -264,13 +264,14 @@ def _proof(view: DecisionView) -> str:
     for check in parts(verdict, "checks"):
         passed = check.get("passed")
         mark = "passed" if passed is True else "NOT passed" if passed is False else ""
-        words_ = words(check, "words") or words(check, "name").replace("_", " ")
-        none = "unstable" if words(check, "name").startswith("ms_") else "none"
+        name = words(check, "name")
+        words_ = words(check, "words") or name.replace("_", " ")
+        none = "unstable" if name.startswith("ms_") else "none"
         rows.append(
             (
                 escaped(words_),
-                _value(check.get("value"), none),
-                _value(check.get("limit"), "none"),
+                _value(check.get("value"), none) if name != "settled" else "yes" if passed else "no",
+                _value(check.get("limit"), "none") if name != "settled" else "yes",
                 f'<span class="{"good" if passed else "bad"}">{mark}</span>',
             )
         )

@@ -92,8 +92,8 @@ class Replayed:
 
 
 FOREIGN = (
-    "its controller does not speak the native protocol, and the times of its samples are the host's, which no log has "
-    "to the last digit; only native sessions are decided again"
+    "its controller does not use the native protocol, and no log has its sample times to the last digit; "
+    "only native sessions are decided again"
 )
 
 

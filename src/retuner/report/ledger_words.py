@@ -17,7 +17,7 @@ BY = {
     "lockout": RETUNER, "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
     "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
     "restart": CONTROLLER,
-    "reverted": CONTROLLER, "command": CONTROLLER, "foreign": "somebody else", "foreign_host": "another host",
+    "reverted": CONTROLLER, "command": CONTROLLER, "foreign": "someone else", "foreign_host": "another host",
     "lease": "another host", "conflict": "two controllers",
 }  # fmt: skip
 """Who stands behind a row, where it does not say so itself."""

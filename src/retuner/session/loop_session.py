@@ -51,14 +51,14 @@ class SessionPhase(Enum):
     ENDING = "ending: an undecided change is rolled back"
     FAILING = "ending after a defect: no sample is looked at any more"
     SETTLED = "over: nothing is open"
-    LEFT_OPEN = "over: patience has ended before the verified set was known to run"
+    LEFT_OPEN = "over: the waiting time has passed before the verified gains were known to be active"
 
 
 class SessionInput(Enum):
     """What can happen to it."""
 
     PLAYED = "the scenario is over"
-    STOPPED = "somebody ends it"
+    STOPPED = "someone ends it"
     FROZEN = "rows cannot be recorded any more"
     FAILED = "a defect"
     CLOSED = "no write is open and no set is to be restored"

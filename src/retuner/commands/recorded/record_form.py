@@ -14,7 +14,7 @@ from retuner.drivers.historian.record_form import COLUMN_ROLES, RecordForm, form
 from retuner.errors import UserError, user_input
 from retuner.verbosity import LOGGER, busy, quiet
 
-PANEL = "The form of the record (else found in it, and told)"
+PANEL = "The form of the record (else detected, and reported)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,12 +29,16 @@ class FormOptions:
     dt: Annotated[
         float | None, typer.Option(help="Seconds between rows where no column has the time.", rich_help_panel=PANEL)
     ] = None
-    time_format: Annotated[str, typer.Option(help="Stamps, as in %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)] = ""
+    time_format: Annotated[
+        str, typer.Option(help="Format of time stamps: %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)
+    ] = ""
     time_unit: Annotated[str, typer.Option(help="Time as a number: s, ms, min, h, d.", rich_help_panel=PANEL)] = ""
-    zone: Annotated[str, typer.Option(help="Of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)] = ""
+    zone: Annotated[
+        str, typer.Option(help="Time zone of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)
+    ] = ""
     decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
-    good: Annotated[str, typer.Option(help="What the quality of a good value says.", rich_help_panel=PANEL)] = ""
-    bad: Annotated[str, typer.Option(help="A further word for a missing value.", rich_help_panel=PANEL)] = ""
+    good: Annotated[str, typer.Option(help="Quality code of a good value.", rich_help_panel=PANEL)] = ""
+    bad: Annotated[str, typer.Option(help="Another code for a missing value.", rich_help_panel=PANEL)] = ""
     record: Annotated[
         Path | None,
         typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),

@@ -30,7 +30,7 @@ class RecordOptions(FormOptions):
         typer.Argument(metavar="FILE...", help="A record as exported: text or Parquet, or a file for each signal."),
     ]
     open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
-    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force.")] = None
+    kc: Annotated[float | None, typer.Option(help="Active controller gain.")] = None
     tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
     tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
     form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series"
@@ -98,10 +98,10 @@ def controller(options: RecordOptions) -> PidGains | None:
         raise UserError(f"--form {options.form}: give one of {', '.join(Form)}")
     if options.kc is None:
         if options.tau_i is not None or options.tau_d:
-            raise UserError("--tau-i and --tau-d need --kc: give the gain of the controller in force, too")
+            raise UserError("--tau-i and --tau-d need --kc: give the gain of the active controller, too")
         return None
     if options.open_loop:
-        raise UserError("--open-loop and --kc exclude each other: in manual no controller was in force")
+        raise UserError("--open-loop and --kc exclude each other: in manual there was no controller")
     with user_input("--kc, --tau-i, --tau-d"):
         return from_form(options.form, options.kc, options.tau_i, options.tau_d)
 

@@ -26,7 +26,7 @@ HEADINGS = ("rule", "kind", "form", "Kc", "tau_I", "tau_D", "Ms", "GM", "PM", "J
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TuneOptions:
-    """Settings for a known process by a tuning rule, with their margins."""
+    """Compute settings for a known process by a tuning rule, with margins."""
 
     type: Annotated[
         str | None,
@@ -176,14 +176,14 @@ def _dial_lines(dial: dict[str, float]) -> list[str]:
     """Vendors' units in a line, if they are wanted."""
     if not dial:
         return []
-    return [f"  dialled   proportional band {dial['band_pct']:.4g} %  {dial['repeats_per_min']:.4g} repeats/min"]
+    return [f"  set as    proportional band {dial['band_pct']:.4g} %  {dial['repeats_per_min']:.4g} repeats/min"]
 
 
 def explained(why: Explanation) -> list[str]:
     """Formula, numbers put in, source and range in lines."""
     numbers = "  ".join(f"{name} = {value:.6g}" for name, value in why.numbers.items())
     lines = [f"  formula   {line}" for line in why.formula]
-    lines += [f"  put in    {numbers}"] if numbers else []
+    lines += [f"  with      {numbers}"] if numbers else []
     lines += [f"            {line}" for line in why.with_numbers if line not in why.formula]
     return [*lines, f"  source    {why.source}", f"  range     {why.valid}"]
 
@@ -197,7 +197,7 @@ def table(found: Comparison) -> list[str]:
         left = [cell.ljust(width) for cell, width in zip(row[:3], widths[:3], strict=True)]
         right = [cell.rjust(width) for cell, width in zip(row[3:], widths[3:], strict=True)]
         lines.append("  ".join([*left, *right]).rstrip())
-    return [*lines, *(f"no {rule}: {reason}" for rule, reason in found.left_out)]
+    return [*lines, *(f"not applicable: {rule}: {reason}" for rule, reason in found.left_out)]
 
 
 def _cells(row: RuleRow) -> tuple[str, ...]:
