@@ -119,12 +119,17 @@ def live_line(decision: Decision, loop: str = "") -> str:
     colour = COLOURS.get(cause, "magenta")
     where = f"{loop} {decision.region}" if loop else decision.region
     head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
-    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(decision.reason)]
+    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(short_reason(decision))]
     told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
     judged = decision.judgement.reason if decision.judgement and not undone else ""
     told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
     model = model_text(decision)
     return f"{head} {'; '.join(told)}{f'; [dim]model: {escape(model)}[/]' if model else ''}"
+
+
+def short_reason(decision: Decision) -> str:
+    """Why: of a rollback the first clause, the report has the others."""
+    return decision.reason.split("; ")[0] if takes_back(decision) else decision.reason
 
 
 def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit: float = MS_LIMIT) -> Table:
