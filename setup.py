@@ -39,7 +39,7 @@ else:
         packages += [f"retuner.{room}", *(f"retuner.{room}.{name}" for name in find_packages(room))]
 
 STABLE = "0x030B0000"
-ENGINE = ("modes", "lanes", "misfit", "refine", "search", "valves")
+ENGINE = ("modes", "lanes", "misfit", "refine", "screen", "search", "valves")
 flags = ["/O2", "/std:c11"] if sys.platform == "win32" else ["-std=c11", "-O3", "-ffp-contract=off"]
 engine = Extension(
     "retuner.adaptive.fit._engine",
@@ -53,9 +53,12 @@ engine = Extension(
 
 without = bool(os.environ.get("RETUNER_WITHOUT_ENGINE"))  # a wheel for every machine; numpy computes the fits
 
+man = [("share/man/man1", ["docs/retuner.1"])]  # made by scripts/document_manual.py
+
 setup(
     packages=packages,
     package_dir=package_dir,
+    data_files=man,
     ext_modules=[] if without else [engine],
     options={} if without else {"bdist_wheel": {"py_limited_api": "cp311"}},
 )
