@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from retuner.schedule.table import Lookup
 PLACES = 25
 """Places along the variable that are looked at."""
 MOST_SETS = 8
+SLOWER = (1.4, 1.6, 2.0)
+"""Limits of J that are tried in turn where more than MOST_SETS would be needed."""
 LOADS_A_STRETCH = 1.5
 """Load steps that a stretch may have in the mean; right fits of benchmarks/schedules need up to 0.8, wrong ones 2."""
 ROWS = 400
@@ -176,7 +178,7 @@ def _designed(
     reason = _unexplained(found) or _nowhere_known(places)
     if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
-    layout = _layout(places, limits, lookup)
+    layout, j_limit = _affordable(places, limits, lookup)
     border = _hysteresis(chosen, layout)
     stay = max(p.model.theta_s for p in places if p.known) if layout is not None and len(layout.sets) > 1 else 0.0
     if layout is None:
@@ -185,6 +187,7 @@ def _designed(
         )
     sets = len(layout.sets)
     how = "one set serves every place" if sets == 1 else f"{sets} sets, {layout.lookup}"
+    how += f"; within J {limits.j:g} it would need more than {MOST_SETS}, within {j_limit:g} not" * (j_limit > limits.j)
     moving_by = (chosen.name,) if chosen.name in {"sp", "pv"} else ()
     moved = tuple(crossings(found, places, layout, moving_by)) if sets > 1 else ()
     return Design(chosen.name, found, places, layout, border, stay, evidence, how, moved)
@@ -207,6 +210,18 @@ def _nowhere_known(places: Sequence[Place]) -> str:
         return ""
     factor = math.exp(min(place.gain_std for place in places))
     return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
+
+
+def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | None, float]:
+    """The fewest sets, at most MOST_SETS, for the smallest limit of J with which that is possible, and that limit.
+
+    The limit of Ms is never given up.
+    """
+    for j in (limits.j, *(j for j in SLOWER if j > limits.j)):
+        layout = _layout(places, replace(limits, j=j), lookup)
+        if layout is not None:
+            return layout, j
+    return None, limits.j
 
 
 def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from retuner.adaptive.schedule_design import design
 from retuner.adaptive.schedule_design.design import _unexplained
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 
@@ -28,3 +29,26 @@ def test_records_that_need_two_load_steps_a_stretch_are_not_explained():
 
     assert _unexplained(fitted(2)) == ""
     assert "20 load steps" in _unexplained(fitted(4))
+
+
+def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
+    places = [
+        place_at(
+            SimpleNamespace(
+                ln=lambda _, b=b: np.array([[b, 0.0, 2.0]]),
+                ln_covariance=lambda _: np.diag([0.02, 0.02, 0.02]) ** 2,
+                form=SimpleNamespace(sign=1),
+            ),
+            x,
+            0.1,
+            DesignLimits(),
+        )
+        for x, b in ((0.0, 0.0), (1.0, 0.25), (2.0, 0.5))
+    ]
+    monkeypatch.setattr(design, "MOST_SETS", 1)
+
+    layout, j = design._affordable(places, DesignLimits(), "hard")
+
+    assert layout is not None
+    assert j > DesignLimits().j
+    assert all(place.judged(gains).j <= j for place in places for gains in layout.sets)
