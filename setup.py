@@ -53,9 +53,12 @@ engine = Extension(
 
 without = bool(os.environ.get("RETUNER_WITHOUT_ENGINE"))  # a wheel for every machine; numpy computes the fits
 
+man = [("share/man/man1", ["docs/retuner.1"])]  # made by scripts/document_manual.py
+
 setup(
     packages=packages,
     package_dir=package_dir,
+    data_files=man,
     ext_modules=[] if without else [engine],
     options={} if without else {"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -22,7 +22,7 @@ SCHEMA = 1
 MOST_AXES = 2
 
 HEAD = """\
-# Gain table of retuner. Gains are in parallel form, co in percent of the output range, times in seconds:
+# Gain table of retuner. Gains are in parallel form, co in percent of the output range, times in seconds.
 #   co = kp (b sp - pv) + ki integral(sp - pv) dt - kd d(pv)/dt
 # The comment below each set is the same controller in ideal form; it is not read.
 """

@@ -215,7 +215,7 @@ class Regions:
             A region does not exist, or they share no border.
         """
         if self.distance(a, b) != 1:
-            raise ValueError(f"regions {self.names[a]!r} and {self.names[b]!r} share no border")
+            raise ValueError(f"regions {self.names[a]!r} and {self.names[b]!r} share no boundary")
         one, two = self.cell(a), self.cell(b)
         axis = 0 if one[0] != two[0] else 1
         return Border(axis, self.axes[axis].bounds[min(one[axis], two[axis])])

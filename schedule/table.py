@@ -117,7 +117,7 @@ class GainTable:
         """The regions whose sets are in force, with their shares: above 0, together 1. Arguments and errors as `at`."""
         for axis, value in zip(self.regions.axes, (x, x2), strict=False):
             if not math.isfinite(value):
-                raise ValueError(f"{axis.label} = {value} is not a finite number; keep the gains in force")
+                raise ValueError(f"{axis.label} = {value} is not a finite number; keep the active gains")
         self.index(region)
         if self.lookup is Lookup.HARD:
             return ((region, 1.0),)

@@ -21,7 +21,7 @@ k' = k/tau1 for `fopdt`.
 
 Each rule gives its settings in the form of its source; `--form series|ideal|parallel` converts them. Series:
 Kc (1 + 1/(tau_I s))(tau_D s + 1). Ideal: Kc (1 + 1/(Ti s) + Td s). Series to ideal: f = 1 + tau_D/tau_I, Kc f, tau_I
-f, tau_D/f; the way back exists for Ti >= 4 Td.
+f, tau_D/f; the reverse exists for Ti >= 4 Td.
 
 A rule that has no place for a second lag gets the first order model of the half rule, and says so. A rule that has no
 answer (wrong type, no dead time, no ultimate gain) says why in one line, status 2. Settings that would make the loop
@@ -53,8 +53,8 @@ Derivative action pays when tau2 > theta; the settings carry a note.
 
 ## The numbers
 
-- **Margins** are exact: crossovers are found on the closed-form size and phase with the dead time in it, stability at
-  the crossovers by the argument principle, and peaks are refined to rounding. Agreement with python-control on more
+- **Margins** are exact: crossovers are found on the closed-form size and phase with the dead time in it. Stability
+  follows there by the argument principle, and peaks are refined to rounding. Agreement with python-control on more
   than 500 random loops is a test. `benchmarks/margins.py` has the time: Ms of a PI loop in half of what a plain numpy
   grid of 500 points takes, which errs by up to 1e-4.
 - **IAE and TV** are those of unit steps of the setpoint and of the load at the process input, on the exact response.

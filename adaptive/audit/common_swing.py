@@ -66,7 +66,7 @@ def _root(loops: Sequence[Swinging]) -> tuple[str | None, str]:
         return sticking[0].tag, "its valve sticks"
     own = [one for one in loops if one.own]
     if len(own) == 1:
-        return own[0].tag, "its own tuning makes it swing"
+        return own[0].tag, "its tuning makes it oscillate"
     loudest, second = sorted(loops, key=lambda one: -one.harmonic)[:2]
     if loudest.harmonic > LOUDER * second.harmonic:
         return loudest.tag, "its harmonics are the strongest: what is passed on is filtered"

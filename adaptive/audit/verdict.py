@@ -34,13 +34,13 @@ class Action(StrEnum):
     """What to do about a loop."""
 
     RETUNE = "retune"
-    VALVE = "valve to the workshop"
+    VALVE = "repair the valve"
     UPSTREAM = "look upstream"
-    SIZE = "look at its size or its load"
-    SIGNAL = "look at the sensor or the tag"
-    AUTOMATIC = "ask why it is in manual"
-    RECORD = "a record with a setpoint step"
-    LOOK = "look at it"
+    SIZE = "check actuator size and load"
+    SIGNAL = "check the sensor or the tag"
+    AUTOMATIC = "find out why it is in manual"
+    RECORD = "record a setpoint step"
+    LOOK = "inspect"
     NOTHING = "nothing"
 
 
@@ -153,7 +153,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
 
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
     """No loop is at work."""
-    reason = f"no loop is at work in its record: {screen.condition}"
+    reason = f"no control in its record: {screen.condition}"
     return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
 
 
@@ -173,7 +173,7 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
 def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
     """Nothing can be named; a loop that swings is worth a look all the same."""
     newest = stretches[-1] if stretches else None
-    reason = newest.reason if newest is not None else "no stretch of its record says anything"
+    reason = newest.reason if newest is not None else "no part of its record is usable"
     swings = screen.swinging >= SWINGS
     action = Action.LOOK if swings else Action.RECORD
     rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0

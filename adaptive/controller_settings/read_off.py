@@ -189,7 +189,7 @@ def _judged(found: Regression, window: Window, settings: LawSettings) -> Setting
     for name, widest in ((found.main, settings.std_limit), ("ki", 2 * settings.std_limit)):
         wide = math.hypot(found.spread(name), found.unexplained) if values[name] else 0.0
         if wide > widest:
-            return _refused(f"{name} is only known to +-{wide:.0%}: the record moves too little", found)
+            return _refused(f"{name} is only known to +-{wide:.0%}: too little excitation", found)
     reason = _disagreement(found, window, settings)
     if reason:
         return _refused(reason, found)
@@ -229,8 +229,8 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
         if _differ(name, first, second, settings):
             a, b = first.values[name], second.values[name]
             return (
-                f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second: the settings were "
-                "changed, or they hang on something else"
+                f"{name} is {a:.3g} in the first half of the record and {b:.3g} in the second; "
+                "the settings were changed, or they depend on another variable"
             )
     slow = _slow(found, window)
     if slow is None:
@@ -238,8 +238,8 @@ def _disagreement(found: Regression, window: Window, settings: LawSettings) -> s
     pair = [_central_kp(f, dt) for f, dt in ((found, window.sample_time_s), (slow, SLOW * window.sample_time_s))]
     if _apart(pair, math.hypot(found.std["kp"], slow.std["kp"]), settings.slow_disagreement):
         return (
-            f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones: the record is too coarse for "
-            "this controller's derivative, or it saw another pv"
+            f"kp is {pair[0]:.3g} in fast movements and {pair[1]:.3g} in slow ones; the record is too coarse for "
+            "this controller's derivative, or the controller used another pv"
         )
     return ""
 

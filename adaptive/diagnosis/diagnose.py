@@ -100,13 +100,13 @@ def _neither(evidence: dict[str, float], settings: DiagnosisSettings) -> Diagnos
     left = min(evidence["external_left"], evidence["stuck_left"])
     if evidence.get("triangle_co", 0.0) >= TRIANGLE and evidence.get("jump_share", 0.0) >= settings.jump_share:
         reason = (
-            f"co goes in triangles and pv in jumps: a valve that sticks, over another band at every stop "
-            f"(no single band explains the record: {left:.1f} times the noise is left)"
+            "co is a triangle wave and pv moves in jumps: a sticking valve with a varying stiction band; "
+            f"no single band explains the record (residual {left:.1f} times the noise)"
         )
         return Diagnosis(Cause.STICTION, 0.6, evidence, reason)
     reason = (
-        f"something swings here that is neither the loop's own doing nor a regular tone nor a valve of one stick band: "
-        f"{left:.1f} times the noise is left at best"
+        "the oscillation is not explained by the loop, by an external sinusoid or by a sticking valve; "
+        f"the residual is at least {left:.1f} times the noise"
     )
     return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)
 
@@ -118,14 +118,14 @@ def _reason(cause: Cause, tone: Candidate, valve: Sticking, evidence: dict[str, 
         stick, jump = valve.valve.stick, valve.valve.jump
         evidence |= {"stick": stick, "slip_jump": jump}
         return (
-            f"a valve that sticks over {stick:.3g} of co and jumps by {jump:.3g} explains the record; "
-            f"without it {before:.1f} times the noise is left, with it {evidence['stuck_left']:.1f}"
+            f"a sticking valve explains the record (stiction band {stick:.3g} of co, slip jump {jump:.3g}); "
+            f"residual {evidence['stuck_left']:.1f} times the noise with it, {before:.1f} without"
         )
     period = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
     evidence["external_period_s"] = period
     return (
-        f"an oscillation from outside with a period of {period:.3g} s explains the record; without it "
-        f"{before:.1f} times the noise is left, with it {evidence['external_left']:.1f}"
+        f"an external oscillation with a period of {period:.3g} s explains the record; "
+        f"residual {evidence['external_left']:.1f} times the noise with it, {before:.1f} without"
     )
 
 
@@ -241,8 +241,8 @@ def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found
     if record.span_s < settings.tone_cycles * period_s or size < settings.tone_size * float(np.std(record.pv)):
         return told
     reason = (
-        f"an oscillation from outside with a period of {period_s:.3g} s explains the record; the loop by itself, with "
-        f"load steps, does so as well, but then: {told.diagnosis.reason}"
+        f"an external oscillation with a period of {period_s:.3g} s explains the record; the loop by itself, with "
+        f"load steps, does so too, but then: {told.diagnosis.reason}"
     )
     evidence = told.diagnosis.evidence | {"external_period_s": period_s}
     return replace(told, diagnosis=Diagnosis(Cause.EXTERNAL, 0.6, evidence, reason))
@@ -360,8 +360,8 @@ def slipping_verdict(
     told["valve_turns"] = float(count)
     narrow, wide = np.quantile(slips.bands, [0.1, 0.9])
     reason = (
-        f"a valve that sticks explains the record: {count} slips, each when co had gone {narrow:.3g} to {wide:.3g} "
-        f"from it; without it {evidence['linear_left']:.1f} times the noise is left, with it {left:.1f}"
+        f"a sticking valve explains the record: {count} slips, each after co moved by {narrow:.3g} to {wide:.3g}; "
+        f"residual {left:.1f} times the noise with it, {evidence['linear_left']:.1f} without"
     )
     confidence = 0.5 + 0.5 * math.tanh(lead / needed / 2)
     return Diagnosis(Cause.STICTION, confidence, told, reason)

@@ -129,7 +129,7 @@ def swing_cause(
     seen = stretch(samples, now_s - swing.most_cycles * period_s, swing.same_gains)
     cycles = (now_s - seen[0].t_s) / period_s
     if cycles < swing.cycles:
-        reason = f"it swings on without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles seen that tell a cause"
+        reason = f"lasting oscillation without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles needed"
         return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason), None
     found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
     if found.cause in TUNING_CAUSES or found.cause == Cause.OK:

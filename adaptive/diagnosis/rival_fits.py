@@ -138,7 +138,7 @@ class StuckValve:
     def __post_init__(self) -> None:
         most = 2 * self.stick if self.family == Family.KANO else self.stick
         if not (0 < self.stick < math.inf and 0 <= self.jump <= most * (1 + 1e-12)):
-            raise ValueError(f"stick band {self.stick}, jump {self.jump}: give a band above 0 and a jump up to {most}")
+            raise ValueError(f"stiction band {self.stick}, jump {self.jump}: band above 0, jump up to {most}")
         if not -1 <= self.start <= 1:
             raise ValueError(f"start {self.start} is outside the band, -1 to 1")
 

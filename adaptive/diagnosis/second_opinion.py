@@ -161,12 +161,12 @@ def unconfirmed(
     they would be changed, None where no model named one.
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
-        reason = "one load response alone may be anything: another one, or a setpoint step, is waited for"
+        reason = "one load response is not enough: another one, or a setpoint step, is needed"
         return _unknown(reason, excitation), excitation
     peak = max((abs(p.e) for p in response.peaks), default=0.0)
     if not excitation.setpoints and peak < swing.load_bands * response.band:
         reason = (
-            f"a load response of {peak / response.band:.1f} noise bands is too small to change gains by; "
+            f"a load response of {peak / response.band:.1f} noise bands is too small to change gains; "
             f"{swing.load_bands:g} are needed, or a setpoint step"
         )
         return _unknown(reason, excitation), excitation
@@ -174,7 +174,7 @@ def unconfirmed(
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
     found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
     if found.cause in TUNING_CAUSES and _other_way(found.cause, wanted):
-        reason = f"the model of this region says {wanted}, and the stretch by itself {found.cause}: {found.reason}"
+        reason = f"the model of this region gives {wanted}, this record alone gives {found.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
     if found.cause in TUNING_CAUSES:  # the settings are those of the region's model, which the guard proves
         return None, excitation

@@ -154,13 +154,15 @@ def standing_verdict(found: Standing, evidence: Mapping[str, float]) -> Diagnosi
     }
     seen = ", ".join(f"{leg.start_s:.5g} to {leg.end_s:.5g} s" for leg in found.legs[:MOST_TOLD])
     if found.dead:
-        reason = f"pv does not answer ({seen}) while co goes through nearly all its range: a shut line, valve or sensor"
+        reason = (
+            f"pv does not respond ({seen}) to nearly the whole range of co: a closed valve or line, a failed sensor"
+        )
         return Diagnosis(Cause.UNKNOWN, 0.7, evidence, reason)
     slips = ", ".join(f"{t:.5g}" for t in found.slips_s[:MOST_TOLD])
-    told = f"pv stands still while co travels ({seen}), then steps to where co has gone (at {slips} s)"
+    told = f"pv does not move while co moves ({seen}), then steps towards co (at {slips} s)"
     if found.sticks:
-        return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a valve that sticks, over another band at every stop")
-    return Diagnosis(Cause.UNKNOWN, 0.6, evidence, f"{told}: a valve that sticks, or a load that drifts with co")
+        return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a sticking valve, its stiction band varies")
+    return Diagnosis(Cause.UNKNOWN, 0.6, evidence, f"{told}: a sticking valve, or a load that drifts with co")
 
 
 def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Standing | None:

@@ -48,7 +48,7 @@ def over_time(parts: list[Window], found: list[Found]) -> Found:
     told = ", ".join(f"{c} from {p.t_s[0]:.5g} to {p.t_s[-1]:.5g} s" for c, p in zip(causes, parts, strict=True))
     cause, count = Counter(causes).most_common(1)[0]
     if count == 1:
-        reason = f"the record is not the same all along: {told}"
+        reason = f"the record changes over time: {told}"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, found[-1].diagnosis.evidence, reason))
     agreeing = [f for f in found if f.diagnosis.cause == cause]
     best = max(agreeing, key=lambda f: (f.tuning is not None, f.diagnosis.confidence))

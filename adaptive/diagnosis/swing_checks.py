@@ -134,7 +134,7 @@ def swings_anyway(
         return ""
     if swing(_foretold(response, model, in_force, b, tau_f_s))[2] >= settings.shown * decay:
         return ""
-    return f"by the model that fits, the loop is sluggish, and its successive peaks are in the ratio {decay:.2f}"
+    return f"by the model that fits, the loop is sluggish, and its half-cycle decay ratio is {decay:.2f}"
 
 
 def _foretold(response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float) -> list[float]:

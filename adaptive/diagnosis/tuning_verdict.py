@@ -70,7 +70,7 @@ def linear_verdict(
     if not events:
         return Found(_undisturbed(window, estimate, evidence, oscillates), estimate, fits=fits)
     if gains is None:
-        reason = "the loop by itself explains the record; without the settings in force no more can be said"
+        reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
     loop = Loop(window, gains, found[0], Fits(window, (gains.direction,), FitSettings()), settings)
     told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
@@ -120,9 +120,9 @@ def _in_order(loop: Loop, found: Found) -> Found:
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
     room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
     if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
-        slow = replace(verdict, reason=f"{told}, and perhaps slower than need be: {verdict.reason}")
+        slow = replace(verdict, reason=f"{told}, and is perhaps slower than necessary: {verdict.reason}")
         return replace(found, diagnosis=slow)
-    reason = f"{told}; how fast it could be the record does not show: {verdict.reason}"
+    reason = f"{told}; the record does not show how fast it could be: {verdict.reason}"
     return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, verdict.evidence | {"ms": peaks[0]}, reason))
 
 
@@ -226,20 +226,20 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
-        reason = "load steps explain the record, but an oscillation from outside does it better"
+        reason = "load steps explain the record, but an external oscillation explains it better"
         return Doubt(Cause.EXTERNAL, reason, explained and not oscillates)
     if oscillates and not steps:
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
     if not steps and share < settings.explained_alone:
-        reason = f"perhaps {verdict.cause}: by load steps alone, and {1 - share:.0%} of pv's movement is not explained"
+        reason = f"perhaps {verdict.cause}: by load steps alone, and {1 - share:.0%} of pv's movement is unexplained"
         return Doubt(Cause.UNKNOWN, reason)
     waves = _waves(loop.best.fit.explained)
     if verdict.cause == Cause.AGGRESSIVE and not steps and waves < settings.waves_a_load * loads:
-        reason = f"perhaps aggressive, but {loads:.0f} load steps are bought for a swing of {waves} half waves"
+        reason = f"perhaps aggressive, but {loads:.0f} load steps are needed to explain {waves} half cycles"
         return Doubt(Cause.UNKNOWN, reason)
     if math.isinf(evidence["ms"]) and not _grows(window):
-        reason = "the process that fits would be unstable with the gains in force, and the record does not grow"
+        reason = "the fitted process would be unstable with the active gains, but the record does not grow"
         return Doubt(Cause.UNKNOWN, reason)
     return None
 
@@ -247,9 +247,9 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
 def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSettings) -> str:
     """Why the loop by itself does not explain a record, or only with load steps enough for any; empty when it does."""
     if left > (settings.explained_steps if steps > 1 else settings.explained):
-        return f"an unexplained disturbance: {loads:.0f} load steps and still {left:.1f} times the noise is left"
+        return f"an unexplained disturbance: {loads:.0f} load steps leave a residual of {left:.1f} times the noise"
     if loads >= (settings.many_loads_beside if steps else settings.many_loads):
-        return f"an unexplained disturbance: it takes {loads:.0f} load steps to explain the record; so many explain any"
+        return f"an unexplained disturbance: {loads:.0f} load steps explain the record, and so many explain any"
     return ""
 
 
@@ -289,7 +289,7 @@ GROWTH = 1.3
 def _hardly_explained(estimate: ModelEstimate, verdict: Diagnosis) -> Diagnosis:
     """The cause, where what a model explains of pv is too little for its margins to mean anything."""
     if verdict.evidence.get("noise_share", 0.0) > NOISY:
-        return replace(verdict, cause=Cause.NOISE, confidence=0.8, reason="nothing but noise moves this loop")
+        return replace(verdict, cause=Cause.NOISE, confidence=0.8, reason="only noise moves this loop")
     return replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=estimate.reason)
 
 
@@ -304,7 +304,7 @@ def _undisturbed(window: Window, estimate: ModelEstimate, evidence: dict[str, fl
         reason = f"a lasting oscillation of {period_s:.3g} s without any step that could have begun it"
         return Diagnosis(Cause.EXTERNAL, 0.8, evidence | {"external_period_s": period_s}, reason)
     if evidence.get("noise_share", 0.0) > NOISY or estimate.noise_std >= estimate.residual_std:
-        return Diagnosis(Cause.NOISE, 0.8, evidence, "nothing but noise moves this loop")
+        return Diagnosis(Cause.NOISE, 0.8, evidence, "only noise moves this loop")
     reason = "an unexplained disturbance moves this loop: neither steps nor a regular oscillation"
     return Diagnosis(Cause.UNKNOWN, 0.6, evidence, reason)
 

@@ -61,7 +61,7 @@ class AbortCause(Enum):
     WRONG_MODE = "the controller is in the wrong mode"
     SILENT = "telemetry was lost"
     RESTARTED = "the controller has restarted"
-    FOREIGN = "somebody else changed the controller"
+    FOREIGN = "someone else changed the controller"
     REFUSED = "the controller refused a command"
     INTERRUPTED = "stopped by the user"
     RECORDER = "the ledger cannot be written"

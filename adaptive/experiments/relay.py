@@ -331,8 +331,8 @@ def first_order(cycle: RelayCycle, pv_rest: float, co_rest: float) -> ProcessMod
     co, pv = cycle.co_mean - co_rest, cycle.pv_mean - pv_rest
     if abs(co) < SMALLEST_OFFSET * cycle.co_amplitude:
         raise ValueError(
-            f"the mean of co is only {co:.3g} off the rest point (a symmetric relay, or a nearly "
-            "integrating process), so the process gain does not show; use the fit"
+            f"the mean of co is only {co:.3g} off the rest point, which gives no process gain; use the fit "
+            "(the relay is symmetric, or the process nearly integrating)"
         )
     k = pv / co
     sign = math.copysign(1.0, k)

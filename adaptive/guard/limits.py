@@ -144,7 +144,7 @@ class _Limits:
         values : commissioned and in force. What is in force beyond the ratio may stay there, but go no farther.
         """
         start, now = values
-        ratio, name = self._settings.total_ratio_max, "the baseline gains"
+        ratio, name = self._settings.total_ratio_max, "the distance from the baseline gains"
         most, least = max(start * ratio, now), min(start / ratio, now or math.inf)
         if start and up and most < high.value:
             high = Bound(max(most, low.value), name, Ruling.OUTSIDE_TOTAL)
@@ -175,7 +175,7 @@ def _made(direction: int, kc: float, tau_i: float, tau_d: float) -> PidGains:
 
 def _note(name: str, was: float, now: float, by: Bound) -> str:
     """What was cut, in words."""
-    return f"{name} cut from {text(name, was)} to {text(name, now)} by {by.name}"
+    return f"{name} limited to {text(name, now)} instead of {text(name, was)} by {by.name}"
 
 
 def _limiting(

@@ -110,7 +110,7 @@ class NeighbourBorder:
 
     def __post_init__(self) -> None:
         if not 0 <= self.reach <= 1:
-            raise ValueError(f"border to {self.name!r}: reach = {self.reach} is outside 0 to 1")
+            raise ValueError(f"boundary to {self.name!r}: reach = {self.reach} is outside 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ class GuardSettings:
         float,
         Setting("Ms that proposals aim at by their tau_c: the process is never quite the one identified", 1.2, 3.0),
     ] = 1.65
-    ms_worst: Annotated[float, Setting("Largest Ms on any model that the records allow", 1.2, 5.0)] = 2.1
+    ms_worst: Annotated[float, Setting("Largest Ms on any plausible model", 1.2, 5.0)] = 2.1
     tau_c_max_ratio: Annotated[float, Setting("Largest tau_c over theta that robustness may ask for", 1.0, 3.0)] = 1.3
     corner_std: Annotated[
         float, Setting("How many std out the corners lie where nothing but a covariance is known", 0.0, 6.0)
@@ -95,11 +95,11 @@ class GuardSettings:
     urgent_damping: Annotated[
         float,
         Setting(
-            "Damping of a response, the ratio of successive half swings, from which the loop counts as oscillating and "
-            "may take the whole step to less action at once",
+            "Half-cycle decay ratio from which a loop counts as oscillating and may take "
+            "the full change to less action at once",
             0.5,
             10.0,
-            source="ten half swings then leave a third",
+            source="ten half cycles then leave a third",
         ),
     ] = 0.9
     pattern_step_max: Annotated[

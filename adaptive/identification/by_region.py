@@ -48,7 +48,7 @@ def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[
     """
     edges = np.asarray(bounds, dtype=np.float64)
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0):
-        raise ValueError(f"borders {', '.join(f'{b:g}' for b in bounds) or 'none'}: give finite ones that increase")
+        raise ValueError(f"boundaries {', '.join(f'{b:g}' for b in bounds) or 'none'}: give finite ones that increase")
     at = _places(by, edges, CROSSED * noise_sigma(by))
     cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(at)]
     ends = [-math.inf, *edges.tolist(), math.inf]

@@ -174,8 +174,8 @@ class RivalModel:
     def sentence(self) -> str:
         """What the two models leave open."""
         return (
-            f"what moves pv after the setpoint change at {self.change_s:.5g} s is either a load or the process: "
-            f"two models, gains apart by a factor of {factor_text(self.apart)}"
+            f"pv after the setpoint change at {self.change_s:.5g} s is explained by a load step or by the process; "
+            f"the gains of these two models differ by a factor of {factor_text(self.apart)}"
         )
 
     def to_dict(self) -> dict[str, object]:

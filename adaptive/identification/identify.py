@@ -91,8 +91,8 @@ LARGEST_RHO = 0.98
 WHITE_LOADS = 6
 """Load steps with which a remainder may be explained that is to be white, as in diagnosis."""
 TWO_WAYS = (
-    "the record can be explained in two ways, as white noise beside load steps and as a drift: two models, "
-    "gains apart by a factor of {}"
+    "two models explain the record, one with load steps and white noise, one with a drift; "
+    "their gains differ by a factor of {}"
 )
 """Why a coloured remainder is not believed."""
 FEWEST_SAMPLES_IN_THETA = 1.0
@@ -351,10 +351,7 @@ def unexplained(left_std: float, explained_std: float, record: Record, settings:
         if beyond <= settings.beside:
             return ""
         told = f"{beyond:.0%} of what it explains, beyond the noise"
-    return (
-        f"the model leaves {told}: something moves pv that is not in it (another structure, a nonlinearity, a load of "
-        "another shape)"
-    )
+    return f"the model leaves {told}: an effect on pv is missing in it (structure, nonlinearity or load shape)"
 
 
 def _judge(
@@ -379,15 +376,15 @@ def _judge(
     if gain_std > settings.gain_std_limit:
         known, needed = factors_text(gain_std, settings.gain_std_limit)
         return False, (
-            f"the controller gain that follows is known to a factor of {known}; {needed} is needed: the record moves "
-            "the process too little"
+            f"the controller gain is uncertain by a factor of {known} (limit {needed}): the record excites the "
+            "process too little"
         )
     plain = without_second_lag(model)
     lag_std = log.lag_uncertainty()
     if plain.theta_s < plain.tau1_s < 8 * plain.theta_s and lag_std > settings.lag_std_limit:
         return (
             False,
-            "the lag is known to a factor of {}; {} is needed".format(*factors_text(lag_std, settings.lag_std_limit)),
+            "the lag is uncertain by a factor of {} (limit {})".format(*factors_text(lag_std, settings.lag_std_limit)),
         )
     return True, f"{NAMES[log.type]} explains {explained:.1%} of pv's variance"
 

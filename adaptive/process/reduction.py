@@ -235,7 +235,7 @@ def _lags_of_pair(c1: float, c2: float) -> tuple[float, float]:
     damping = c1 / (2 * math.sqrt(c2))
     if damping < SMALLEST_DAMPING:
         raise ValueError(
-            f"poles 1 + {c1:g} s + {c2:g} s^2 swing with a damping of {damping:.2g}, below {SMALLEST_DAMPING:g}: lags "
+            f"poles 1 + {c1:g} s + {c2:g} s^2 oscillate with a zeta of {damping:.2g}, below {SMALLEST_DAMPING:g}: lags "
             "cannot stand for a resonance; damp it or filter it out first"
         )
     return c1 / 2, c1 / 2

@@ -143,15 +143,15 @@ class RegionAdvice:
         if self.kind is AdviceKind.MERGE:
             named = " and ".join(self.regions) if len(self.regions) == 2 else ", ".join(self.regions)
             return (
-                f"The border at {where} may go: the records ask for the same settings on both sides of it in "
+                f"The boundary at {where} may go: the records ask for the same settings on both sides of it in "
                 f"{named} ({factors}; at most a factor of {self.statistic:.2f} with its uncertainty, "
                 f"{self.limit:g} allowed)."
             )
         likelier, needed, later = (v / 2 / math.log(10) for v in (self.statistic, self.limit, self.against_time))
         return (
-            f"Region {self.regions[0]} holds two processes: a border at {where} explains its records "
-            f"10^{likelier:.1f} times better than one process (10^{needed:.1f} needed), and 10^{later:.1f} times "
-            f"better than a change in time. Above it the records ask for {factors} "
+            f"Region {self.regions[0]} holds two processes: a boundary at {where} explains its records "
+            f"10^{likelier:.1f} times better than one process (10^{needed:.1f} needed). It explains them "
+            f"10^{later:.1f} times better than a change in time. Above it the records ask for {factors} "
             f"({self.records[0]} records below, {self.records[1]} above)."
         )
 

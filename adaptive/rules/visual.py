@@ -105,7 +105,7 @@ def oscillation_by_eye(period_s: float, gains: PidGains | None, *, integrating: 
         advice = oscillating_loop(period_s, tau_i_s, integrating=integrating)
         lines.append(f"{shown} under a period of {period_s:.3g} s: {advice}")
     stops, goes_on = (cause_by_manual(stops_in_manual=answer) for answer in (True, False))
-    return [*lines, f"in manual it stops where {stops} is the cause, and goes on where it is {goes_on}"]
+    return [*lines, f"in manual the oscillation stops if {stops} is the cause, and continues if it is {goes_on}"]
 
 
 def sampling_by_eye(time_constant_s: float, sample_time_s: float) -> list[str]:
@@ -114,6 +114,6 @@ def sampling_by_eye(time_constant_s: float, sample_time_s: float) -> list[str]:
     if sample_time_s <= most:
         return []
     return [
-        f"sampled every {sample_time_s:.3g} s: a time constant of {time_constant_s:.3g} s wants at most {most:.3g} s, "
-        f"and a filter of the measurement below {longest_filter_s(time_constant_s):.3g} s"
+        f"sampled every {sample_time_s:.3g} s: a time constant of {time_constant_s:.3g} s needs at most {most:.3g} s, "
+        f"and a measurement filter below {longest_filter_s(time_constant_s):.3g} s"
     ]

@@ -128,7 +128,7 @@ def _run(process: _Process, start: float, end: float, lookup: Lookup) -> tuple[f
     """IAE and overshoot of one crossing; infinite where it does not end."""
     dt, size = process.dt_s, abs(end - start)
     past = [0.0]
-    y, w, v, iae, peak, last = start, 0.0, 0.0, 0.0, 0.0, 0.0
+    y, away, v, iae, peak, last = start, 0.0, 0.0, 0.0, 0.0, 0.0
     for _ in range(process.steps):
         b, theta, tau, tau2 = process.at(y).tolist()
         error = end - y
@@ -138,8 +138,8 @@ def _run(process: _Process, start: float, end: float, lookup: Lookup) -> tuple[f
         u = past[max(len(past) - 1 - round(theta / dt), 0)]
         before = v
         v += (1 - math.exp(-dt / tau2)) * (u - v) if tau2 > 0 else u - v
-        w = w * math.exp(-dt / tau) + b * (v - before)
-        y += w * dt
+        away = away * math.exp(-dt / tau) + v - before
+        y += b * away * dt
         iae += abs(error) * dt
         peak = max(peak, (y - end) * math.copysign(1.0, end - start))
         if abs(y - end) > 10 * size:

@@ -175,7 +175,7 @@ def _designed(
     if not known:
         least = min(places, key=lambda p: p.gain_std)
         factor = math.exp(least.gain_std)
-        reason = f"nowhere known well enough: the gain that follows is known to a factor of {factor:.2f} at best"
+        reason = f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
     layout = _layout(places, limits, lookup)
     border = _hysteresis(chosen, layout)

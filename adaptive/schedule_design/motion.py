@@ -1,10 +1,14 @@
-"""How a process moves whose gain, lags and dead time change along the way, by the velocity of its output.
+"""How a process moves whose gain, lags and dead time change along the way, without its resting points being known.
 
-    dw/dt = -w / tau + b ds/dt,   dy/dt = w,   tau2 dv/dt = u(t - theta) - v,   s = v        b = k / tau
+    dq/dt = -q / tau + dv/dt,   dy/dt = b q,   tau2 dv/dt = u(t - theta) - v        b = k / tau at y
 
-This is what any dy/dt = f(y, v, z) does, however far and fast it travels, when 1/tau, b are -df/dy, df/dv where it is
-at the time (velocity-based linearisation, Leith and Leithead 1998, section 2): no resting points have to be known. An
-integrating process has 1/tau = 0. co is held between rows at its mean over the interval that arrives in it.
+q is how far v is from what would hold y: with v0(y) that input at rest, dv0/dy = 1/k, and dy/dt = b(y) (v - v0(y)),
+dq/dt = dv/dt - (1/k) dy/dt. So it is exact for every process that is linear in its input, however far it travels, and
+for a slowly moving one with a curved input as well (tank with a valve's curve: b is then that at v, which leads y).
+The velocity of y must not be what decays (velocity-based linearisation, Leith and Leithead 1998, with 1/tau at y): that
+leaves out dy/dt d(ln b)/dt. The error is small beside the lag and many times a dead time, so dead times came out up to
+20 times too long. An integrating process has 1/tau = 0. co is held between rows at its mean over the interval that
+arrives in it.
 
 Arrays have the row first: (rows, stretches) or (rows, stretches, variants).
 """
@@ -81,27 +85,31 @@ class Batch:
 def response(local: Local, arriving: FloatArray, h_s: FloatArray, start: FloatArray | None = None) -> FloatArray:
     """y from zero, shape (rows, stretches, variants).
 
-    arriving : the input held after each row. start : slope w at the first row, shape (stretches, variants).
+    arriving : the input held after each row. start : q at the first row, shape (stretches, variants).
     """
     h = h_s[:, None]
     s = arriving if local.tau2 is None else _lagged(np.exp(local.tau2[:-1]), arriving, h)
     kick = np.zeros_like(s)
-    kick[1:] = np.exp(local.b[1:-1]) * np.diff(s, axis=0)
+    kick[1:] = np.diff(s, axis=0)
     if local.tau is None:
-        decay, gain = np.ones_like(s), np.broadcast_to(h, s.shape)
+        decay, held = np.ones_like(s), np.broadcast_to(h, s.shape)
     else:
-        tau = np.exp(local.tau[:-1])
+        tau = np.exp(_between(local.tau))
         decay = np.exp(-h / tau)
-        gain = tau * (1 - decay)
-    return _run(kick, decay, gain, start)
+        held = tau * (1 - decay)
+    return _run(kick, decay, np.exp(_between(local.b)) * held, start)
+
+
+def _between(rows: FloatArray) -> FloatArray:
+    """Means of neighbouring rows."""
+    return np.asarray((rows[:-1] + rows[1:]) / 2, dtype=np.float64)
 
 
 def _run(kick: FloatArray, decay: FloatArray, gain: FloatArray, start: FloatArray | None) -> FloatArray:
-    """The two recursions of w and y."""
-    w0 = kick[0] if start is None else kick[0] + start
-    w = recursion(decay[:-1], kick[1:], w0)
+    """The two recursions of q and y."""
+    q = recursion(decay[:-1], kick[1:], kick[0] if start is None else kick[0] + start)
     y = np.zeros((len(kick) + 1, *kick.shape[1:]))
-    np.cumsum(w * gain, axis=0, out=y[1:])
+    np.cumsum(q * gain, axis=0, out=y[1:])
     return y
 
 

@@ -76,8 +76,8 @@ class Growth(NamedTuple):
     def sentence(self) -> str:
         """What is seen."""
         return (
-            f"it swings wider by {self.factor:.2f} at every half wave of {self.period_s / 2:.3g} s, "
-            f"{self.half_waves} times in a row: the loop is unstable with the active gains"
+            f"growing oscillation, by a factor of {self.factor:.2f} per half cycle of {self.period_s / 2:.3g} s, "
+            f"{self.half_waves} times: the loop is unstable with the active gains"
         )
 
 

@@ -18,7 +18,7 @@ class Ending(StrEnum):
     QUIET = "the error came to rest"
     TIMEOUT = "no further peak within the waiting time"
     SETPOINT = "cut short by the next setpoint change"
-    UNDONE = "cut short, because the gains on trial were undone"
+    UNDONE = "cut short, because the gains on trial were rolled back"
 
 
 class Peak(NamedTuple):

@@ -101,7 +101,7 @@ class AdmissionSettings:
     moves_most: Annotated[
         int,
         Setting(
-            "Movements of the setpoint in one response that are still a person's",
+            "Movements of the setpoint in one response that are still an operator's",
             1,
             20,
             "moves",
@@ -118,7 +118,7 @@ class AdmissionSettings:
         ),
     ] = 0.3
     still_share: Annotated[float, Setting("A setpoint that moves by less of the noise band stands still")] = 0.01
-    changes_most: Annotated[int, Setting("Most changes of the gains in force during a response")] = 0
+    changes_most: Annotated[int, Setting("Most changes of the active gains during a response")] = 0
     excitation_bands: Annotated[
         float,
         Setting(

@@ -60,7 +60,7 @@ def without_model(
     gains : in force during it. diagnosis : what is known of the cause; None where nobody looked.
     """
     if not settings.allowed:
-        return Proposed("not_allowed", "without a model nothing is changed: the settings say so", NO_NUMBERS)
+        return Proposed("not_allowed", "changes without a model are switched off", NO_NUMBERS)
     slow = slow_oscillation_online(response, gains, diagnosis, settings.slow, locks)
     if slow.tuning is not None:
         return _locked(
@@ -79,5 +79,5 @@ def _locked(proposed: Proposed, in_force: PidGains, locks: Locks) -> Proposed:
     assert tuning is not None
     kept = locks.keep(tuning.gains, in_force)
     if kept == in_force:
-        return replace(proposed, tuning=None, basis=None, sentence=f"{proposed.sentence}; but that is locked")
+        return replace(proposed, tuning=None, basis=None, sentence=f"{proposed.sentence}; but that parameter is locked")
     return replace(proposed, tuning=replace(tuning, gains=kept))

@@ -178,7 +178,7 @@ def promise(
     """
     models = sorted(allowed, key=lambda found: found.excess)[:MOST_MODELS]  # stable: the best one stays first
     if not models:
-        raise ValueError("a promise needs at least one model")
+        raise ValueError("a prediction needs at least one model")
     sampled = [found.model.seen_by_controller(sample_time_s).linear() for found in models]
     loops = [Loop(process, gains, b, tau_f_s) for gains in (new, old) for process in sampled]
     found, n = shapes(loops, UPSETS), len(models)

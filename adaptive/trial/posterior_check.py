@@ -141,8 +141,8 @@ def _slower(found: PosteriorCheck, promised: Promise, limit: float, settings: Tr
     if swung or found.ms_old > settings.harmless_ms or found.slower <= limit:
         return ""
     return (
-        f"worse than predicted: on every plausible model IAE is at least {found.slower:.2f} times that with the "
-        f"previous gains (limit {limit:.2f}), whose Ms is at most {found.ms_old:.2f}"
+        f"worse than predicted: IAE at least {found.slower:.2f} times that with the previous gains on every plausible "
+        f"model (limit {limit:.2f}); the previous gains have Ms at most {found.ms_old:.2f}"
     )
 
 

@@ -77,7 +77,7 @@ class PatternSettings:
     damping_target: Annotated[
         float,
         Setting(
-            "Damping that is aimed at (0 is dead-beat, 1 swings on)",
+            "Target for the half-cycle decay ratio (0 dead-beat, 1 sustained)",
             0.05,
             0.5,
             source="as the overshoot: for a clean decay both are equal",

@@ -37,8 +37,8 @@ ANSWERS = {
     "saturation": {"saturation"},
 }
 """Causes that are right, by the true kind; manual and dead loops are told by what is to be done."""
-NO_VISIT = {"nothing", "a record with a setpoint step"}
-DONE = {"manual": "ask why it is in manual", "dead": "look at the sensor or the tag"}
+NO_VISIT = {"nothing", "record a setpoint step"}
+DONE = {"manual": "find out why it is in manual", "dead": "check the sensor or the tag"}
 
 
 def is_right(loop: Loop, row: Row) -> bool:

@@ -21,12 +21,12 @@ LOST_SPANS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """n samples towards one place. load : added to co from sample load_at on."""
+    """n samples towards one place. load : added to co from sample load_at on, until another is; None: as it was."""
 
     place: float
     sp: float
     n: int
-    load: float = 0.0
+    load: float | None = None
     load_at: int = 0
 
 
@@ -71,7 +71,7 @@ def run(subject: Subject, lookup: Lookup, visits: Sequence[Visit], noise: np.nda
     rules = law(lookup.frozen(x), **limits)
     state: tuple[float, float, float, float, int] = tuple(start(rules, y, y, subject.rest(first.place)))
     follow = 1 - math.exp(-dt_s / lag_s) if lag_s else 1.0
-    place, more = first.place, iter(noise.tolist())
+    place, load, more = first.place, 0.0, iter(noise.tolist())
     for visit in visits:
         ramp = (visit.place - place) / max(visit.n // 10, 1)
         for i in range(visit.n):
@@ -86,7 +86,8 @@ def run(subject: Subject, lookup: Lookup, visits: Sequence[Visit], noise: np.nda
                 rules = new
             state, co = step(rules, state, visit.sp, pv, dt_s)
             trace.add(visit.sp, pv, co, x, y, gains)
-            y = plant.move(co + (visit.load if i >= visit.load_at else 0.0), place)
+            load = visit.load if i == visit.load_at and visit.load is not None else load
+            y = plant.move(co + load, place)
             if not abs(y - visit.sp) < LOST_SPANS * subject.span:
                 trace.lost = True
                 return trace

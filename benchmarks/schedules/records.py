@@ -1,7 +1,8 @@
 """Days of ordinary closed-loop record: the loop goes over its range and back under poor gains.
 
 Each of VISITED places is visited `visits` times, on the way up and on the way down in turn, each time somewhere in its
-part of the range. Every second visit has a load step in the middle. Where the place is an outside signal, the signal
+part of the range. In the middle of every second one the load
+steps to another level and stays there. Where the place is an outside signal, the signal
 ramps there and the setpoint steps up or down at each.
 """
 
@@ -82,7 +83,7 @@ def record(truth: Truth, in_force: Lookup, rng: np.random.Generator, visits: int
         sp = place if subject.by == "pv" else subject.sp0 + side * STEP_SHARE * subject.span
         n = hold(subject, in_force.frozen(place), place)
         size = LOAD_SHARE * subject.span / subject.local(place).k
-        load = size * float(rng.uniform(0.4, 1.0)) * (1 if rng.uniform() < 0.5 else -1) if index % 2 else 0.0
+        load = size * float(rng.uniform(0.4, 1.0)) * (1 if rng.uniform() < 0.5 else -1) if index % 2 else None
         plan.append(Visit(place, sp, n, load, n // 2))
     noise = subject.noise * rng.standard_normal(sum(visit.n for visit in plan))
     return run(subject, in_force, plan, noise, lag_s)

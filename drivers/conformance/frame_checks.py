@@ -187,7 +187,7 @@ def leases(found: Examination) -> None:
         return
     found.expect("LEASE of a free device", Reason(answer.reason), Reason.OK)
     found.expect("the ACK of LEASE carries as seq the owner, and", answer.seq, talk.owner)
-    found.expect("the ACK of LEASE carries as latest the owner in force, and", answer.latest, talk.owner)
+    found.expect("the ACK of LEASE carries as latest the present owner, and", answer.latest, talk.owner)
     found.expect("the ACK's low bits of the epoch", answer.epoch, talk.known.epoch % EPOCH_TAG)
     talk.look()
     found.expect("STATUS: owner", talk.known.owner, talk.owner)

@@ -75,7 +75,7 @@ def committing(found: Examination) -> None:
     found.expect("COMMIT", None if answer is None else Reason(answer.reason), Reason.OK)
     found.runs("after a good COMMIT", gains)
     found.other = talk.known.gains
-    found.expect("number of the running set", talk.known.seq, seq)
+    found.expect("number of the active gains", talk.known.seq, seq)
     _one_sample(found, frames, seq)
     base = next((f for f in frames if isinstance(f, TelemetrySp)), None)
     if base is not None and talk.known.seq == seq:
@@ -321,7 +321,7 @@ def storing(found: Examination) -> None:
     found.expect("STORE of another number", talk.reason(Kind.STORE, Store(old, tag)), Reason.STALE)
     found.expect("STORE", talk.reason(Kind.STORE, Store(seq, tag)), Reason.OK)
     talk.look()
-    found.holds("HEARTBEAT does not say that the running set is stored", talk.known.flags & Flags.STORED)
+    found.holds("HEARTBEAT does not say that the active gains is stored", talk.known.flags & Flags.STORED)
     gains, stored = talk.known.gains, talk.page(Page.STORED)
     found.expect("the stored page", (stored.end.seq, *stored.values), (seq, gains.kp, gains.ki, gains.kd))
 

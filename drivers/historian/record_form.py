@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from retuner.drivers.historian.scaling import Scaling
 from retuner.drivers.recorded.recording import RecordingError
 
 SIGNALS = ("sp", "pv", "co")
@@ -40,7 +41,8 @@ class RecordForm:
     time_format : of stamps as text, in the codes of strptime. time_unit : of stamps as numbers, one of TIME_UNITS.
     zone : of stamps without one, as in Europe/Berlin. decimal : "." or ",". delimiter : between fields. encoding : of
     the text. header : the line that holds the names, counted from 1; 0 for none. good : what the quality of a good
-    value says. bad : further words that stand for a missing value.
+    value says. bad : further words that stand for a missing value. scale : what signals are recorded as and stand for,
+    by role, as in {"pv": "4..20:0..200"} (scaling.py).
 
     Raises
     ------
@@ -61,8 +63,13 @@ class RecordForm:
     header: int | None = None
     good: str = ""
     bad: tuple[str, ...] = ()
+    scale: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for role, text in self.scale.items():
+            if role not in SIGNALS:
+                raise ValueError(f'scale: "{role}": signals are {", ".join(SIGNALS)}')
+            Scaling.of(text)
         for role, name in self.columns.items():
             if role not in COLUMN_ROLES or not name:
                 raise ValueError(f'columns: "{role}" = "{name}": roles are {", ".join(COLUMN_ROLES)}, each with a name')
@@ -134,6 +141,7 @@ KINDS = MappingProxyType(
         "dt_s": "a number in seconds",
         "header": "the number of a line",
         "bad": 'words as in ["Offline"]',
+        "scale": 'ranges by signal as in { pv = "4..20:0..200" }',
     }
 )
 """What a key of another kind than text takes."""
@@ -142,7 +150,7 @@ KINDS = MappingProxyType(
 def _fits(name: str, value: object) -> bool:
     """Whether a value is of the kind that a key takes."""
     match name:
-        case "columns":
+        case "columns" | "scale":
             return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
         case "sp" | "dt_s":
             return isinstance(value, (int, float)) and not isinstance(value, bool)

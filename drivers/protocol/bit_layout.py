@@ -159,7 +159,7 @@ def _range(frame: str, signal: Signal) -> tuple[float, float]:
         raise ValueError(f"{where}: only plain little-endian signals are laid out")
     if signal.is_float:
         if signal.length != FLOAT_BITS or signal.start % 8 or (signal.scale, signal.offset) != (1, 0):
-            raise ValueError(f"{where}: only unscaled float32 on byte borders is laid out")
+            raise ValueError(f"{where}: only unscaled float32 on byte boundaries is laid out")
     else:
         least, greatest = _reach(signal)
         if not least <= low <= high <= greatest:

@@ -93,7 +93,7 @@ class _Latest:
         for_s = f"for more than {source.stale_after_s:g} s"
         reason = f"never heard {for_s}" if self._heard_s is None else f"silent {for_s}"
         return VariableChanged(
-            name, known=False, reason=f"{reason}; the region stays, and nothing is learned until it is"
+            name, known=False, reason=f"{reason}; the region stays, and its model is not updated until then"
         )
 
     def news(self) -> list[VariableChanged]:

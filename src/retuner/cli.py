@@ -27,23 +27,23 @@ DRIVER_ERRORS = (("retuner.drivers.device", "DeviceError"), ("retuner.drivers.re
 """Errors of drivers that a person can put right: module and name, looked up only if the module was ever imported."""
 COMMANDS = {
     "init": "Write a commented starter configuration.",
-    "check": "Say what is wrong with a configuration: file, line, key, limit; or show it when all is well.",
+    "check": "Check a configuration: each error with file, line, key and limit.",
     "run": "Watch a loop, retune it over CAN, and leave a report.",
-    "device": "Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped.",
-    "conformance": "Play host and stranger to a device on a bus, and tell what it does wrong by the protocol.",
-    "replay": "Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?",
-    "serve": "Show sessions in a browser, live and afterwards, and let a person act from there.",
-    "report": "Make the report of a recorded session again, or the page of one decision, with pictures.",
-    "approve": "Order that a proposal be written, named by its hash, or list the open ones: the newest of each region.",
+    "device": "Run a virtual controller with a simulated plant on a CAN bus, until stopped.",
+    "conformance": "Test a device on a bus against the protocol and report every deviation.",
+    "replay": "Repeat the decisions of a session byte for byte, or apply retuner to a recorded log.",
+    "serve": "Show sessions in a browser, live and afterwards, with operator approval.",
+    "report": "Write the report of a recorded session again, or the page of one decision.",
+    "approve": "Approve a proposal, named by its hash, or list the open ones.",
     "export": "Write a gain table for firmware, a PLC or a CAN tool, or back into its configuration.",
-    "tune": "Settings for a known process by a tuning rule, with their margins.",
-    "identify": "Find the process behind a record: model, standard deviations, and the settings that follow.",
-    "diagnose": "Say what is behind a loop's behaviour, with evidence, and what to do about it.",
-    "schedule": "A gain schedule from records: what changes along a variable, and the fewest sets that serve it.",
-    "audit": "Which loops of a plant deserve a visit: a folder of trends in, a ranked page out.",
-    "reduce": "A first- or second-order model of a process of any order, by the half rule.",
-    "ledger": "What was seen, decided and written: read it, and look whether it can be believed.",
-    "experiment": "A step, setpoint or relay test: on demand, or from a recording.",
+    "tune": "Compute settings for a known process by a tuning rule, with margins.",
+    "identify": "Identify the process from a record: model, standard deviations and settings.",
+    "diagnose": "Find the cause of a loop's behaviour, with evidence and recommended settings.",
+    "schedule": "Design a gain schedule from records: curves over a variable, and the fewest regions that serve it.",
+    "audit": "Rank the loops of a plant by need for attention, from a folder of trends.",
+    "reduce": "Reduce a process model to first or second order by the half rule.",
+    "ledger": "Read, verify, export or revert what was seen, decided and written.",
+    "experiment": "Make a step, setpoint or relay test, or evaluate a recorded one.",
     "doctor": "What of retuner works on this machine, and what to do about the rest.",
 }
 """Every command and what `retuner --help` says of it."""
@@ -80,11 +80,13 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def retuner(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show it.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
     quiet: Quiet = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Gain scheduling and on-line adaptive PID: finds the cause, proves the cure, changes gains over CAN."""
+    """Gain scheduling and on-line adaptive PID: finds causes, proves changes, writes gains over CAN."""
 
 
 def listed() -> None:

@@ -5,6 +5,7 @@ signal was held, which the object does not say.
 """
 
 import warnings
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any, TypeAlias
 
@@ -166,8 +167,13 @@ def gains_of(system: System) -> PidGains:
         return PidGains(kp, 0.0, kd)
     if len(den) != 2 or den[1] != 0 or not 1 <= len(num) <= 3:
         raise ValueError(
-            f"num {num.tolist()}, den {den.tolist()}: not kp + ki/s + kd s; a PID without derivative "
+            f"num {_shown(num)}, den {_shown(den)}: not kp + ki/s + kd s; a PID without derivative "
             "filter has den = [1, 0]"
         )
     kd, kp, ki = ([0.0] * (3 - len(num)) + (num / den[0]).tolist())[:3]
     return PidGains(kp, ki, kd)
+
+
+def _shown(numbers: Iterable[float]) -> str:
+    """Coefficients as people write them."""
+    return ", ".join(f"{number:g}" for number in numbers)

@@ -195,6 +195,11 @@ def design_schedule(
     gains : in force while the records were made, for comparison only; left
         out, they are read off the records where these show them. progress : told each stage and the share done.
 
+    Returns
+    -------
+    ScheduleDesign
+        The gain table, and what it rests on at every place; no table where none follows, with the reason.
+
     Raises
     ------
     ValueError

@@ -66,5 +66,5 @@ def test_a_healthy_flow_loop_does_not_become_a_fiction():
     assert found.estimate.rival.model.theta_s < 0.2 * found.estimate.log.model().theta_s
     diagnosed = api.diagnose(*record)
     assert not diagnosed.diagnosis.retune
-    assert "either a load or the process" in diagnosed.diagnosis.reason
+    assert "by a load step or by the process" in diagnosed.diagnosis.reason
     assert diagnosed.to_dict()["rival"] is not None

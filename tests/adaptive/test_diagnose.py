@@ -146,7 +146,7 @@ def test_a_random_load_changes_no_gains() -> None:
 def test_without_the_settings_in_force_nothing_is_said_of_the_tuning() -> None:
     found = diagnose_window(loop(times(2.2, 2.2), sp=to_and_fro), None).diagnosis
     assert found.cause == Cause.UNKNOWN
-    assert "settings in force" in found.reason
+    assert "active settings" in found.reason
 
 
 @pytest.mark.parametrize("known", [True, False])

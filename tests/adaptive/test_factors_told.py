@@ -23,9 +23,7 @@ def test_what_is_over_its_limit_is_told_as_larger(limit: float, over: float) -> 
     assert float(known) > float(needed)
 
 
-@pytest.mark.parametrize(
-    ("loads", "left", "said"), [(0, 9.0, "9.0 times the noise"), (9, 1.0, "9 load steps to explain")]
-)
+@pytest.mark.parametrize(("loads", "left", "said"), [(0, 9.0, "9.0 times the noise"), (9, 1.0, "9 load steps explain")])
 def test_what_is_not_explained_is_told_by_what_is_wrong_with_it(loads: float, left: float, said: str) -> None:
     assert said in _unexplained(0.0, loads, left, DiagnosisSettings())
     assert _unexplained(0.0, 0.0, 1.0, DiagnosisSettings()) == ""

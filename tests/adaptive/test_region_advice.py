@@ -139,7 +139,7 @@ def test_on_a_map_the_axis_that_explains_is_found() -> None:
     (found,) = advice(points, MAP)
     assert (found.axis, found.unit) == ("flow", "%")
     assert 10.0 < found.border < 30.0
-    assert found.sentence.startswith("Region a holds two processes: a border at flow = 20 %")
+    assert found.sentence.startswith("Region a holds two processes: a boundary at flow = 20 %")
 
 
 def test_structures_may_differ_from_record_to_record() -> None:
@@ -176,7 +176,7 @@ def test_neighbours_are_merged_when_they_are_known_to_be_equal(
     for one in found:
         assert (one.regions, one.axis, one.border) == (("cold", "hot"), "sp", 100.0)
         assert 1.0 < one.statistic <= one.limit == SETTINGS.merge_factor
-        assert "The border at sp = 100 degC may go" in one.sentence
+        assert "The boundary at sp = 100 degC may go" in one.sentence
 
 
 def test_on_a_map_a_border_goes_only_where_it_parts_nothing_at_all() -> None:

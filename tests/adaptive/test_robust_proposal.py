@@ -30,7 +30,7 @@ def known(model: ProcessModel, std: float = 0.02, *, identifiable: bool = True) 
     x = parameters_of(model)
     log = LogModel(x, std**2 * np.eye(len(x)), 1, model.type)
     return RegionModel(
-        (StructureModel(log, 0.0),), 2, 0.0, None, (), spread(log), identifiable, "the record moves too little"
+        (StructureModel(log, 0.0),), 2, 0.0, None, (), spread(log), identifiable, "too little excitation"
     )
 
 

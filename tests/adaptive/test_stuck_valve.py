@@ -49,5 +49,5 @@ def test_the_start_is_where_it_is_said_to_be() -> None:
     ("stick", "jump", "start"), [(0.0, 0.0, 0.0), (1.0, 3.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 2.0), (np.nan, 0, 0)]
 )
 def test_impossible_valves_are_refused(stick: float, jump: float, start: float) -> None:
-    with pytest.raises(ValueError, match=r"stick band|start"):
+    with pytest.raises(ValueError, match=r"stiction band|start"):
         StuckValve(Family.KANO, stick, jump, start)

@@ -68,7 +68,7 @@ def test_a_person_may_forbid_it() -> None:
     assert decisions
     assert all(d.action is Action.NONE for d in decisions)
     assert {d.code for d in decisions} == {"not_identifiable"}
-    assert all("the settings say so" in d.reason for d in decisions)
+    assert all("are switched off" in d.reason for d in decisions)
 
 
 def test_a_tone_from_outside_moves_nothing() -> None:

@@ -82,7 +82,7 @@ def test_files_are_found_by_pattern_and_a_missing_one_is_told(plant: Path) -> No
 def test_a_real_valve_is_sent_to_the_workshop_and_never_retuned() -> None:
     (row,) = audit_task(Task(("FIC20102",), (VALVE,), separate=True), AuditSettings(2))
 
-    assert (row["cause"], row["action"]) == ("stiction", "valve to the workshop")
+    assert (row["cause"], row["action"]) == ("stiction", "repair the valve")
     assert row["settings"] is None
     json.dumps(row, allow_nan=False)
 

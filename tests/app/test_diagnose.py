@@ -53,7 +53,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict]:
     def double(window, *, gains=None, co_min=None, co_max=None):
         calls.append({"window": window, "gains": gains, "co_min": co_min, "co_max": co_max})
         if gains is None:
-            nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the settings in force are not known")
+            nothing = Diagnosis(Cause.UNKNOWN, 0.0, {}, "the active settings are not known")
             return api.RecordDiagnosis(nothing, None, None, {})
         told = Diagnosis(Cause.AGGRESSIVE, 0.97, {"ms": 3.1, "gm": float("inf")}, "Ms 3.10 is over 1.8")
         cure = tune(ProcessModel(ProcessType.FOPDT, 1.0, 20.0, 0.0, 3.0))
@@ -162,11 +162,11 @@ def test_it_reads_well(tmp_path, capsys):
     shown = capsys.readouterr().out
     first = shown.splitlines()[0]
     assert first == "AGGRESSIVE (confidence 97%): Ms 3.10 is over 1.8"
-    assert "settings in force: Kc 1.95 tau_I 19.5 s, read off the record" in shown
-    assert "settings that would cure it:" in shown
+    assert "active settings: Kc 1.95 tau_I 19.5 s, identified from the record" in shown
+    assert "recommended settings:" in shown
     assert "overshoot of setpoint responses" in shown
     assert (tmp_path / "a.png").read_bytes().startswith(PNG)
-    assert "no change of settings" not in shown
+    assert "no change of settings recommended" not in shown
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_identify_draws_its_record(tmp_path, capsys):
     picture = tmp_path / "heater.png"
     assert main(["identify", str(HEATER), "--open-loop", "--plot", str(picture)]) == 0
     assert picture.read_bytes().startswith(PNG)
-    assert "settings that follow" in capsys.readouterr().out
+    assert "recommended settings" in capsys.readouterr().out
 
 
 def test_identify_takes_the_limits_of_co(tmp_path, capsys):

@@ -22,7 +22,7 @@ ORDER = (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
-        "schedule_design", "audit",
+        "nudge", "schedule_design", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -30,8 +30,8 @@ ORDER = (
         "historian",
         "profiles", "dbc", "canopen",
     )),
-    "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api", "scheduling",
-    "config", "ledger", "decisions", "pid_controller", "",
+    "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
+    "scheduling", "config", "ledger", "decisions", "pid_controller", "",
     "decision_page", "report", "schedule_report", "experiment", "audit", "session", "live_view", "replay", "serve",
     "gain_export", "doctor", "commands", "notebook", "cli", "__main__",
 )

@@ -31,13 +31,13 @@ def page(found: RegionScore, *, stopped: bool = False) -> str:
     [
         (
             score(1.5, 50.0, 100.0, 1),
-            "1 change was written to the controller. Ms of the final gains on the true "
+            "1 change was written to the controller. Ms of the final gains on the simulated "
             "process is at most 1.50. The integrated error is 50% smaller than with fixed gains.",
         ),
         (
             score(float("inf"), 100.0, 100.0),
-            "0 changes were written to the controller. Ms of the final gains on the "
-            "true process is not finite: the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
+            "0 changes were written to the controller. Ms of the final gains on the simulated process is not finite: "
+            "the loop is UNSTABLE. The integrated error is the same as with fixed gains.",
         ),
         (
             score(None, 120.0, 100.0, 2),
@@ -71,7 +71,9 @@ def test_changes_that_were_taken_back_are_counted_and_not_as_responses() -> None
     undo: dict[str, object] = {"number": 2, "t_s": 1800.0, "region": "all", "action": "restore", "reason": "worse"}
     told = ReportData("loop", "u", TABLE, TABLE, [score(1.5, 1.0, None, 1)], [undo], RUN, None, [900.0])
     text = render(told)
-    assert "0 responses were recognised in 1 h. 1 change was written to the controller. 1 change was taken back" in text
+    assert (
+        "0 responses were recognised in 1 h. 1 change was written to the controller. 1 change was rolled back" in text
+    )
     assert '<a href="#decision-2">2</a>' in text
 
 
@@ -81,9 +83,9 @@ def test_a_set_that_stays_at_the_end_is_not_told_of_as_taken_back() -> None:
     row |= {"reason": "the gains on trial stay", "gains_before": gains, "gains_after": gains}
     told = ReportData("loop", "u", TABLE, TABLE, [score(1.5, 1.0, None, 1)], [row], RUN, None, [900.0])
     text = render(told)
-    assert "taken back" not in text
+    assert "rolled back" not in text
     assert "undone" not in text
-    assert "put back" not in text
+    assert "restored" not in text
     assert "The trial settings stay" in text
     assert "kept: Kc 2 tau_I 4 s" in text
     assert not any(mark.undone for mark in marks_of(told, [row]))
@@ -107,7 +109,7 @@ def test_ms_over_the_limit_is_red_with_the_reason() -> None:
     text = render(told)
     assert "over 1.6<" in text
     assert "nothing was changed; the newest decision 7: the model is not accurate enough" in text
-    assert "on the process as known it was 1.62" in text
+    assert "on the identified process it was 1.62" in text
 
 
 def test_marks_carry_the_numbers_of_their_decisions() -> None:

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 from command_line import run
+from rich.console import Console
 
 from retuner import verbosity
+from retuner.live_view.live_screen import LiveScreen
 from retuner.verbosity import LOGGER, be_normal, busy, quiet
 
 TUNE = ["tune", "--type", "fopdt", "--k", "1", "--tau1", "10", "--theta", "2"]
@@ -98,3 +100,16 @@ def test_quick_work_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
     assert screen.getvalue() == ""
+
+
+def test_a_quiet_run_says_what_it_leaves_and_nothing_of_its_course() -> None:
+    screen = Terminal()
+    live = LiveScreen(Console(file=screen, force_terminal=True), answers_only=True)
+
+    with live:
+        live.begin("oven")
+        live.event("the CAN link is down")
+        live.say("report: runs/report.html")
+
+    assert not live.live
+    assert screen.getvalue() == "report: runs/report.html\n"

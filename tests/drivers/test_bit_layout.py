@@ -102,7 +102,7 @@ def test_every_kind_of_whole_number_is_laid_out_as_cantools_does(signal: str) ->
         ("0|16@1+ (1,0) [0|0]", "", "no range"),
         ("0|16@1+ (1,0) [0|70000]", "", "does not fit"),
         ("0|16@1- (0.5,0) [-20000|0]", "", "does not fit"),
-        ("4|32@1- (1,0) [0|9]", "SIG_VALTYPE_ 1 s : 1;", "byte borders"),
+        ("4|32@1- (1,0) [0|9]", "SIG_VALTYPE_ 1 s : 1;", "byte boundaries"),
         ("0|32@1- (2,0) [0|9]", "SIG_VALTYPE_ 1 s : 1;", "unscaled"),
         ("0|64@1- (1,0) [0|9]", "SIG_VALTYPE_ 1 s : 2;", "float32"),
     ],

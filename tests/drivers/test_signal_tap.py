@@ -71,7 +71,7 @@ def test_stale_is_unknown_and_told_once_each_way(dbc: str) -> None:
     assert [math.isnan(x2_at(tap, float(t))) for t in range(8)] == [False] * 6 + [True] * 2
     told = tap.news()
     assert [(n.name, n.known) for n in told] == [("FLOW_METER.flow", False)]
-    assert told[0].reason == "silent for more than 5 s; the region stays, and nothing is learned until it is"
+    assert told[0].reason == "silent for more than 5 s; the region stays, and its model is not updated until then"
     tap.take(frame(610))
     assert x2_at(tap, 8.0) == 51.0
     assert tap.news() == [VariableChanged("FLOW_METER.flow", known=True, reason="heard again")]

@@ -139,7 +139,7 @@ def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
     before = session.gains
     one, other = browsers(), browsers(420, 900, dark=True)
     one.open(server.address)
-    one.sees("Nothing waits for a person.")
+    one.sees("Nothing waits for an operator.")
     other.open(f"{server.address}#/loop/demo/1")
     other.sees("No decision yet.")
     session.until_decided(1)
@@ -164,7 +164,7 @@ def test_a_person_sees_a_proposal_approves_it_and_takes_it_back(
     one.picture("loop-on-trial")
     number = session.session.loops[0].decisions[-1].number
     other.sees(f"✓{number}")
-    one.press("take back")
+    one.press("roll back")
     one.confirms("Ada")
     session.step(100)
     assert session.gains == before
@@ -184,7 +184,7 @@ def test_a_decision_opens_with_its_whole_reasoning_and_the_ledger_is_filtered(
     session.until_decided(1)
     seen = browsers()
     seen.open(f"{server.address}#/loop/demo/1")
-    seen.press("the whole reasoning")
+    seen.press("full reasoning")
     seen.wait(lambda: seen.driver.find_element(By.TAG_NAME, "iframe"), "the page of the decision does not open")
     seen.driver.switch_to.frame(seen.driver.find_element(By.TAG_NAME, "iframe"))
     seen.sees("Robustness and predicted responses")

@@ -124,5 +124,5 @@ def test_a_mean_that_one_set_cannot_make(wanted, x, region, why):
 @pytest.mark.parametrize(("x", "x2", "named"), [(math.nan, 0.0, "sp = nan"), (50.0, math.inf, "flow = inf")])
 def test_a_failed_sensor_is_refused(x, x2, named):
     for table in (HARD, SMOOTH):
-        with pytest.raises(ValueError, match=f"{named} is not a finite number; keep the gains in force"):
+        with pytest.raises(ValueError, match=f"{named} is not a finite number; keep the active gains"):
             table.at(1, x, x2)

@@ -196,7 +196,7 @@ def test_neighbours_share_a_border(regions, data):
             assert set(regions.span(a, axis)) & set(regions.span(b, axis)) == {value}
             assert regions.span(a, 1 - axis) == regions.span(b, 1 - axis)
         else:
-            with pytest.raises(ValueError, match="share no border"):
+            with pytest.raises(ValueError, match="share no boundary"):
                 regions.border(a, b)
 
 

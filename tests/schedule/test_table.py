@@ -81,7 +81,7 @@ def test_a_single_region_interpolates_to_itself():
 @pytest.mark.parametrize("table", [HARD, SMOOTH])
 @pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf])
 def test_a_failed_sensor_is_refused(table, x):
-    with pytest.raises(ValueError, match=r"pv = .* is not a finite number; keep the gains in force"):
+    with pytest.raises(ValueError, match=r"pv = .* is not a finite number; keep the active gains"):
         table.at(1, x)
 
 

@@ -102,7 +102,7 @@ def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -
     try:
         client = cluster.Client(address, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:
-        raise UserError(f"--scheduler {address}: nobody answers there: {error}") from error
+        raise UserError(f"--scheduler {address}: no answer there: {error}") from error
     with client:
         futures = {client.submit(audit_task, task, settings, pure=False, retries=2): task for task in tasks}
         for future in cluster.as_completed(list(futures)):

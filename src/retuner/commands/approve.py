@@ -18,6 +18,7 @@ from retuner.commands.options import By, Json, Loop, Note, Session
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
+from retuner.decision_page.shown_units import show_units_of
 from retuner.errors import LedgerError, UserError, user_input
 from retuner.ledger.lock import WriterLock
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
@@ -51,7 +52,7 @@ class Person:
         try:
             return getpass.getuser()
         except (OSError, KeyError, ImportError):
-            raise UserError("--by: the system knows no user name here; say who orders it") from None
+            raise UserError("--by: no user name is known here; give your name") from None
 
 
 def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
@@ -64,6 +65,7 @@ def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
     """
     ledger = ledger_path(session)
     rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG)[0]
+    show_units_of(config)
     about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}
     wanted = config.loops if loop is None else (config.loops[config.place(loop)],)
     return [LoopPlace(ledger, one, config.several, shown(about[one.loop.name])) for one in wanted]
@@ -125,16 +127,17 @@ class LoopPlace:
 def approve(
     session: Session,
     digest: Annotated[
-        str | None, typer.Argument(metavar="[HASH]", help="Of the proposal, 8 digits or more; without it: list them.")
+        str | None,
+        typer.Argument(metavar="[HASH]", help="Of the proposal, 8 digits or more; without it: list the open ones."),
     ] = None,
     by: By = None,
     note: Note = "",
-    unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Let a locked-out region change again.")] = None,
+    unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Unlock a region.")] = None,
     every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False,
     loop: Loop = None,
     as_json: Json = False,
 ) -> int:
-    """Order that a proposal be written, named by its hash, or list the open ones: the newest of each region."""
+    """Approve a proposal, named by its hash, or list the open ones, the newest of each region."""
     found, person = places(session, loop), Person(by, note)
     if every and (unlock or digest) is not None:
         raise UserError("--all: lists proposals; leave it out to approve or unlock one")
@@ -165,7 +168,7 @@ def _closed(place: LoopPlace, full: str) -> str:
         return "it was rejected"
     proposal = place.shown.proposals.get(full)
     if proposal is None:
-        return "" if full in place.shown.waiting.values() else "this change does not wait for a person"
+        return "" if full in place.shown.waiting.values() else "this change does not wait for an operator"
     standing = place.shown.standing(proposal, place.expires_after_s)
     return str(standing) if standing is not ProposalStanding.OPEN else superseded(place.shown.successor(proposal))
 

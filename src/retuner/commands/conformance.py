@@ -27,15 +27,16 @@ def conformance(
     node: Annotated[int, typer.Option(help="Number of the device.", min=1, max=63)] = 1,
     sample_time: Annotated[float, typer.Option(help="Seconds between its samples.")] = 2.0,
     speed: Annotated[float, typer.Option(help="How much faster than real time a simulated device runs.")] = 1.0,
-    key_file: Annotated[Path | None, typer.Option(help="Secret that its commits are authenticated with.")] = None,
+    key_file: Annotated[Path | None, typer.Option(help="Key that authenticates commits.")] = None,
     trial_samples: Annotated[
-        int, typer.Option(help="Its trial time, to see a set give way that is not confirmed.", min=0, max=65535)
+        int, typer.Option(help="Its trial time, to test the return of gains that are not confirmed.", min=0, max=65535)
     ] = 0,
-    restart: Annotated[bool, typer.Option("--restart", help="Ask for a power cycle, and look at that too.")] = False,
+    restart: Annotated[bool, typer.Option("--restart", help="Test a power cycle too (you switch it).")] = False,
     as_json: Json = False,
 ) -> int:
-    """Examine a device on a bus: every chapter of docs/protocol.md, faults included. Its gains are changed by a few
-    per cent, stored, and put back at the end; let it control nothing that minds.
+    """Test a device on a bus against every chapter of docs/protocol.md, faults included.
+
+    Its gains are changed by a few per cent, stored, and restored at the end: use it on no process that matters.
     """
     for name, value in (("--sample-time", sample_time), ("--speed", speed)):
         if not 0 < value < math.inf:

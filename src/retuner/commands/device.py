@@ -29,7 +29,7 @@ def device(
     duration: Annotated[float | None, typer.Option(help="Stop after so many simulated seconds.")] = None,
     loop: Loop = None,
 ) -> int:
-    """Be the controller: PID firmware with its simulated plant on a CAN bus, until stopped; of several loops, all."""
+    """Run a virtual controller with a simulated plant on a CAN bus, until stopped; of several loops, all."""
     from retuner.config.session_config import SessionConfig  # noqa: PLC0415  see above
 
     session = all_on_bus(_read(path, profile), interface, channel)

@@ -39,7 +39,7 @@ from retuner.verbosity import quiet
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    help="A step, setpoint or relay test: on demand, or from a recording.",
+    help="Make a step, setpoint or relay test, or evaluate a recorded one.",
     epilog="Example: retuner experiment relay examples/oven.toml --amplitude 5",
 )
 
@@ -95,7 +95,7 @@ class SetpointOptions(OnDemandOptions):
     """Setpoint step under proportional control. Methods: fit, two-step; --rule setpoint-overshoot needs no model."""
 
     amplitude: Annotated[float | None, typer.Option(help="Step of sp, pv units; default 5 % of the range.")] = None
-    kc0: Annotated[float | None, typer.Option(help="Proportional gain of the test; default that in force.")] = None
+    kc0: Annotated[float | None, typer.Option(help="Proportional gain of the test; default the active one.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,7 +39,7 @@ def export(
     ] = None,
     into: Annotated[Path | None, typer.Option(help="Configuration that gets the gains; its comments stay.")] = None,
 ) -> int:
-    """Write a gain table for others, or back into the configuration that it began in."""
+    """Write a gain table for firmware, a PLC or a CAN tool, or back into its configuration."""
     if not form and into is None:
         raise UserError(f"--format: give one of {', '.join(FORMATS)}, or --into and a configuration")
     if form and form not in FORMATS:

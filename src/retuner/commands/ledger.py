@@ -20,6 +20,8 @@ from rich.table import Table
 
 from retuner.commands.approve import Person, order_back
 from retuner.commands.options import By, Json, Loop, Note, Session
+from retuner.decision_page.row_values import part
+from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
@@ -29,7 +31,7 @@ from retuner.session.recorded_session import ledger_path
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    help="What was seen, decided and written: read it, and look whether it can be believed.",
+    help="Read, verify, export or revert what was seen, decided and written.",
     epilog="Example: retuner ledger show runs/demo",
 )
 
@@ -155,6 +157,7 @@ def show(
     path = ledger_path(session)
     rows, broken = believed(path)
     chosen = Selection(decision, since, kind, loop).rows(rows)
+    show_units_told(part(rows[0].body, "config") if rows else {})
     if as_json:
         document = {
             "ledger": str(path),
@@ -274,5 +277,5 @@ def revert(
     loop: Loop = None,
     as_json: Json = False,
 ) -> int:
-    """Order the way back: the gains before a decision, in its region; by the running session, or by the next one."""
+    """Request a rollback to the gains before a decision, in its region, by the running or the next session."""
     return order_back(session, decision, Person(by, note), loop, as_json=as_json)

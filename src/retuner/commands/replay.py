@@ -17,6 +17,7 @@ from retuner.commands.options import Json, Loop, signed_by
 from retuner.commands.recorded.record_form import FormOptions, read_record, renamed, tell_assumed
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
+from retuner.decision_page.shown_units import show_units_of
 from retuner.drivers.recorded.frame_log import is_frame_log
 from retuner.drivers.recorded.recorded_samples import (
     LoopFacts,
@@ -39,12 +40,12 @@ app = typer.Typer(add_completion=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions(FormOptions):
-    """Decide again from recorded frames: the same, byte for byte? Or: what would you have done on this log?"""
+    """Repeat the decisions of a session byte for byte, or apply retuner to a recorded log."""
 
     target: Annotated[Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")]
     config: Annotated[
         Path | None,
-        typer.Option(help="Say what would have been done on a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
+        typer.Option(help="Apply this configuration to a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
     ] = None
     loop: Loop = None
     as_json: Json = False
@@ -61,6 +62,7 @@ def replay(options: ReplayOptions) -> int:
         raise UserError(f"{target}: is not the folder of a session; to replay a log of another origin give --config")
     _refuse_form(options, "a session has its own")
     recorded, meant = read_loops(target)
+    show_units_of(meant)
     if options.loop is not None:
         recorded = (recorded[meant.place(options.loop)],)
     return _again(recorded, as_json=options.as_json)
@@ -71,7 +73,7 @@ def _refuse_form(options: FormOptions, why: str) -> None:
     for field_ in fields(FormOptions):
         if getattr(options, field_.name) != field_.default:
             name = field_.name.replace("_", "-")
-            raise UserError(f"--{name}: tells the form of a table; {why}")
+            raise UserError(f"--{name}: gives the form of a table; {why}")
 
 
 def _again(recorded: Sequence[RecordedSession], *, as_json: bool) -> int:

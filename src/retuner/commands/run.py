@@ -20,6 +20,7 @@ from retuner.commands.report import scores_of
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
+from retuner.decision_page.shown_units import show_units_of
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
@@ -75,8 +76,12 @@ class RunOptions:
     mode: Annotated[str | None, typer.Option(help="off, advise, trial or auto; overrides the configuration.")] = None
     out: Annotated[Path | None, typer.Option(help="Folder for report, ledger, trend and bus log.")] = None
     compare: Annotated[bool, typer.Option(help="Also run with fixed gains, where the plant is simulated.")] = True
-    pretune: Annotated[bool, typer.Option("--pretune", help="Begin with a step of co: first model and gains.")] = False
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="On a terminal: what decisions weighed.")] = False
+    pretune: Annotated[
+        bool, typer.Option("--pretune", help="Begin with a step test of co, for a first model and gains.")
+    ] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="On a terminal: the evidence behind each decision.")
+    ] = False
     serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser while it runs.")] = False
     as_json: Json = False
 
@@ -93,6 +98,7 @@ def run(options: RunOptions) -> int:
     """
     read, text = load_session(options.config)
     config = all_on_bus(read, options.interface, options.channel)
+    show_units_of(config)
     if options.pretune:
         config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
     if options.mode is not None and options.mode not in set(Mode):

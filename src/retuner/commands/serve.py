@@ -17,15 +17,17 @@ app = typer.Typer(add_completion=False)
 @app.command(epilog="Example: retuner serve runs; retuner serve runs/demo --port 8020 --read-only")
 def serve(
     runs: Annotated[Path, typer.Argument(metavar="RUNS", help="Folder of a session, or of several.")],
-    port: Annotated[int, typer.Option(help="Where to listen; 0: any port that is free.", min=0, max=65535)] = PORT,
-    host: Annotated[str, typer.Option(help="Address to listen at; others are open to all.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen on; 0: any free port.", min=0, max=65535)] = PORT,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; others than localhost are reachable by all.")
+    ] = "127.0.0.1",
     name: Annotated[list[str] | None, typer.Option(help="A host name under which browsers may ask.")] = None,
     certificate: Annotated[Path | None, typer.Option(help="File with the TLS certificate (PEM).")] = None,
     key: Annotated[Path | None, typer.Option(help="File with its key (PEM).")] = None,
-    read_only: Annotated[bool, typer.Option("--read-only", help="Nobody may act from there.")] = False,
+    read_only: Annotated[bool, typer.Option("--read-only", help="Read-only: no operator requests.")] = False,
     inherited: Annotated[int | None, typer.Option("--inherited", hidden=True)] = None,
 ) -> int:
-    """Show sessions in a browser, live and afterwards; whoever has the token that is printed may act from there."""
+    """Show sessions in a browser, live and afterwards; operator requests need the token that is printed."""
     require_page()
     from retuner.serve import server  # noqa: PLC0415  an extra, loaded when wanted
 

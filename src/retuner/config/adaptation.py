@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
-from retuner.config.learning import AdmissionConfig, LimitsConfig, PatternConfig
+from retuner.config.learning import AdmissionConfig, LimitsConfig, NudgeConfig, PatternConfig
 from retuner.config.setting import Many, Problem, Section, setting
 
 
@@ -12,11 +12,11 @@ class AdaptationConfig(Section):
     """[adaptation]: mode, rule and limits of changes."""
 
     mode: Literal["off", "advise", "trial", "auto"] = setting(
-        "off: only watch; advise: say what it would change, and write what a person approves; trial: write one proved "
-        "change a region, undo it when worse, else wait for a person; auto: the same, and go on",
+        "off: only watch; advise: propose, and write what an operator approves; trial: write one proved change a "
+        "region, roll it back when worse, else wait for operator approval; auto: the same, without waiting",
         unit="-",
         default="advise",
-        source="nothing changes until somebody says so",
+        source="nothing changes until someone says so",
     )
     rule: Literal["simc"] = setting("Tuning rule", unit="-", default="simc", source="Skogestad 2003")
     ms_nominal: float = setting(
@@ -78,10 +78,13 @@ class AdaptationConfig(Section):
     )
     limits: LimitsConfig = setting("Further limits of a change", unit="-", default=LimitsConfig(), source="see there")
     admission: AdmissionConfig = setting(
-        "What may teach a region", unit="-", default=AdmissionConfig(), source="see there"
+        "Which responses may update a region's model", unit="-", default=AdmissionConfig(), source="see there"
     )
     pattern: PatternConfig = setting(
         "What may be done without a model", unit="-", default=PatternConfig(), source="see there"
+    )
+    nudge: NudgeConfig = setting(
+        "Small setpoint bumps where days pass without evidence", unit="-", default=NudgeConfig(), source="see there"
     )
     approval_s: float = setting(
         "How long a proposal may be approved after it was made",
@@ -92,7 +95,7 @@ class AdaptationConfig(Section):
         source="a day: every shift sees it",
     )
     decision_deadline_s: float = setting(
-        "On a real bus: machine's time that a decision may take; past it the loop stays as it is, and that is said",
+        "On a real bus: machine's time that a decision may take; past it nothing is changed, and the screen says so",
         unit="s",
         low=1,
         high=1e5,
@@ -108,7 +111,7 @@ class AdaptationConfig(Section):
         source="time stands still there while a decision is made",
     )
     trial_responses: int = setting(
-        "Responses that must keep a change's promise before it has passed its trial",
+        "Responses that must match a change's prediction before it has passed its trial",
         unit="responses",
         low=1,
         high=10,
@@ -116,7 +119,7 @@ class AdaptationConfig(Section):
         source="more are surer and slower",
     )
     trial_level: float = setting(
-        "Standard deviations of noise beyond the promise from which a response is worse",
+        "Standard deviations of noise beyond the prediction from which a response is worse",
         unit="1",
         low=2,
         high=6,
@@ -133,7 +136,7 @@ class AdaptationConfig(Section):
         source="further ones of that kind say nothing either",
     )
     trial_settles: float = setting(
-        "In mode trial: promised settling times after which a change that no response decided waits for a person",
+        "In mode trial: predicted settling times after which an undecided change waits for operator approval",
         unit="settling times",
         low=1,
         high=10000,
@@ -141,8 +144,8 @@ class AdaptationConfig(Section):
         source="in the loop's own time; by itself time says nothing of a change",
     )
     edit_hold_s: float = setting(
-        "Gains that a person has set beside retuner stay for this long, changes are only proposed; doubled each time "
-        "that a person takes a change of retuner's away",
+        "Gains that an operator has set stay for this long, while changes are only proposed; doubled each time that an "
+        "operator replaces gains of retuner",
         unit="s",
         low=0,
         high=1e8,
@@ -150,7 +153,7 @@ class AdaptationConfig(Section):
         source="a shift",
     )
     cool_down_s: float | None = setting(
-        "No change of a region for this long after one was undone, doubled each time; absent: 20 integral times",
+        "No change of a region for this long after one was rolled back, doubled each time; absent: 20 integral times",
         unit="s",
         low=0,
         high=1e8,
@@ -158,7 +161,7 @@ class AdaptationConfig(Section):
         source="as long as several responses",
     )
     lock_out_after: int = setting(
-        "Changes undone in a row after which a region is locked until a person unlocks it",
+        "Changes rolled back in a row after which a region is locked until an operator unlocks it",
         unit="changes",
         low=1,
         high=20,
@@ -166,10 +169,10 @@ class AdaptationConfig(Section):
         source="what fails three times is not a matter of gains",
     )
     pretune: bool = setting(
-        "Before a run: first model and settings from a commanded step of co, the loop put back as it was",
+        "Before a run: first model and settings from a commanded step of co, the loop restored as it was",
         unit="-",
         default=False,
-        source="no test signal unless somebody says so",
+        source="no test signal unless someone says so",
     )
     pretune_step_pct: float | None = setting(
         "That step, negative for down; absent: 5 % of the range of co",
@@ -183,7 +186,7 @@ class AdaptationConfig(Section):
         "Noise band of pv; absent: estimated from the data", unit="pv", above=0, high=1e9, default=None, source="user"
     )
     wait_s: float | None = setting(
-        "Longest wait for the next peak; absent: from the integral time in force",
+        "Longest wait for the next peak; absent: from the active integral time",
         unit="s",
         above=0,
         high=1e7,

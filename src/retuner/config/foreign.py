@@ -222,8 +222,8 @@ class ForeignConfig(Section):
         "Number of the device; absent: that of [bus]", unit="-", low=0, high=127, default=None, source="[bus] node"
     )
     accept: Many[Literal["no_read_back", "unproved_order"]] = setting(
-        "What the user puts up with: gains that cannot be read back (otherwise nothing is written), an order of "
-        "messages that no model proves (otherwise such a set is refused)",
+        "What the user accepts: a device without read-back of gains (else nothing is written); an order of messages "
+        "that no model proves (else such gains are refused)",
         unit="-",
         default=(),
         source="neither",
@@ -249,7 +249,7 @@ class ForeignConfig(Section):
         source="6 samples",
     )
     sp_start: float = setting(
-        "Setpoint in force until one is sent, where the device reports none",
+        "Setpoint until one is sent, where the device reports none",
         unit="pv",
         low=-1e9,
         high=1e9,
@@ -258,7 +258,7 @@ class ForeignConfig(Section):
     )
     seed: int = setting("Seed of the simulated noise", unit="-", low=0, high=2**32 - 1, default=1, source="the user")
     plant: PlantConfig | None = setting(
-        "Simulated plant, for a virtual device of this kind; absent: a real one hangs on the bus",
+        "Simulated plant, for a virtual device of this kind; absent: a real one is connected",
         unit="-",
         default=None,
         source="the user",

@@ -36,11 +36,7 @@ def promise_section(view: DecisionView) -> str:
     if not rows:
         return ""
     models = number(promise, "models")
-    over = (
-        f" over the {models:.0f} model{'s' * (models != 1)} that the records allow"
-        if models
-        else ", from what was seen"
-    )
+    over = f" over the {models:.0f} plausible model{'s' * (models != 1)}" if models else ", from what was seen"
     spread = f"In brackets the smallest and largest value{over}.{_promised_ms(promise)}"
     heads = ("", "setpoint step: predicted", "previous settings", "load step: predicted", "previous settings")
     heading = "Predicted performance, against which the next responses are judged"
@@ -80,7 +76,7 @@ def judgement_section(view: DecisionView) -> str:
     if not judgement:
         return ""
     rows = judged_rows(part(judgement, "numbers"))
-    shown = text_table(("", "measured", "promised", "limit", "the previous settings"), rows) if rows else ""
+    shown = text_table(("", "measured", "predicted", "limit", "previous settings"), rows) if rows else ""
     lead = paragraph(_told(judgement))
     return section("The trial: this response against the predicted performance", lead, shown)
 
@@ -116,7 +112,7 @@ def later_section(view: DecisionView) -> str:
     for later in view.later:
         undone = takes_back(later)
         told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
-        reason = " ROLLED BACK: ".join(one for one in told if one)
+        reason = " Then ".join(one for one in told if one)
         when = f"{number(later, 't_s') or 0.0:,.0f}"
         rows.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
     return section("What came of it", text_table(("decision", "time [s]", "result", "then"), rows) if rows else "")

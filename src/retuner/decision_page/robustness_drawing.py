@@ -99,7 +99,7 @@ def _nyquist(axes: Axes, view: DecisionView, process: LinearProcess, before: Pid
 
 def old_name(view: DecisionView) -> str:
     """What the gains in force are called."""
-    return "before" if view.after else "in force"
+    return "before" if view.after else "active"
 
 
 def new_name(view: DecisionView) -> str:

@@ -64,10 +64,10 @@ class OrderOfWrites:
         known = region is not None and region in self._retuner.region_models
         if known:
             return (
-                f"the controller takes the set in several messages, and in none of {len(ways)} orders are all sets "
-                f"between proved (Ms at most {self._retuner.settings.guard.ms_worst:g} on every allowed model)"
+                f"the controller takes the gains in several messages; in none of {len(ways)} orders is every step "
+                f"proved (Ms at most {self._retuner.settings.guard.ms_worst:g} on every plausible model)"
             )
         return (
-            "the controller takes the set in several messages, and no model of this region proves the sets between; "
+            "the controller takes the gains in several messages, and no model of this region proves the steps between; "
             'accept that by name: [device] accept = ["unproved_order"]'
         )

@@ -38,7 +38,7 @@ def out_of_time(plan: Plan, relay: RelayState, excited_s: float) -> Trouble | No
     if plan.kind == Kind.RELAY and relay.switches < 2:
         return AbortCause.NEVER_SWITCHED, (
             f"{plan.time_s:g} s for {relay.switches} switchings; are amplitude, bias and the "
-            "sign of the gains in force right?"
+            "sign of the active gains right?"
         )
     return AbortCause.TIME, f"{plan.time_s:g} s; give more time, or a larger amplitude"
 

@@ -168,7 +168,7 @@ class OnDemandExperiment:
         assert before is not None
         gains, limits = found.chosen.tuning.gains, self._config.adaptation
         if gains.direction != before.gains.direction:
-            return "they act the other way than the gains in force; look at the sign of the process first"
+            return "they act the other way than the active gains; look at the sign of the process first"
         if limits.kc_max is not None and abs(gains.kp) > limits.kc_max:
             return f"|kp| = {abs(gains.kp):.4g} is above adaptation.kc_max = {limits.kc_max:g}"
         if limits.kc_min is not None and abs(gains.kp) < limits.kc_min:

@@ -205,7 +205,7 @@ def _at_interpolated(table: TableNumbers) -> Iterable[str]:
     """The mean of the sets whose centres are nearest."""
     p, names = table.name, _names(table)
     yield _SHARES.replace("@", p)
-    yield "/* The gains in force at these scheduling values. */"
+    yield "/* The active gains at these scheduling values. */"
     yield f"static {p}_gains_t {p}_at(int region, {_arguments(table)}) {{"
     yield f"    {p}_gains_t g;"
     yield "    RETUNER_REAL sum[3] = {0, 0, 0}, share;"

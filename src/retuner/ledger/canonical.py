@@ -25,7 +25,7 @@ def _check(value: object, where: str) -> None:
     is_whole_or_none = isinstance(value, int | None)
     if isinstance(value, Mapping):
         if not all(isinstance(key, str) for key in value):
-            raise ValueError(f"{where} has keys {list(value)!r}; keys must be text")
+            raise ValueError(f"{where} has a key that is no text")
         for key, inner in value.items():
             _check_text(key, where)
             _check(inner, f"{where}.{key}")

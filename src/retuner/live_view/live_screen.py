@@ -29,7 +29,7 @@ class LiveScreen:
 
     Parameters
     ----------
-    console : where to. quiet : show nothing (for --json). answers_only : no live view and no decisions (for -q).
+    console : where to. quiet : show nothing (for --json). answers_only : no live view, decisions or events.
     detail : decisions with all that was weighed. now_s : the machine's clock, for how often the picture is renewed.
     """
 
@@ -104,6 +104,11 @@ class LiveScreen:
             return
         for line in decision_lines(decision, self.width, loop, detail=self._detail):
             self.console.print(line, highlight=False, no_wrap=True, crop=False)
+
+    def event(self, text: str) -> None:
+        """Something happened beside the decisions: a line, unless only the answer is wanted."""
+        if not self._answers_only:
+            self.say(text)
 
     def say(self, text: str) -> None:
         """A line of plain text; on a terminal folded between words."""

@@ -62,7 +62,7 @@ class Watching(OnScreen):
         if kind == "decision" and loop is not None:
             self._screen.decision(loop.decisions[-1], name)
         elif told := event_line(kind, body):
-            self._screen.say(f"{t_s:8,.0f} s {f'{name}: ' * bool(name)}{told}")
+            self._screen.event(f"{t_s:8,.0f} s {f'{name}: ' * bool(name)}{told}")
 
     def said(self, text: str) -> None:
         """See Observer."""

@@ -46,10 +46,10 @@ def render_index(loops: Sequence[LoopLine], facts: Mapping[str, str]) -> str:
         "loop",
         "decisions",
         "changes",
-        "taken back",
+        "rolled back",
         "proposals",
-        "IAE over that with fixed gains",
-        "to look after",
+        "IAE relative to fixed gains",
+        "needs attention",
     )
     rows = [
         (

@@ -97,7 +97,7 @@ def _marks(panels: Sequence[Axes], marks: Sequence[Mark], start_s: float, scale:
     labelled: set[bool] = set()
     for mark in marks:
         at = (mark.t_s - start_s) / scale
-        style, name = (":", "change taken back") if mark.undone else ("-", "gains changed")
+        style, name = (":", "change rolled back") if mark.undone else ("-", "gains changed")
         for axes in panels:
             axes.axvline(at, color=MARK, lw=1.1, ls=style, label=None if mark.undone in labelled else name)
             labelled.add(mark.undone)
@@ -122,10 +122,10 @@ def twin_png(run: Columns, fixed: Columns | None, twin: Twin, name: str, unit: s
     figure = Figure(figsize=(6.3, 4.4))
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     length = min(twin.first[1] - twin.first[0], twin.last[1] - twin.last[0])
-    first = "first time, with the commissioned gains" if commissioned else "first time, already retuned"
+    first = "first time, with the baseline gains" if commissioned else "first time, already retuned"
     before = (run, twin.first[0], first)
     if fixed is not None and len(fixed["t"]) >= twin.last[1]:
-        before = (fixed, twin.last[0], "with the commissioned gains")
+        before = (fixed, twin.last[0], "with the baseline gains")
     after = (run, twin.last[0], "with the final gains")
     for (columns, start, label), colour in ((before, FIXED), (after, PV)):
         lead = min(start, length // 20)

@@ -7,7 +7,7 @@ variables is a grid of cells besides.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from retuner.decision_page.explain import cause_text, model_text, settings_text, takes_back
+from retuner.decision_page.explain import cause_text, model_text, settings_text, stays, takes_back
 from retuner.decision_page.html import escaped, paragraph, text_table
 from retuner.decision_page.row_values import Document, decided_on, number, part, words
 from retuner.schedule.table import GainTable
@@ -59,9 +59,20 @@ def _region(name: str, own: list[Document]) -> RegionNow:
         cause_text(judged) if judged else "",
         model_text(known) if known else "",
         bool(changed) and words(changed[-1], "basis") == BORROWED,
-        words(last, "trial"),
+        _standing(last),
         words(last, "mode"),
     )
+
+
+def _standing(last: Document) -> str:
+    """Where the region stands after its last decision: what ended a trial says more than the phase that it began."""
+    code, trial = words(last, "code"), words(last, "trial")
+    at_the_end = " at the end of the session" * code.endswith("_stopped")
+    if stays(last) or code.startswith("kept_"):
+        return f"trial gains kept{at_the_end}"
+    if takes_back(last):
+        return f"rolled back{at_the_end}"
+    return "on trial" if words(last, "action") == "commit" else trial
 
 
 def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[str] = ()) -> str:
@@ -74,7 +85,7 @@ def overview(table: GainTable, decisions: Sequence[Document], advice: Sequence[s
         (now.name, f"{now.seen}", now.process or "nothing yet", now.cause, _marks(now))
         for now in regions_now(names, decisions)
     ]
-    heads = ("region", "responses", "process as known", "last cause", "state")
+    heads = ("region", "responses", "process model", "last cause", "state")
     return text_table(heads, rows) + "".join(map(paragraph, advice)) + _grid(table)
 
 
@@ -83,8 +94,8 @@ def _marks(now: RegionNow) -> str:
     told = [
         f"mode {now.mode}" if now.mode else "",
         now.trial if now.trial != IDLE else "",
-        "settings borrowed from a neighbour's model" if now.borrowed else "",
-        f"{now.undone} undone" if now.undone else "",
+        "settings from a neighbouring region's model" if now.borrowed else "",
+        f"{now.undone} rolled back" if now.undone else "",
     ]
     return ", ".join(one for one in told if one)
 
@@ -100,7 +111,7 @@ def _grid(table: GainTable) -> str:
         (
             down.text(i),
             *(
-                f"{regions.names[at]}: {settings_text(table.gains_of(at))}"
+                f"{regions.names[at]}: {settings_text(table.gains_of(at), table.loop)}"
                 for at in range(i * len(across), (i + 1) * len(across))
             ),
         )

@@ -25,6 +25,7 @@ from retuner.decision_page.html import OPEN_TARGET, escaped, image, paragraph, t
 from retuner.decision_page.html import document as html_document
 from retuner.decision_page.page import article
 from retuner.decision_page.row_values import Document, number, part, words
+from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT
 from retuner.report.plots import Mark, trend_png, twin_png
 from retuner.report.region_overview import overview
@@ -84,8 +85,8 @@ def render(data: ReportData) -> str:
         _twins(data),
         "<h2>Decisions</h2>",
         paragraph(
-            "One row per recognised response; rows that write or advise other gains are shaded. A number with a "
-            "link has a page that shows the whole reasoning.",
+            "One row per recognised response; rows that write or propose gains are shaded. A number with a link "
+            "has a page with the full reasoning.",
             "muted",
         ),
         _decisions_table(documents, {view.number for view in views}),
@@ -123,15 +124,15 @@ def _lead(data: ReportData, documents: Sequence[Document]) -> str:
     parts.append(f"{_counted(sum(s.changes for s in data.scores), 'change')} written to the controller.")
     undone = len(_undone(documents))
     if undone:
-        parts.append(f"{_counted(undone, 'change')} taken back.")
+        parts.append(f"{_counted(undone, 'change')} rolled back.")
     advised = sum(words(d, "action") == "advise" for d in documents)
     if advised:
-        parts.append(f"{_counted(advised, 'change')} advised and not written.")
+        parts.append(f"{_counted(advised, 'change')} proposed and not written.")
     worst = max((s.ms_after for s in data.scores if s.ms_after is not None), default=None)
     if worst is not None:
         stable = f"is at most {worst:.2f}" if math.isfinite(worst) else "is not finite: the loop is UNSTABLE"
         over = f", over the limit of {data.ms_limit:g} (see the red cells)" if data.ms_limit < worst < math.inf else ""
-        parts.append(f"Ms of the final gains on the true process {stable}{over}.")
+        parts.append(f"Ms of the final gains on the simulated process {stable}{over}.")
     saved = [(s.iae, s.iae_fixed) for s in data.scores if s.iae_fixed]
     if saved:
         share = 1 - sum(a for a, _ in saved) / sum(b for _, b in saved if b)
@@ -153,23 +154,17 @@ def ms_text(ms: float | None) -> str:
 def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
     """Each region before and after; Ms over the limit is red, with the reason."""
     unit = escaped(data.unit)
-    heads = (
-        "region",
-        "commissioned gains",
-        "final gains",
-        "changes",
-        "Ms before",
-        "Ms after",
-        f"IAE fixed [{unit} s]",
-        f"IAE retuned [{unit} s]",
-    )
+    iae = (f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")
+    heads = ("region", "baseline gains", "final gains", "changes", "Ms before", "Ms after", *iae)
     rows = []
     for s in data.scores:
         fixed = s.iae if s.iae_fixed is None else s.iae_fixed
         mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
         rows.append(
             (
-                *map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
+                escaped(s.region),
+                *(escaped(settings_text(gains, data.loop)) for gains in (s.before, s.after)),
+                escaped(s.changes),
                 ms_text(s.ms_before),
                 _ms_cell(s, data.ms_limit, documents),
                 "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
@@ -177,8 +172,8 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
             )
         )
     note = (
-        "Settings in series form unless marked. Ms is the peak of the sensitivity on the true process, the largest "
-        f"over the operating points visited; the limit is {data.ms_limit:g}."
+        f"Settings in {units_of(data.loop).form} form unless marked. Ms is the peak of the sensitivity on the "
+        f"simulated process, the largest over the operating points visited; the limit is {data.ms_limit:g}."
     )
     return table(heads, rows) + paragraph(note, "muted")
 
@@ -196,13 +191,13 @@ def why_over(score: RegionScore, documents: Sequence[Document]) -> str:
     """Why a region ends with Ms over its limit, as far as its decisions tell."""
     own = [one for one in documents if words(one, "region") == score.region]
     if not own:
-        return "no response of this region was recognised: nothing is known of its process"
+        return "no response of this region was recognised, so it has no process model"
     newest = own[-1]
     told = f"decision {int(number(newest, 'number') or 0)}: {words(newest, 'reason')}"
     known = number(part(part(newest, "verdict"), "ms"), "nominal" if score.changes else "before")
-    seen = f"; on the process as known it was {known:.2f}" if known is not None else ""
+    seen = f"; on the identified process it was {known:.2f}" if known is not None else ""
     changed = any(words(one, "action") == "commit" for one in own)
-    one_process = "; it knows one process for the region, and this is the worst of the operating points visited"
+    one_process = "; the model is one for the whole region, this value is the worst over its operating points"
     return f"{'the newest ' if changed else 'nothing was changed; the newest '}{told}{seen}{one_process}"
 
 
@@ -213,7 +208,7 @@ def _twins(data: ReportData) -> str:
     for twin in twin_steps(data.run, data.events):
         name = names[twin.region]
         drawn = twin_png(data.run, data.fixed, twin, name, data.unit, commissioned=as_commissioned(data, twin))
-        images.append(image(drawn, f"{name}: with the commissioned gains and with the final ones"))
+        images.append(image(drawn, f"{name}: with the baseline gains and with the final ones"))
     if not images:
         return ""
     told = "" if data.fixed is not None else paragraph("There was no run with fixed gains to compare with.", "muted")
@@ -221,7 +216,7 @@ def _twins(data: ReportData) -> str:
 
 
 def as_commissioned(data: ReportData, twin: Twin) -> bool:
-    """Whether the first of two equal steps ran on the commissioned gains to its end."""
+    """Whether the first of two equal steps ran on the baseline gains to its end."""
     before = data.before.gains_of(twin.region)
     if "kp" not in data.run:
         return False
@@ -267,7 +262,7 @@ def _pages(views: list[DecisionView]) -> str:
     note = (
         f"The newest {MOST_PAGES} decisions that propose, write, restore or were refused by the proof."
         if left
-        else "Every decision that proposes, writes, restores or was refused by the proof."
+        else "Every decision that proposes, writes, rolls back or was refused by the proof."
     )
     more = f" {note} `retuner report FOLDER --decision N` makes the page of any other."
     return f"<h2>Decision pages</h2>{paragraph(more.strip(), 'muted')}{''.join(map(_folded, views))}"

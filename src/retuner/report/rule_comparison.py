@@ -71,7 +71,7 @@ def compare_rules(
                 left_out.append((f"{rule.name} {one}", str(error)))
                 continue
             if one == ControllerKind.PID and not result.tuning.gains.kd and ControllerKind.PI in rule.formulas:
-                left_out.append((f"{rule.name} {one}", "has no derivative action here: the same as PI"))
+                left_out.append((f"{rule.name} {one}", "no derivative action for this process, the same as PI"))
                 continue
             rows.append(_row(model, result, best))
     if not rows:

@@ -151,13 +151,13 @@ def make_plant(config: Config) -> Plant:
     if config.device is None:
         raise UserError(
             "the configuration has no [device] section: there is no virtual device to run; add one, or give "
-            "--interface and --channel of the bus that the controller hangs on"
+            "--interface and --channel of the controller's bus"
         )
     plant, seed = config.device.plant, config.device.seed
     if plant is None:
         raise UserError(
-            "[device] has no plant, so it is a real one: give --interface and --channel of the bus that it hangs on, "
-            "or a [device.plant] for a virtual one"
+            "[device] has no plant, so it is a real one; give --interface and --channel of its bus, or a "
+            "[device.plant] for a virtual one"
         )
     if isinstance(plant, OvenPlantConfig):
         return OvenPlant(plant.settings(), plant.start_c, seed)

@@ -60,7 +60,7 @@ class WriterPhase(Enum):
     FOLLOWING = "the schedule's set is being written"
     FOLLOWING_ASKED = "the schedule's set is being written, and a decision waits"
     CHANGING = "a decision's set is being written"
-    RESTORING = "the verified set is being written"
+    RESTORING = "the verified gains are being written"
 
 
 class WriterInput(Enum):
@@ -70,7 +70,7 @@ class WriterInput(Enum):
     DROP = "the decision that waited is not written"
     FOLLOW = "begin to write the schedule's set"
     CHANGE = "begin to write the decision's set"
-    RESTORE = "begin to write the verified set"
+    RESTORE = "begin to write the verified gains"
     DONE = "the controller runs the set, as read back"
     FAILED = "the write did not come about"
 

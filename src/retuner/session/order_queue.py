@@ -328,7 +328,7 @@ class OrderDesk:
         """Why an approval finds nothing to release, empty when the decision is the region's newest change."""
         changes = (d for d in reversed(self._decisions) if d.region == decision.region and d.action is Action.COMMIT)
         named = next(changes, None) is decision
-        return "" if named else f"{decision.region} waits for a word on another change than this one"
+        return "" if named else f"{decision.region} awaits approval of another change than this one"
 
     def _not_at(self, region: str, phase: TrialPhase) -> str:
         """Why an order finds nothing to do, empty when the region is in the phase that it is for."""

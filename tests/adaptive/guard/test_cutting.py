@@ -43,16 +43,51 @@ def test_within_the_limits_nothing_is_cut() -> None:
 @pytest.mark.parametrize(
     ("wanted", "limits", "result", "note"),
     [
-        ((9.0, 20.0, 0.0), GuardSettings(kc_max=3.0), (3.0, 20.0, 0.0), "kc cut from 9 to 3 by kc_max"),
-        ((0.4, 20.0, 0.0), GuardSettings(kc_min=0.5), (0.5, 20.0, 0.0), "kc cut from 0.4 to 0.5 by kc_min"),
-        ((9.0, 20.0, 0.0), SETTINGS, (4.0, 20.0, 0.0), "kc cut from 9 to 4 by the baseline gains"),
-        ((0.1, 20.0, 0.0), SETTINGS, (0.25, 20.0, 0.0), "kc cut from 0.1 to 0.25 by the baseline gains"),
-        ((1.0, 100.0, 0.0), SETTINGS, (1.0, 80.0, 0.0), "tau_I cut from 100 to 80 by the baseline gains"),
-        ((1.0, 3.0, 0.0), SETTINGS, (1.0, 5.0, 0.0), "tau_I cut from 3 to 5 by the baseline gains"),
-        ((1.0, 8.0, 0.0), GuardSettings(tau_i_min_s=9.0), (1.0, 9.0, 0.0), "tau_I cut from 8 to 9 by tau_i_min"),
-        ((1.0, 40.0, 0.0), GuardSettings(tau_i_max_s=30.0), (1.0, 30.0, 0.0), "tau_I cut from 40 to 30 by tau_i_max"),
-        ((1.0, 20.0, 6.0), GuardSettings(tau_d_max_s=4.0), (1.0, 20.0, 4.0), "tau_D cut from 6 to 4 by tau_d_max"),
-        ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D cut from 0.5 to 0 by the sampling time"),
+        ((9.0, 20.0, 0.0), GuardSettings(kc_max=3.0), (3.0, 20.0, 0.0), "kc limited to 3 instead of 9 by kc_max"),
+        ((0.4, 20.0, 0.0), GuardSettings(kc_min=0.5), (0.5, 20.0, 0.0), "kc limited to 0.5 instead of 0.4 by kc_min"),
+        (
+            (9.0, 20.0, 0.0),
+            SETTINGS,
+            (4.0, 20.0, 0.0),
+            "kc limited to 4 instead of 9 by the distance from the baseline gains",
+        ),
+        (
+            (0.1, 20.0, 0.0),
+            SETTINGS,
+            (0.25, 20.0, 0.0),
+            "kc limited to 0.25 instead of 0.1 by the distance from the baseline gains",
+        ),
+        (
+            (1.0, 100.0, 0.0),
+            SETTINGS,
+            (1.0, 80.0, 0.0),
+            "tau_I limited to 80 instead of 100 by the distance from the baseline gains",
+        ),
+        (
+            (1.0, 3.0, 0.0),
+            SETTINGS,
+            (1.0, 5.0, 0.0),
+            "tau_I limited to 5 instead of 3 by the distance from the baseline gains",
+        ),
+        (
+            (1.0, 8.0, 0.0),
+            GuardSettings(tau_i_min_s=9.0),
+            (1.0, 9.0, 0.0),
+            "tau_I limited to 9 instead of 8 by tau_i_min",
+        ),
+        (
+            (1.0, 40.0, 0.0),
+            GuardSettings(tau_i_max_s=30.0),
+            (1.0, 30.0, 0.0),
+            "tau_I limited to 30 instead of 40 by tau_i_max",
+        ),
+        (
+            (1.0, 20.0, 6.0),
+            GuardSettings(tau_d_max_s=4.0),
+            (1.0, 20.0, 4.0),
+            "tau_D limited to 4 instead of 6 by tau_d_max",
+        ),
+        ((1.0, 20.0, 0.5), SETTINGS, (1.0, 20.0, 0.0), "tau_D limited to 0 instead of 0.5 by the sampling time"),
     ],
 )
 def test_only_what_exceeds_is_cut_and_it_is_said(
@@ -190,7 +225,7 @@ def test_at_the_limit_nothing_is_left_and_the_limit_is_named() -> None:
     limits = GuardSettings(kc_max=0.6 * GAINS.kp, tau_i_max_s=tau_i_s, tau_i_min_s=tau_i_s)
     at = prove(request(times(0.6, 0.6)), limits)
     assert at.ruling == Ruling.OUTSIDE_LIMITS
-    assert "kc cut from" in at.sentence
+    assert "kc limited to" in at.sentence
     assert "by kc_max" in at.sentence
     total = prove(request(times(0.6, 0.6), commissioned=times(0.15, 0.15)), replace(SETTINGS, tau_i_min_s=tau_i_s))
     assert total.ruling == Ruling.OUTSIDE_TOTAL

@@ -8,6 +8,7 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from templates import template
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.registry import RULES
@@ -19,7 +20,7 @@ from retuner.schedule.gains import PidGains
 from retuner.tuning import tune
 
 T = ProcessType
-PAIRS = [(rule, kind) for rule in RULES.values() for kind in rule.kinds]
+PAIRS = [(rule, kind) for rule in (*RULES.values(), *template("rule").RULES) for kind in rule.kinds]
 FROM_MODEL = [(r, k) for r, k in PAIRS if r.takes == Takes.MODEL and r.name != "optimal"]
 FROM_READING = [(r, k) for r, k in PAIRS if r.takes != Takes.MODEL]
 

@@ -167,9 +167,10 @@ def test_visual_rules() -> None:
 def test_what_an_eye_says_of_an_oscillation_names_its_numbers() -> None:
     first, last = oscillation_by_eye(10.0, PidGains(2.0, 0.5), integrating=False, tuning=True)
     assert first == "tau_I 4 s under a period of 10 s: lengthen the integral time"
-    assert (
-        last == "in manual it stops where the tuning is the cause, and goes on where it is something outside the loop"
+    told = (
+        "in manual the oscillation stops if the tuning is the cause, and continues if it is something outside the loop"
     )
+    assert last == told
     assert oscillation_by_eye(10.0, PidGains(2.0, 0.5), integrating=False, tuning=False) == [last]
     assert oscillation_by_eye(10.0, None, integrating=False, tuning=True) == [last]
     assert "no integral action" in oscillation_by_eye(10.0, PidGains(2.0, 0.0), integrating=False, tuning=True)[0]
@@ -177,4 +178,4 @@ def test_what_an_eye_says_of_an_oscillation_names_its_numbers() -> None:
 
 def test_what_an_eye_says_of_sampling() -> None:
     assert sampling_by_eye(50.0, 5.0) == []
-    assert sampling_by_eye(50.0, 6.0)[0].endswith("wants at most 5 s, and a filter of the measurement below 10 s")
+    assert sampling_by_eye(50.0, 6.0)[0].endswith("needs at most 5 s, and a measurement filter below 10 s")

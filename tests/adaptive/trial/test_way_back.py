@@ -78,7 +78,7 @@ def test_every_undecided_phase_under_every_cause_with_either_set_the_more_robust
         if cause is E.ORDERED_BACK or not bench.ran:
             assert now == old
         elif cause in UNDOS and ms(tried) <= HARMLESS:
-            assert now == old, "the model that calls the tried set robust is refuted"
+            assert now == old, "the model that calls the trial gains robust is refuted"
         else:
             assert max(ms(now), HARMLESS) <= max(ms(before), HARMLESS), (one, other)
         if cause in SILENT and bench.ran and ms(tried) <= HARMLESS:

@@ -47,7 +47,7 @@ def test_the_robustness_drawing_names_ms_and_the_circle() -> None:
 
 def test_a_refusal_shows_what_was_proposed_beside_the_loop_in_force() -> None:
     shown = texts(robustness_svg(view(REFUSED), 1.8))
-    assert any(one.startswith("in force: Ms") for one in shown)
+    assert any(one.startswith("active: Ms") for one in shown)
     assert any(one.startswith("proposed: Ms") for one in shown)
     assert not any(one.startswith(("before", "after")) for one in shown)
     alone = texts(robustness_svg(view({**REFUSED, "proposal": None}), 1.8))

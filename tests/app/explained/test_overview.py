@@ -1,5 +1,6 @@
 """The overview of the regions: the newest that is known of each, and a grid where there are two variables."""
 
+import pytest
 from decision_documents import BORROWED, COMMIT, REFUSED, RESTORED
 
 from retuner.report.region_overview import overview, regions_now
@@ -18,13 +19,28 @@ def test_each_region_tells_its_newest_state() -> None:
     assert (middle.seen, middle.changes, middle.undone, middle.borrowed) == (4, 2, 1, True)
     assert middle.process.endswith("(4 records)")
     assert middle.cause == "aggressive"
-    assert middle.trial == "rolling back to the verified gains"
+    assert middle.trial == "rolled back"
+
+
+@pytest.mark.parametrize(
+    ("last", "state"),
+    [
+        ({"code": "kept_stopped", "trial": "on trial"}, "trial gains kept at the end of the session"),
+        ({"code": "kept_manual", "trial": "on trial"}, "trial gains kept"),
+        ({"code": "undo_stopped", "action": "restore"}, "rolled back at the end of the session"),
+        ({"action": "commit", "trial": "writing"}, "on trial"),
+        ({"trial": "cooling down"}, "cooling down"),
+    ],
+)
+def test_a_trial_that_is_over_is_not_told_as_going_on(last: dict[str, object], state: str) -> None:
+    (now,) = regions_now(("middle",), [COMMIT, {"region": "middle", "action": "none", **last}])
+    assert now.trial == state
 
 
 def test_the_overview_says_what_is_known_borrowed_and_advised() -> None:
     table = GainTable("oven", ROW, (PidGains(2.0, 0.1), PidGains(1.0, 0.05)))
     text = overview(table, [COMMIT, BORROWED, RESTORED], ["two processes <in> middle"])
-    for told in ("nothing yet", "1 undone", "two processes &lt;in&gt; middle", "mode auto"):
+    for told in ("nothing yet", "1 rolled back", "two processes &lt;in&gt; middle", "mode auto"):
         assert told in text
     assert "Settings over both variables" not in text
 

@@ -145,13 +145,13 @@ def test_a_promise_is_told_with_its_spread_and_the_settings_before() -> None:
         "61 %",
         "165 s (163 .. never at rest)",
         "never at rest",
-        "over the 5 models",
+        "over the 5 plausible models",
         "Predicted Ms: 1.56 (1.5 .. 1.72).",
     ):
         assert told in text, told
     promise: Any = COMMIT["promise"]
     without = words_of(article(view(changed(promise={**promise, "ms": None}), drawn=False)))
-    assert "Ms promised" not in without
+    assert "Predicted Ms" not in without
 
 
 def test_a_judged_response_shows_measured_beside_promised() -> None:
@@ -174,7 +174,7 @@ def test_the_page_of_a_change_tells_what_came_of_it() -> None:
     assert [one["number"] for one in later] == [10, 12]
     text = article(replace(view(drawn=False), later=later))
     assert "Not judged: cut." in text
-    assert "ROLLED BACK: rolled back: Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
+    assert "Then rolled back: Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
     assert what_came_of(REFUSED, [COMMIT, told]) == ()
 
 
@@ -198,8 +198,8 @@ def test_one_line_says_the_same_in_short() -> None:
     assert one_line(RESTORED) == (
         "undecided: the loop responds worse than predicted | rolled back: Kc 1.5 tau_I 250 s -> Kc 2.4 tau_I 150 s"
     )
-    assert "(from neighbouring regions) | write" in one_line(BORROWED)
-    assert one_line(PATTERN).endswith("| write Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s")
+    assert "(from neighbouring regions) | written" in one_line(BORROWED)
+    assert one_line(PATTERN).endswith("| written: Kc 2.4 tau_I 150 s -> Kc 1.5 tau_I 250 s")
 
 
 def test_the_circle_is_the_guards_limit() -> None:

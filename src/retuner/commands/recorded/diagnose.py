@@ -24,9 +24,16 @@ from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
 from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
-from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.commands.recorded.recorded_loop import (
+    RecordOptions,
+    controller,
+    read_loop,
+    require_direction,
+    require_length,
+)
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
+from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
 from retuner.files import write_whole
@@ -57,9 +64,9 @@ class DiagnosedRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnoseOptions(RecordOptions):
-    """Say what is behind a loop's behaviour, with evidence, and what to do about it."""
+    """Find the cause of a loop's behaviour, with evidence and recommended settings."""
 
-    kc: Annotated[float | None, typer.Option(help="Gain of the controller in force; else read off the record.")] = None
+    kc: Annotated[float | None, typer.Option(help="Active controller gain; else identified from the record.")] = None
 
 
 @app.command(epilog="Example: retuner diagnose loop.csv --kc 0.8 --tau-i 40 --co-min 0 --co-max 100 --plot loop.png")
@@ -76,6 +83,7 @@ def diagnose(options: DiagnoseOptions) -> int:
     read = read_loop(options)
     recording = read.recording
     require_length(recording)
+    require_direction(recording, gains)
     with user_input(recording.source), busy(f"diagnosing {recording.source}"):
         found = _found(recording, gains, options)
     if options.plot is not None:
@@ -155,13 +163,13 @@ def described(found: DiagnosedRecord) -> list[str]:
     lines += [f"  {line}" for line in _process_lines(found)]
     if told.retune and found.result.settings is not None:
         aim = found.result.aim
-        title = "settings that would cure it:" if aim is None else "settings for a first step:"
-        lines += [title, *tuning_lines(found.result.settings)]
+        title = "recommended settings:" if aim is None else "recommended first step:"
+        lines += [title, *tuning_lines(found.result.settings, chosen_units())]
         if aim is not None:
-            lines += ["the aim behind it, for after the next record:", *tuning_lines(aim)]
+            lines += ["final settings, once the next record confirms:", *tuning_lines(aim, chosen_units())]
     elif not told.retune:
-        lines.append("no change of settings")
-    lines += [f"by eye: {line}" for line in _by_eye(found)]
+        lines.append("no change of settings recommended")
+    lines += [f"hint: {line}" for line in _by_eye(found)]
     return [*lines, "evidence", *evidence_lines(found.evidence)]
 
 
@@ -181,10 +189,10 @@ def _by_eye(found: DiagnosedRecord) -> list[str]:
 def _controller_lines(found: DiagnosedRecord) -> list[str]:
     """The settings in force in a line."""
     if found.gains is None:
-        return [f"settings in force: not known; {found.read_off.reason}"] if found.read_off is not None else []
-    line = f"settings in force: {settings_text(found.gains)}"
+        return [f"active settings: not known; {found.read_off.reason}"] if found.read_off is not None else []
+    line = f"active settings: {settings_text(found.gains)}"
     if found.read_off is not None:
-        line += f", read off the record ({found.read_off.reason})"
+        line += f", identified from the record ({found.read_off.reason})"
     return [line]
 
 
@@ -201,7 +209,7 @@ def _process_lines(found: DiagnosedRecord) -> list[str]:
     return [f"process: {model.type}, " + ", ".join(numbers)]
 
 
-SHOWN = {"linear": "the loop alone", "external": "with a tone from outside", "stuck": "with a sticking valve"}
+SHOWN = {"linear": "the loop alone", "external": "with an external oscillation", "stuck": "with a sticking valve"}
 """Explanations in words."""
 WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 """The explanation that is believed, besides the loop by itself."""

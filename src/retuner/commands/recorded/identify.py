@@ -20,7 +20,14 @@ from retuner.api import (
 )
 from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
-from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.commands.recorded.recorded_loop import (
+    RecordOptions,
+    controller,
+    read_loop,
+    require_direction,
+    require_length,
+)
+from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
@@ -34,11 +41,11 @@ app = typer.Typer(add_completion=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyOptions(RecordOptions):
-    """Find the process behind a record: model, standard deviations, and the settings that follow."""
+    """Identify the process from a record: model, standard deviations and settings."""
 
     open_loop: Annotated[bool, typer.Option("--open-loop", help="The loop was in manual.")] = False
     region_by: Annotated[str, typer.Option(help="A model for each region of pv, sp or co; needs --bounds.")] = ""
-    bounds: Annotated[str, typer.Option(help="Borders of the regions, increasing: 20,40,60.")] = ""
+    bounds: Annotated[str, typer.Option(help="Boundaries of the regions, increasing: 20,40,60.")] = ""
 
 
 @app.command(epilog="Example: retuner identify heater.csv --open-loop --columns pv=temperature,co=pwm")
@@ -56,6 +63,7 @@ def identify(options: IdentifyOptions) -> int:
     recording = read.recording
     require_excitation(recording)
     require_length(recording)
+    require_direction(recording, gains)
     if options.region_by or options.bounds:
         return _by_region(recording, read.assumed, gains, options)
     with user_input(recording.source), busy(f"identifying {recording.source}"):
@@ -120,8 +128,8 @@ def _contradiction(other: Diagnosis | None) -> list[str]:
     if other is None:
         return []
     return [
-        f"but retuner diagnose says {str(other.cause).replace('_', ' ').upper()} of this record: {other.reason}",
-        "  settings cure only what is tuning: clear this up first",
+        f"but retuner diagnose finds {str(other.cause).replace('_', ' ').upper()} in this record: {other.reason}",
+        "  new settings correct tuning only: resolve this first",
     ]
 
 
@@ -144,16 +152,16 @@ def described(found: Identification) -> list[str]:
     if estimate.load_times_s:
         lines.append("  load steps at " + ", ".join(f"{t:.4g} s" for t in estimate.load_times_s))
     if found.settings is not None:
-        title = "settings that follow:" if found.aim is None else f"settings for a first step ({found.step_reason}):"
-        lines += [title, *tuning_lines(found.settings)]
+        title = "recommended settings:" if found.aim is None else f"recommended first step ({found.step_reason}):"
+        lines += [title, *tuning_lines(found.settings, chosen_units())]
     if found.aim is not None:
-        lines += ["the aim behind it, for after the next record:", *tuning_lines(found.aim)]
+        lines += ["final settings, once the next record confirms:", *tuning_lines(found.aim, chosen_units())]
     if found.margins_in_force is not None:
         m = found.margins_in_force
         lines.append(
-            f"with the gains in force: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg"
+            f"with the active gains: Ms {m.ms:.3f}, GM {m.gm:.3g}, PM {m.pm_deg:.1f} deg"
             if m.stable
-            else "with the gains in force this loop is UNSTABLE"
+            else "with the active gains this loop is UNSTABLE"
         )
     return lines
 

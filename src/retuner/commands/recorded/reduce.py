@@ -34,7 +34,7 @@ def reduce(
     ] = "auto",
     as_json: Json = False,
 ) -> int:
-    """A first- or second-order model of a process of any order, by the half rule."""
+    """Reduce a process model to first or second order by the half rule."""
     if leads not in set(Leads):
         raise UserError(f"--leads {leads}: give one of {', '.join(Leads)}")
     zeros, lags = time_constants("--num-t", num_t or []), time_constants("--den-t", den_t or [])

@@ -167,5 +167,5 @@ def _place_lines(found: ScheduleDesign) -> list[str]:
         if found.table is not None and place.known:
             gains, judged = found.gains_at(place.x), place.judged(found.gains_at(place.x))
             row += f"   {gains.kp:8.4g} {gains.kp / gains.ki:8.4g}   {judged.ms:5.2f} {judged.j:5.2f}"
-        lines.append(row if place.known else f"{row}   not known well enough")
+        lines.append(row if place.known else f"{row}   not accurate enough")
     return lines

@@ -84,7 +84,7 @@ class Overview {
     const needs = loops.filter((l) => l.waiting.length).length;
     $("main").replaceChildren(
       el("h1", {}, `${loops.length} ${loops.length === 1 ? "loop" : "loops"}`),
-      el("p", { class: needs ? "bad" : "muted" }, needs ? `${needs} wait for you: marked, and first.` : "Nothing waits for a person."),
+      el("p", { class: needs ? "bad" : "muted" }, needs ? `${needs} wait for you: marked, and first.` : "Nothing waits for an operator."),
       ...found.sessions.filter((s) => s.broken).map((s) => el("p", { class: "bad" }, `${s.name}: ${s.broken}`)),
       el("div", { class: "cards" }, cards), ...refused,
       loops.length ? "" : el("p", {}, "No loop has been seen yet: the session waits for its controller, or was made by an earlier release."));
@@ -221,7 +221,7 @@ class Loop {
     this.liveButton = button("live", "Follow the newest samples (key: L)", () => this.follow());
     const bar = el("div", { class: "bar" }, this.liveButton,
       button("◀", "Back in time (key: left)", () => this.pan(-0.5)), button("▶", "Forward (key: right)", () => this.pan(0.5)),
-      button("+", "Closer (key: +)", () => this.scale(0.5)), button("−", "Farther (key: -)", () => this.scale(2)),
+      button("+", "Zoom in (key: +)", () => this.scale(0.5)), button("−", "Zoom out (key: -)", () => this.scale(2)),
       button("whole session", "From its beginning (key: W)", () => this.whole()),
       el("span", { class: "muted" }, "Drag to zoom; double click on a mark opens its decision."));
     const legend = el("p", { class: "muted" }, Object.values(MARKS).map((m) => `${m.symbol} ${m.name}`).join("   "), "   E1 E2 E3 peaks as they are found");
@@ -234,7 +234,7 @@ class Loop {
           p.page,
           el("section", { class: "panel" }, el("h2", {}, "Decisions"), p.decisions)),
         el("div", { class: "side" }, p.needs,
-          el("section", { class: "panel" }, el("h2", {}, "In force"), p.face),
+          el("section", { class: "panel" }, el("h2", {}, "Active"), p.face),
           el("section", { class: "panel" }, el("h2", {}, "Regions"), p.map),
           p.trial)),
       el("section", { class: "panel" }, el("h2", {}, "Ledger"), el("div", { class: "bar" }, this.search, this.export_), p.rows));
@@ -335,10 +335,10 @@ class Loop {
     const over = here && (here.unstable || (here.ms !== null && here.ms > limit));
     const row = (name, ...value) => el("tr", {}, el("th", {}, name), el("td", {}, value));
     this.parts.face.replaceChildren(el("table", {},
-      row("region", here?.name ?? "not known"), row("gains in force", s.running ?? "not known yet"),
-      row("commissioned", here?.commissioned ?? "-"),
-      row("Ms on the process as known", el("span", { class: over ? "bad" : "" }, msWords(here)), ` (limit ${limit})`),
-      row("trial", here?.trial ?? "-"), row("mode", this.modes(here)), row("output", s.manual ? el("span", { class: "bad" }, "MANUAL: a person has it") : "automatic"),
+      row("region", here?.name ?? "not known"), row("active gains", s.running ?? "not known yet"),
+      row("baseline gains", here?.commissioned ?? "-"),
+      row("Ms on the identified process", el("span", { class: over ? "bad" : "" }, msWords(here)), ` (limit ${limit})`),
+      row("trial", here?.trial ?? "-"), row("mode", this.modes(here)), row("output", s.manual ? el("span", { class: "bad" }, "MANUAL: the operator has control") : "automatic"),
       row("recogniser", `${s.recogniser ?? "-"}${s.peaks?.length ? `, ${s.peaks.length} peaks` : ""}`),
       row("noise band", `${words(s.band, 3)} ${this.doc.head.unit}`), row("ledger", `row ${this.doc.rows}, head ${this.doc.ledger_head.slice(0, 12)}`)));
   }
@@ -363,8 +363,8 @@ class Loop {
       el("p", {}, el("b", {}, w.region), w.decision ? `, decision ${w.decision}` : "", `: ${w.text}`),
       el("div", { class: "bar" },
         w.what === "locked" ? act("Unlock", "primary", `Unlock ${w.region}?`, "The retuner may change this region again.", { order: "unlock", region: w.region }) : [
-          act("Approve", "primary", `Approve ${w.region}?`, w.what === "tried" ? "What was tried stays, and the region goes on." : `The controller gets ${w.text}, on trial: taken back when worse than predicted.`, { order: "approve", digest: w.digest }),
-          act("Reject", "", `Reject ${w.region}?`, w.what === "tried" ? "What was tried is taken back." : "The proposal is closed.", { order: "reject", digest: w.digest }),
+          act("Approve", "primary", `Approve ${w.region}?`, w.what === "tried" ? "The trial gains stay, and the region continues." : `The controller gets ${w.text}, on trial: rolled back when worse than predicted.`, { order: "approve", digest: w.digest }),
+          act("Reject", "", `Reject ${w.region}?`, w.what === "tried" ? "The trial gains are rolled back." : "The proposal is closed.", { order: "reject", digest: w.digest }),
           w.decision ? el("button", { type: "button", onclick: () => this.open(w.decision) }, "why?") : ""])))));
   }
 
@@ -375,28 +375,28 @@ class Loop {
     grid.style.gridTemplateColumns = `repeat(${Math.min(columns, 8)}, minmax(0, 1fr))`;
     grid.append(...regions.map((r, i) => {
       const age = r.learned_s === null ? null : now - r.learned_s, by = this.colourBy === "ms";
-      const cell = el("div", { class: `cell${i === this.doc.state.region ? " here" : ""}`, title: `${r.name}: ${r.settings}; commissioned ${r.commissioned}; ${r.records} records; ${r.trial}; mode ${r.mode}` },
-        el("b", {}, r.name), by ? `Ms ${msWords(r)}` : age === null ? "nothing known" : `${clock(age, 5000)} ago`, r.trial === "idle" ? "" : ` ${r.trial}`);
+      const cell = el("div", { class: `cell${i === this.doc.state.region ? " here" : ""}`, title: `${r.name}: ${r.settings}; baseline ${r.commissioned}; ${r.records} records; ${r.trial}; mode ${r.mode}` },
+        el("b", {}, r.name), by ? `Ms ${msWords(r)}` : age === null ? "no model" : `${clock(age, 5000)} ago`, r.trial === "idle" ? "" : ` ${r.trial}`);
       cell.style.background = by ? msTone(r.ms, r.unstable, limit) : ageTone(age, now);
       return cell;
     }));
-    const toggle = el("button", { type: "button", onclick: () => { this.colourBy = this.colourBy === "ms" ? "age" : "ms"; this.map(); } }, this.colourBy === "ms" ? "colour: Ms" : "colour: age of knowledge");
+    const toggle = el("button", { type: "button", onclick: () => { this.colourBy = this.colourBy === "ms" ? "age" : "ms"; this.map(); } }, this.colourBy === "ms" ? "colour: Ms" : "colour: age of model");
     const axis = axes.map((a) => `${a.label} [${a.unit}]: ${a.bounds.map((b) => words(b)).join(", ") || "one region"}`).join("; ");
-    this.parts.map.replaceChildren(grid, el("div", { class: "bar" }, toggle), el("p", { class: "axis" }, `borders on ${axis}`));
+    this.parts.map.replaceChildren(grid, el("div", { class: "bar" }, toggle), el("p", { class: "axis" }, `boundaries on ${axis}`));
   }
 
   trial() {
     const t = this.doc.trial;
     if (!t) return this.parts.trial.replaceChildren();
-    const head = el("tr", {}, ["", "promised", "before"].map((h) => el("th", {}, h)));
-    const names = { iae: "IAE per unit", decay: "decay ratio", overshoot: "overshoot", settle_s: "settles in [s]" };
-    const upset = { setpoint: "setpoint step", load: "load" };
-    const promised = t.promise.map((p) => el("tr", {}, el("td", {}, `${upset[p.upset]}: ${names[p.name]}`),
+    const head = el("tr", {}, ["", "predicted", "before"].map((h) => el("th", {}, h)));
+    const names = { iae: "IAE per unit step", decay: "half-cycle decay ratio", overshoot: "overshoot", settle_s: "settling time [s]" };
+    const upset = { setpoint: "setpoint step", load: "load step" };
+    const predicted = t.promise.map((p) => el("tr", {}, el("td", {}, `${upset[p.upset]}: ${names[p.name]}`),
       el("td", {}, `${words(p.values[0], 3)} (${words(p.values[1], 3)} to ${words(p.values[2], 3)})`), el("td", {}, words(p.before, 3))));
     const seen = t.seen.length ? t.seen.map((o) => el("p", {}, el("b", {}, `${o.number} ${o.finding.replaceAll("_", " ")}: `), o.reason)) : el("p", { class: "muted" }, "No response has been judged yet.");
     this.parts.trial.replaceChildren(el("section", { class: "panel" }, el("h2", {}, `Trial: decision ${t.decision}, ${t.region}`), el("p", {}, t.change),
-      t.promise.length ? el("table", {}, head, promised) : "", el("h2", {}, "Seen so far"), seen,
-      this.doc.state.promised ? el("p", { class: "muted" }, `In force: ${this.doc.state.promised}`) : ""));
+      t.promise.length ? el("table", {}, head, predicted) : "", el("h2", {}, "Seen so far"), seen,
+      this.doc.state.predicted ? el("p", { class: "muted" }, `Predicted: ${this.doc.state.predicted}`) : ""));
   }
 
   decisions() {
@@ -405,9 +405,9 @@ class Loop {
     this.parts.decisions.replaceChildren(...(list.length ? list : []).map((d) => el("div", { class: `decision${d.action === "none" ? "" : " changes"}` },
       el("p", {}, el("b", {}, `${MARKS[d.action]?.symbol ?? ""}${d.number}`), ` ${clock(d.t_s, 5000)} ${d.region}: `, el("b", {}, d.cause), d.change ? `, ${d.change}` : ", nothing changed"),
       el("p", { class: "muted" }, [d.response, d.reason, d.judgement].filter(Boolean).join("; ")),
-      el("div", { class: "bar" }, el("button", { type: "button", onclick: () => this.open(d.number) }, "the whole reasoning"),
-        d.action === "commit" && !this.doc.ended ? el("button", { type: "button", onclick: () => this.act(`Take back decision ${d.number}?`,
-          `Region ${d.region} goes back to the gains before it.`, { order: "revert", decision: d.number }) }, "take back") : ""))));
+      el("div", { class: "bar" }, el("button", { type: "button", onclick: () => this.open(d.number) }, "full reasoning"),
+        d.action === "commit" && !this.doc.ended ? el("button", { type: "button", onclick: () => this.act(`Roll back decision ${d.number}?`,
+          `Region ${d.region} goes back to the gains before it.`, { order: "revert", decision: d.number }) }, "roll back") : ""))));
     if (!list.length) this.parts.decisions.replaceChildren(el("p", { class: "muted" }, "No decision yet."));
   }
 
@@ -461,10 +461,10 @@ class Loop {
 }
 
 const MODES = {
-  off: "Nothing is decided or written there any more; what is on trial is taken back. The schedule goes on.",
-  advise: "Changes are proposed; a person approves them.",
-  trial: "One proved change is written and watched; it is taken back when worse, and then waits for a person.",
-  auto: "Proved changes are written and watched, and taken back when worse.",
+  off: "Nothing is decided or written there any more; what is on trial is rolled back. The schedule goes on.",
+  advise: "Changes are proposed; an operator approves them.",
+  trial: "One proved change is written and watched; it is rolled back when worse, and then waits for an operator.",
+  auto: "Proved changes are written and watched, and rolled back when worse.",
 };
 
 // ---- acting: asks once, names who
@@ -494,7 +494,7 @@ async function login(token) {
   try {
     await post("/api/login", { token });
     setActing(true);
-    notice("You may act from here now. This ends after 15 minutes without an act.");
+    notice("You may act from here now. This ends after 15 minutes without a request.");
     return true;
   } catch (error) {
     notice(error.message, true);
@@ -510,13 +510,13 @@ async function askToken() {
 
 async function act(title, text, orders) {
   if (!state.acting && !(await askToken())) return;
-  const given = await ask({ title, text: `${text} Who orders it stands in the ledger before it takes effect.`, yes: "Yes, do it", token: false });
+  const given = await ask({ title, text: `${text} Your name goes into the ledger before it takes effect.`, yes: "Yes, do it", token: false });
   if (!given) return;
-  if (!given.name) { notice("An order names who gives it: nothing was done.", true); return; }
+  if (!given.name) { notice("Your name is needed: nothing was done.", true); return; }
   sessionStorage.setItem("name", given.name);
   try {
     for (const order of orders) await post("/api/order", { ...order, by: given.name, note: given.note });
-    notice("Ordered; the session takes it at its next sample, and the ledger shows what came of it.");
+    notice("Requested: the session acts on it at its next sample, and the ledger shows the result.");
   } catch (error) {
     if (error.status === 401) setActing(false);
     notice(error.message, true);
