@@ -189,7 +189,7 @@ def _designed(
     how = "one set serves every place" if sets == 1 else f"{sets} sets, {layout.lookup}"
     how += f"; within J {limits.j:g} it would need more than {MOST_SETS}, within {j_limit:g} not" * (j_limit > limits.j)
     moving_by = (chosen.name,) if chosen.name in {"sp", "pv"} else ()
-    moved = tuple(crossings(found, places, layout, moving_by)) if sets > 1 else ()
+    moved = tuple(crossings(found, places, layout, moving_by, _largest_step(windows))) if sets > 1 else ()
     return Design(chosen.name, found, places, layout, border, stay, evidence, how, moved)
 
 
@@ -222,6 +222,11 @@ def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> t
         if layout is not None:
             return layout, j
     return None, limits.j
+
+
+def _largest_step(windows: Sequence[Window]) -> float:
+    """Of the setpoint from one sample to the next."""
+    return max(float(np.max(np.abs(np.diff(window.sp)))) for window in windows)
 
 
 def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:
