@@ -21,6 +21,7 @@ from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.reshaped import annotated_table, is_annotated
 from retuner.drivers.historian.row_order import Trend, joined
+from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import TableSignals, signals_of
 from retuner.drivers.recorded.recording import Recording, RecordingError
 
@@ -157,7 +158,8 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
         raise RecordingError(f"{source}: a record needs at least 3 samples, this one has {len(t_s)}")
     origin = 0.0 if _counted_from_zero(t_s) else float(t_s[0])
     recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
-    return LoopRecord(recording, assumed, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]))
+    recording, more = scaled(recording, form.scale)
+    return LoopRecord(recording, assumed + more, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]))
 
 
 def _counted_from_zero(t_s: FloatArray) -> bool:

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from retuner.drivers.historian.scaling import Scaling
 from retuner.drivers.historian.tags import APART, SEPARATORS
 from retuner.drivers.recorded.recording import RecordingError
 
@@ -41,9 +42,10 @@ class RecordForm:
     time_format : of stamps as text, in the codes of strptime. time_unit : of stamps as numbers, one of TIME_UNITS.
     zone : of stamps without one, as in Europe/Berlin. decimal : "." or ",". delimiter : between fields. encoding : of
     the text. header : the line that holds the names, counted from 1; 0 for none. good : what the quality of a good
-    value says. bad : further words that stand for a missing value. words : roles by the last word of signals' names,
-    as in {"meas": "pv"}, beside those that are known. signals : names as TAG.ROLE by the names that they have in the
-    record, as in {"40FT17": "FIC17.PV"}; a name without role is no signal.
+    value says. bad : further words that stand for a missing value. scale : what signals are recorded as and stand for,
+    by role, as in {"pv": "4..20:0..200"} (scaling.py). words : roles by the last word of signals' names, as in
+    {"meas": "pv"}, beside those that are known. signals : names as TAG.ROLE by the names that they have in the record,
+    as in {"40FT17": "FIC17.PV"}; a name without role is no signal.
 
     Raises
     ------
@@ -64,10 +66,15 @@ class RecordForm:
     header: int | None = None
     good: str = ""
     bad: tuple[str, ...] = ()
+    scale: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
     signals: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for role, text in self.scale.items():
+            if role not in SIGNALS:
+                raise ValueError(f'scale: "{role}": signals are {", ".join(SIGNALS)}')
+            Scaling.of(text)
         for role, name in self.columns.items():
             if role not in COLUMN_ROLES or not name:
                 raise ValueError(f'columns: "{role}" = "{name}": roles are {", ".join(COLUMN_ROLES)}, each with a name')
@@ -152,6 +159,7 @@ KINDS = MappingProxyType(
         "dt_s": "a number in seconds",
         "header": "the number of a line",
         "bad": 'words as in ["Offline"]',
+        "scale": 'ranges by signal as in { pv = "4..20:0..200" }',
     }
 )
 """What a key of another kind than text takes."""
@@ -160,7 +168,7 @@ KINDS = MappingProxyType(
 def _fits(name: str, value: object) -> bool:
     """Whether a value is of the kind that a key takes."""
     match name:
-        case "columns" | "words" | "signals":
+        case "columns" | "scale" | "words" | "signals":
             return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
         case "sp" | "dt_s":
             return isinstance(value, (int, float)) and not isinstance(value, bool)
