@@ -57,7 +57,7 @@ def test_every_sample_of_a_long_stretch_lies_in_its_region_and_noise_crosses_no_
 @pytest.mark.parametrize("bounds", [[], [1.0, 1.0], [2.0, 1.0], [np.nan]])
 def test_borders_that_are_none_are_refused(bounds: list[float]) -> None:
     window = level()
-    with pytest.raises(ValueError, match="borders"):
+    with pytest.raises(ValueError, match="boundaries"):
         by_region(window, window.pv, bounds)
 
 

@@ -317,7 +317,7 @@ def test_asymmetric_relay_finds_first_order_with_dead_time_exactly(process: Line
 
 def test_asymmetric_relay_refuses_what_it_has_no_formula_for() -> None:
     process = LinearProcess(1.0, (5.0,), (), 1.0)
-    with pytest.raises(ValueError, match="symmetric relay"):
+    with pytest.raises(ValueError, match="relay is symmetric"):
         relay.first_order(relay_cycle(relay_record(process, 1.0, 1.0)), 0.0, 0.0)
     integrating = relay_cycle(relay_record(LinearProcess(1.0, (), (), 1.0, 1), 1.3, 0.7))
     with pytest.raises(ValueError, match=r"use the fit|symmetric"):

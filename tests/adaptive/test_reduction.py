@@ -208,7 +208,7 @@ REFUSED = {
     "order": (LinearProcess(1, (1.0,)), 3, "order = 3"),
     "two integrators in first order": (LinearProcess(1, (), (), 1, 2), 1, "give order 2"),
     "three integrators": (LinearProcess(1, (), (), 1, 3), 2, "no rule"),
-    "a resonance": (LinearProcess(1, (1.0,), quadratics=((0.2, 1.0),)), 1, "damping of 0.1"),
+    "a resonance": (LinearProcess(1, (1.0,), quadratics=((0.2, 1.0),)), 1, "zeta of 0.1"),
     "more zeros than poles": (LinearProcess(1, (1.0,), (2.0, 3.0)), 1, "more zeros than poles"),
 }
 

@@ -83,7 +83,7 @@ def test_a_real_sticking_valve():
     found = api.diagnose(*record).diagnosis
     assert found.cause == Cause.STICTION
     assert not found.retune
-    assert "pv stands still while co travels" in found.reason
+    assert "pv does not move while co moves" in found.reason
     assert found.evidence["stand_travel"] > 1
     assert not api.identify(*record).estimate.identifiable
 

@@ -27,6 +27,7 @@ STATIC = tuple(
     if path.suffix in {".js", ".html", ".toml"} and "min" not in path.name
 )
 MOST_WORDS_PRINTED = 24
+MOST_WORDS_IN_DOCS = 29
 FENCED = re.DOTALL | re.MULTILINE
 OLD = re.compile("|".join(rf"\b(?:{old})(?!\w)" for term in TERMS for old in term.old), re.IGNORECASE)
 FORMS = (ast.Dict, ast.List, ast.Set, ast.Tuple, ast.ListComp, ast.DictComp, ast.SetComp, ast.GeneratorExp)
@@ -108,7 +109,7 @@ def old_words(text: str) -> list[str]:
 
 def sentences(text: str) -> list[str]:
     """A text in sentences: they end with a stop, a semicolon or a blank line."""
-    return [one for one in re.split(r"(?<=[.!?])\s+|;\s+|\n\s*\n", text) if one.strip()]
+    return [one for one in re.split(r"[.!?][*)\"']*\s+|;\s+|\n\s*\n", text) if one.strip()]
 
 
 def length(sentence: str) -> int:
@@ -158,6 +159,13 @@ def test_no_old_word_stands_in_docs_templates_or_the_page(path: Path) -> None:
 def test_what_is_shown_is_short() -> None:
     long = {p: n for p, text in printed() if (n := max(map(length, sentences(text)), default=0)) > MOST_WORDS_PRINTED}
     assert long == {}
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.name)
+def test_sentences_of_the_docs_are_short(path: Path) -> None:
+    told = [one for text in paragraphs(path.read_text(encoding="utf-8")) for one in sentences(text)]
+    assert told
+    assert [one for one in told if length(one) > MOST_WORDS_IN_DOCS] == []
 
 
 def test_nothing_is_shown_as_python_writes_it() -> None:

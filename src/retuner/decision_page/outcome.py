@@ -112,7 +112,7 @@ def later_section(view: DecisionView) -> str:
     for later in view.later:
         undone = takes_back(later)
         told = (_told(part(later, "judgement")) or words(later, "reason"), change_text(later) if undone else "")
-        reason = " ROLLED BACK: ".join(one for one in told if one)
+        reason = " Then ".join(one for one in told if one)
         when = f"{number(later, 't_s') or 0.0:,.0f}"
         rows.append((f"{number(later, 'number') or 0:.0f}", when, reason, words(later, "trial")))
     return section("What came of it", text_table(("decision", "time [s]", "result", "then"), rows) if rows else "")

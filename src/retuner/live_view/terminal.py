@@ -23,9 +23,8 @@ from retuner.decision_page.explain import (
 from retuner.errors import one_line
 from retuner.live_view.loop_seen import LoopSeen, RegionSeen
 from retuner.live_view.trace import BARS, PLAIN, trace
+from retuner.report.console import COLOURS, KEPT, UNDONE, short_reason
 
-UNDONE, KEPT = "UNDONE", "kept"
-COLOURS = {UNDONE: "bold red", "aggressive": "red", "sluggish": "yellow", "slow integrating": "yellow", "ok": "green"}
 INDENT = 11
 """Columns before the second line of a decision: as many as its time takes."""
 LONGEST_TRACE = 60
@@ -67,7 +66,8 @@ def decision_lines(decision: Decision, width: int, loop: str = "", *, detail: bo
         "no change" if decision.action is Action.NONE else change_text(decision),
     )
     judged = decision.judgement.reason if decision.judgement and not undone else ""
-    why = "; ".join(one for one in (one_line(decision.reason), f"trial: {one_line(judged)}" if judged else "") if one)
+    reason = decision.reason if detail else short_reason(decision)
+    why = "; ".join(one for one in (one_line(reason), f"trial: {one_line(judged)}" if judged else "") if one)
     lines = [head, Text(f"{' ' * INDENT}{why}")]
     if detail:
         told = [response_text(decision), model_text(decision), _evidence(decision)]

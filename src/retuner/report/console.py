@@ -12,6 +12,7 @@ from rich.table import Table
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings, stays, takes_back
+from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT
 from retuner.report.report import ms_text
 from retuner.report.scores import RegionScore
@@ -118,12 +119,17 @@ def live_line(decision: Decision, loop: str = "") -> str:
     colour = COLOURS.get(cause, "magenta")
     where = f"{loop} {decision.region}" if loop else decision.region
     head = f"[dim]{decision.t_s:8,.0f} s[/] [bold]{escape(where):6}[/] [{colour}]{cause:10}[/]"
-    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(decision.reason)]
+    told = [] if decision.action in {Action.COMMIT, Action.ADVISE} else [escape(short_reason(decision))]
     told += [] if decision.action == Action.NONE else [f"[bold]{escape(change_text(decision))}[/]"]
     judged = decision.judgement.reason if decision.judgement and not undone else ""
     told += [f"[cyan]trial: {escape(judged)}[/]"] if judged else []
     model = model_text(decision)
     return f"{head} {'; '.join(told)}{f'; [dim]model: {escape(model)}[/]' if model else ''}"
+
+
+def short_reason(decision: Decision) -> str:
+    """Why: of a rollback the first clause, the report has the others."""
+    return decision.reason.split("; ")[0] if takes_back(decision) else decision.reason
 
 
 def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit: float = MS_LIMIT) -> Table:
@@ -134,7 +140,7 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
     whose = f"{loop}: " if loop else ""
     over = any((s.ms_after or 0.0) > ms_limit for s in scores)
     limit = f" (!! over the limit of {ms_limit:g}: see the report)" if over else ""
-    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the simulated process{limit}; IAE in {unit} s{compared}"
+    title = f"\n{whose}Gains as {units_of(loop).heads}; Ms on the simulated process{limit}; IAE in {unit} s{compared}"
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
     for name in ("region", "baseline", "final"):
         table.add_column(name, no_wrap=True)
@@ -147,8 +153,8 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
         retuned = f"{s.iae:,.0f}" if same else f"[{colour}]{s.iae:,.0f}[/]"
         table.add_row(
             escape(s.region),
-            short_settings(s.before),
-            short_settings(s.after),
+            short_settings(s.before, loop),
+            short_settings(s.after, loop),
             str(s.changes),
             ms_text(s.ms_before),
             f"[bold red]{ms_text(s.ms_after)} !![/]" if (s.ms_after or 0.0) > ms_limit else ms_text(s.ms_after),

@@ -105,7 +105,7 @@ def test_what_the_promise_does_not_speak_of_is_inconclusive() -> None:
     for seen, why in (
         (example(peaks=small), "noise bands"),
         (example(peaks=()), "noise bands"),
-        (replace(example(), outside="an external oscillation"), "from outside"),
+        (replace(example(), outside="an external oscillation"), "an external"),
     ):
         found = judge(seen, PROMISE, GOOD, S)
         assert found.finding is TrialFinding.INCONCLUSIVE

@@ -174,7 +174,7 @@ def test_the_page_of_a_change_tells_what_came_of_it() -> None:
     assert [one["number"] for one in later] == [10, 12]
     text = article(replace(view(drawn=False), later=later))
     assert "Not judged: cut." in text
-    assert "ROLLED BACK: rolled back: Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
+    assert "Then rolled back: Kc 1.5 tau_I 250 s -&gt; Kc 2.4 tau_I 150 s" in text
     assert what_came_of(REFUSED, [COMMIT, told]) == ()
 
 
