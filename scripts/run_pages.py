@@ -24,7 +24,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -40,6 +40,7 @@ NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 TOLERANCE = 0.01
 LONGEST_S = 300
 WIDTH = "100"
+DEMO = "runs/demo"
 
 
 @dataclass(frozen=True)
@@ -79,12 +80,15 @@ def pages() -> list[Path]:
     return [page for page in every if any(block.to_run for block in blocks(page.read_text(encoding="utf-8")))]
 
 
-def run_page(page: Path, folder: Path) -> Iterator[tuple[Block, str, int]]:
-    """Each block that can be run with what it printed and its exit status, in a fresh folder."""
+def run_page(page: Path, folder: Path, demo: Callable[[], Path]) -> Iterator[tuple[Block, str, int]]:
+    """Each block that can be run with what it printed and its exit status, in a fresh folder.
+
+    demo : where the session of `make demo` lies; asked when a page needs it.
+    """
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     text = page.read_text(encoding="utf-8")
-    if "<!-- with runs/demo -->" in text:
-        shutil.copytree(demo(), folder / "runs" / "demo")
+    if f"<!-- with {DEMO} -->" in text:
+        shutil.copytree(demo(), folder / DEMO)
     with background() as started:
         for block in blocks(text):
             if block.to_run and block.note == "in the background":
@@ -94,13 +98,18 @@ def run_page(page: Path, folder: Path) -> Iterator[tuple[Block, str, int]]:
 
 
 @cache
-def demo() -> Path:
-    """The session that `make demo` leaves, run once."""
+def demo_here() -> Path:
+    """The session of `make demo`, run once."""
     folder = Path(tempfile.mkdtemp(prefix="retuner-pages-"))
+    make_demo(folder)
+    return folder / DEMO
+
+
+def make_demo(folder: Path) -> None:
+    """Run the oven in a folder, as `make demo` does, without its comparison."""
     shutil.copytree(ROOT / "examples", folder / "examples")
-    command = "retuner run examples/oven.toml --out runs/demo --no-compare"
+    command = f"retuner run examples/oven.toml --out {DEMO} --no-compare"
     subprocess.run(["bash", "-c", command], cwd=folder, env=_environment(), check=True, capture_output=True)
-    return folder / "runs" / "demo"
 
 
 @contextmanager
@@ -207,7 +216,7 @@ def _tell(page: Path, *, write: bool) -> int:
     """Run one page and say what differs; how many blocks did."""
     text, wrong = page.read_text(encoding="utf-8"), 0
     with tempfile.TemporaryDirectory(prefix="retuner-page-") as folder:
-        for block, came, status in run_page(page, Path(folder)):
+        for block, came, status in run_page(page, Path(folder), demo_here):
             differs = block.printed is not None and not agrees(block.printed, came)
             if status != block.status or differs:
                 wrong += 1
