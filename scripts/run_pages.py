@@ -17,6 +17,7 @@ A command with a <placeholder> is not run.
 """
 
 import argparse
+import fcntl
 import os
 import re
 import shutil
@@ -25,7 +26,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -89,7 +90,7 @@ def run_page(page: Path, folder: Path, demo: Callable[[], Path]) -> Iterator[tup
     text = page.read_text(encoding="utf-8")
     if f"<!-- with {DEMO} -->" in text:
         shutil.copytree(demo(), folder / DEMO)
-    with background() as started:
+    with alone() if "<!-- in the background -->" in text else nullcontext(), background() as started:
         for block in blocks(text):
             if block.to_run and block.note == "in the background":
                 started.append(_start(block, folder))
@@ -110,6 +111,14 @@ def make_demo(folder: Path) -> None:
     shutil.copytree(ROOT / "examples", folder / "examples")
     command = f"retuner run examples/oven.toml --out {DEMO} --no-compare"
     subprocess.run(["bash", "-c", command], cwd=folder, env=_environment(), check=True, capture_output=True)
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """One at a time: sessions over udp_multicast on one machine hear one another."""
+    with (Path(tempfile.gettempdir()) / "retuner-pages.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager
