@@ -123,13 +123,13 @@ def alone() -> Iterator[None]:
 
 @contextmanager
 def background() -> Iterator[list[subprocess.Popen[bytes]]]:
-    """What goes on beside the blocks is stopped at the end, as Ctrl-C does it."""
+    """What goes on beside the blocks is stopped at the end."""
     started: list[subprocess.Popen[bytes]] = []
     try:
         yield started
     finally:
         for process in started:
-            os.killpg(process.pid, signal.SIGINT)
+            os.killpg(process.pid, signal.SIGTERM)
             process.wait()
 
 
