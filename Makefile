@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
 PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
 
-.PHONY: demo test lint docs lowest bench nightly clean
+.PHONY: demo test lint docs lowest release bench nightly clean
 
 demo: $(STAMP)  ## set up and run the main job: a virtual oven retuned over CAN, with a report
 	$(BIN)/retuner run examples/oven.toml --out runs/demo --serve
@@ -27,6 +27,9 @@ docs: $(DEV)  ## the documentation site, into build/site: open build/site/index.
 
 lowest:  ## the demo and a fast part of the tests with the lowest versions that pyproject.toml allows
 	$(PYTHON) scripts/lowest_versions.py
+
+release: $(DEV)  ## archives in dist/, tried in clean environments of every Python that is found, with an SBOM
+	$(BIN)/python scripts/release.py
 
 bench: $(DEV)  ## speed ratios, measured in one run
 	$(BIN)/python benchmarks/startup.py

@@ -39,7 +39,7 @@ else:
         packages += [f"retuner.{room}", *(f"retuner.{room}.{name}" for name in find_packages(room))]
 
 STABLE = "0x030B0000"
-ENGINE = ("modes", "lanes", "misfit", "refine", "search", "valves")
+ENGINE = ("modes", "lanes", "misfit", "refine", "screen", "search", "valves")
 flags = ["/O2", "/std:c11"] if sys.platform == "win32" else ["-std=c11", "-O3", "-ffp-contract=off"]
 engine = Extension(
     "retuner.adaptive.fit._engine",

@@ -166,6 +166,12 @@ class ControllerUnits:
         )
 
     @property
+    def heads(self) -> str:
+        """What `short` shows, for the head of a table: "PB in %, reset in repeats/min"."""
+        shown = self.dials if self.dials == PARALLEL else self.dials[:2]
+        return ", ".join(f"{dial.label} in{dial.unit}" if dial.unit else dial.label for dial in shown)
+
+    @property
     def name(self) -> str:
         """The name that makes these units, without their form."""
         if self.dials == PARALLEL:
@@ -215,15 +221,21 @@ class ControllerUnits:
         gain, integral, derivative = (found[dial.quantity] for dial in self.dials)
         return Dialled(gain, integral if gains.ki else None, derivative, form)
 
-    def text(self, gains: PidGains, digits: int = 3) -> str:
-        """These gains as they are written on a screen."""
+    def text(self, gains: PidGains, digits: int = 3, *, acting: bool = False) -> str:
+        """These gains as they are written on a screen.
+
+        acting : with the word for their action; one that the controller's switch contradicts is always told.
+        """
         if gains.kp == 0 and self.dials != PARALLEL:
             return f"Ki {gains.ki:.3g}/s (integral only)" if gains.ki else f"Kd {gains.kd:.3g} s (derivative only)"
-        shown = self.numbers(gains)
+        wanted = Acting.of(gains)
+        shown = (self if self.action is None else replace(self, action=wanted)).numbers(gains)
         text = " ".join(self.parts(shown, digits))
         if shown.derivative and self.dials != PARALLEL:
             text += f" ({shown.form})"
-        return text if self.action is None else f"{text}, {Acting.of(gains)} acting"
+        if self.action not in {None, wanted}:
+            return f"{text}, {wanted} acting (the controller is set to {self.action})"
+        return f"{text}, {wanted} acting" if acting else text
 
     def parts(self, shown: Dialled, digits: int = 3) -> list[str]:
         """Each number with its label and unit; actions that there are not are left out."""

@@ -23,6 +23,8 @@ from retuner.schedule.forms import IdealGains, SeriesGains, proportional_band_pc
 from retuner.schedule.gains import PidGains
 
 SINGLE_MAX = 3.4028234663852886e38
+END_ROUNDING = 1e-6
+"""Share of a step by which an end may miss the step that it is meant to be."""
 SECONDS_PER_MINUTE = 60.0
 
 
@@ -79,9 +81,18 @@ class Holds:
         if not math.isfinite(value):
             raise ValueError(f"{value} is not a finite number")
         kept = self.zero + round((value - self.zero) / self.step) * self.step if self.step else value
+        if self.low <= value <= self.high:
+            kept = self._inside(kept)
         if not self.low <= kept <= self.high:
             raise ValueError(f"{value:.6g} is outside {self.low:g} to {self.high:g}, what the controller can hold")
         return array("f", [kept])[0] if self.single else kept
+
+    def _inside(self, kept: float) -> float:
+        """The step on the inner side of an end that lies between two steps, or on one but for its last digits."""
+        for end, inward in ((self.low, self.step), (self.high, -self.step)):
+            if (kept - end) * inward < 0:
+                kept = end if abs(kept - end) < END_ROUNDING * self.step else kept + inward
+        return kept
 
 
 @dataclass(frozen=True, slots=True)

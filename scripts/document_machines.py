@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from retuner.adaptive.experiments import phases as experiment
+from retuner.adaptive.nudge import planner as nudge
 from retuner.adaptive.signals import recogniser
 from retuner.adaptive.trial import phase as trial
 from retuner.drivers.host import connection, write_protocol
@@ -74,6 +75,13 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
         "adaptive/trial/phase.py",
         trial.TrialPhase.IDLE,
         ways(trial.TRANSITIONS),
+    ),
+    lambda: Machine(
+        "A setpoint bump",
+        "Announced, sent, held until the loop is at rest, and taken back; off until somebody allows it.",
+        "adaptive/nudge/planner.py",
+        nudge.NudgePhase.WATCHING,
+        ways(nudge.COURSE),
     ),
     lambda: Machine(
         "The session",

@@ -10,7 +10,7 @@ import retuner
 
 HEAD = """# Python interface
 
-Everything that `import retuner` gives, from its own docstrings.
+Everything that `import retuner` gives, from its own docstrings. How it is used: [the Python user](how-to-python.md).
 Times are in seconds, gains are of the parallel form unless a name says otherwise; all results are frozen.
 """
 DIRECTIVES = {"Functions": "autofunction", "Classes": "autoclass", "Choices": "autoclass", "Values": "autodata"}

@@ -11,8 +11,10 @@ from retuner.adaptive.rules.rule import WISH_LABELS, Rule, Takes
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "rules.md"
 HEAD = """# Tuning rules
 
-    retuner tune --type fopdt --k 2 --tau1 10 --theta 2 --rule amigo --kind pid --explain
-    retuner tune --type fopdt --k 2 --tau1 10 --theta 2 --all --plot all.png
+```sh
+retuner tune --type fopdt --k 2 --tau1 10 --theta 2 --rule amigo --kind pid --explain
+retuner tune --type fopdt --k 2 --tau1 10 --theta 2 --all --plot all.png
+```
 
 Process types: `fopdt` k e^(-theta s)/(tau1 s + 1), `sopdt` with a second lag tau2, `integrating` k' e^(-theta s)/s,
 `integrating-lag`, `double-integrating` k'' e^(-theta s)/s^2, `delay` k e^(-theta s). Times are in seconds. A

@@ -170,6 +170,14 @@ def call_valve_costs(random: Random) -> list[Any]:
     return [*given, numbers(random, sizes(given)[1]), valves(random, many), zeros(many)]
 
 
+def call_screen(random: Random) -> list[Any]:
+    """Proper arguments of screen."""
+    n = random.randint(3, 60)
+    t = array("d", (10.0 * i for i in range(n)))
+    band, shortest = random.choice((0.0, 0.3)), float(random.randint(1, 30))
+    return [t, *(numbers(random, n) for _ in range(3)), 50.0, band, shortest, random.randint(1, n), zeros(56)]
+
+
 CALLS: dict[str, Callable[[Random], list[Any]]] = {
     name.removeprefix("call_"): make for name, make in list(globals().items()) if name.startswith("call_")
 }

@@ -3,9 +3,10 @@
     python scripts/release.py [--python 3.11 3.12 ...] [--require 3.11 ...] [--out dist]
 
 Makes in --out the sdist, a wheel with the compiled engine, one without (for machines that have no such wheel), and an
-SBOM (CycloneDX) of the base install with every extra. Each wheel is installed into a new environment of every
-interpreter that is found (python3.N on PATH, or pyenv's), with nothing but its own dependencies, and used there: the
-doctor, a configuration, a fit, a short retuned run. An interpreter that is required and missing is a failure.
+SBOM (CycloneDX) of the base install with every extra. The wheels are installed into new environments, that with the
+engine for every interpreter that is found (python3.N on PATH, or pyenv's), the other for the oldest, with nothing but
+their own dependencies, and used there: the doctor, a configuration, a fit, a short retuned run. An interpreter that is
+required and missing is a failure.
 """
 
 import argparse
@@ -60,7 +61,7 @@ def archives(tools: Path, out: Path) -> tuple[Path, list[Path]]:
     """The sdist, and the wheels made from it alone, as an installer would make them."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "source"
-        shutil.copytree(ROOT, source, ignore=NOT_SOURCE)
+        shutil.copytree(ROOT, source, symlinks=True, ignore=NOT_SOURCE)
         run(tools, "-P", "-m", "build", "--sdist", "--outdir", out, source)
     sdist = next(out.glob("*.tar.gz"))
     for setting in ({}, {WITHOUT_ENGINE: "1"}):
@@ -128,6 +129,10 @@ def sbom(python: str, wheel: Path, out: Path, tools: Path) -> Path:
     return path
 
 
+def _as_numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, version.split(".")))
+
+
 def parsed() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -155,6 +160,7 @@ def steps(options: argparse.Namespace) -> Iterator[str]:
             raise SystemExit(f"required and not found: Python {', '.join(missing)}")
         yield f"Python {', '.join(found)}; not found: {', '.join(set(options.python) - set(found)) or 'none'}"
         trials = [Trial(version, place, wheel) for version, place in found.items() for wheel in wheels]
+        trials = [one for one in trials if one.compiled or one.version == min(found, key=_as_numbers)]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             yield from pool.map(tried, trials)
         if not options.no_sbom:

@@ -1,17 +1,35 @@
-"""Loops that swing together: one period, and which of them it likely comes from.
+"""Loops that swing together: one period, one phase, and which of them it likely comes from.
 
-Loops whose periods agree within SAME_PERIOD form a group; nothing but the period is compared. A disturbance that is
-passed on is filtered on its way, so its harmonics are strongest at its source (Thornhill, Cox & Paulonis 2003): the
-root is the loop with a valve that sticks, where one is known, else the one with the largest share of third harmonic.
+Loops are of one group where their periods are alike and their swings coherent (tracks.py); where the records have
+nothing in common but their periods, periods within SAME_PERIOD must do. The likely root, first hint first:
+
+    the valve that sticks most surely         a valve makes a swing out of nothing; two in step would be a wonder
+    the one loop whose own tuning swings
+    the strongest third harmonic              what is passed on is filtered (Thornhill, Cox & Paulonis 2003)
+    the loop that is before all others        by the phases, less than half a period
+
+Where several loops' tuning swings, or of two loops nothing is bent, they swing against each other: an interaction.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from retuner.adaptive.audit.tracks import SwingTrack, coherence
+
 SAME_PERIOD = 0.04
-"""Difference of two periods, as a share, below which they are one."""
+"""Difference of two periods, as a share, below which they are one where nothing else can be compared."""
+LIKE_PERIOD = 0.08
+"""The same where the swings are coherent: periods are told to some per cent."""
+COHERENT = 0.5
+"""Coherence from which two loops swing together."""
 LOUDER = 1.3
 """Ratio of harmonics from which the loudest loop is named as the root."""
+STICKS = 0.2
+"""What its stretches must say of a valve for it to be the root."""
+BENT = 0.05
+"""Third harmonic over the first, from which something in a loop is not linear."""
+EARLIER = 0.03
+"""Part of a period by which a loop must be earlier than all others to be named for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,58 +37,115 @@ class Swinging:
     """A loop that swings.
 
     tag : of the loop. period_s : of the swing. harmonic : amplitude of the third harmonic over the first, 0 to 1.
-    sticks : its valve is said to stick. own : its own tuning is said to be the cause.
+    sticks : how far its stretches say that its valve sticks, 0 to 1. own : its own tuning is said to be the cause.
+    track : of its swing over time.
     """
 
     tag: str
     period_s: float
     harmonic: float
-    sticks: bool = False
+    sticks: float = 0.0
     own: bool = False
+    track: SwingTrack | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CommonSwing:
-    """A group: its period, its loops (the likely root first), and why that one; root is None where none stands out."""
+    """A group: its period, its loops (the likely root first), and why that one; root is None where none stands out.
+
+    interaction : its loops swing against each other. coherence : of the loops with the first one, the median; None
+    where only their periods could be compared.
+    """
 
     period_s: float
     tags: tuple[str, ...]
     root: str | None
     why: str
+    interaction: bool = False
+    coherence: float | None = None
 
 
 def common_swings(loops: Sequence[Swinging]) -> list[CommonSwing]:
     """Groups of two loops or more, the largest first."""
-    groups: list[list[Swinging]] = []
-    for loop in sorted(loops, key=lambda one: one.period_s):
-        if groups and loop.period_s <= groups[-1][-1].period_s * (1 + SAME_PERIOD):
-            groups[-1].append(loop)
-        else:
-            groups.append([loop])
-    found = [_group(group) for group in groups if len(group) > 1]
-    return sorted(found, key=lambda group: -len(group.tags))
+    ordered = sorted(loops, key=lambda one: one.period_s)
+    group_of = list(range(len(ordered)))
+    for i, loop in enumerate(ordered):
+        for j in range(i + 1, len(ordered)):
+            if ordered[j].period_s > loop.period_s * (1 + LIKE_PERIOD):
+                break
+            one, other = _first(group_of, i), _first(group_of, j)
+            if one != other and together(loop, ordered[j]):
+                group_of[other] = one
+    groups: dict[int, list[Swinging]] = {}
+    for i, loop in enumerate(ordered):
+        groups.setdefault(_first(group_of, i), []).append(loop)
+    found = [_group(group) for group in groups.values() if len(group) > 1]
+    return sorted(found, key=lambda group: (-len(group.tags), group.period_s))
+
+
+def _first(group_of: list[int], i: int) -> int:
+    """The loop that stands for the group of loop i."""
+    while group_of[i] != i:
+        group_of[i] = i = group_of[group_of[i]]
+    return i
+
+
+def together(a: Swinging, b: Swinging) -> bool:
+    """Whether two loops swing together."""
+    told = coherence(a.track, b.track) if a.track is not None and b.track is not None else None
+    if told is not None:
+        return told[0] >= COHERENT
+    apart = abs(a.period_s - b.period_s) > SAME_PERIOD * min(a.period_s, b.period_s)
+    return not apart and (a.track is None) == (b.track is None)
 
 
 def _group(loops: Sequence[Swinging]) -> CommonSwing:
     """One group with its root."""
-    root, why = _root(loops)
-    others = [loop.tag for loop in sorted(loops, key=lambda one: -one.harmonic) if loop.tag != root]
+    root, why, interaction = _root(loops)
+    ordered = sorted(loops, key=lambda one: (one.tag != root, -one.harmonic))
+    told = [_told(ordered[0], one) for one in ordered[1:]]
+    known = sorted(t[0] for t in told if t is not None)
     period_s = sorted(loop.period_s for loop in loops)[len(loops) // 2]
-    return CommonSwing(period_s, (*([root] if root else []), *others), root, why)
+    middle = known[len(known) // 2] if known else None
+    return CommonSwing(period_s, tuple(one.tag for one in ordered), root, why, interaction, middle)
 
 
-def _root(loops: Sequence[Swinging]) -> tuple[str | None, str]:
-    """Where the swing likely comes from."""
-    sticking = sorted((one for one in loops if one.sticks), key=lambda one: -one.harmonic)
-    if sticking:
-        return sticking[0].tag, "its valve sticks"
+def _told(a: Swinging, b: Swinging) -> tuple[float, float] | None:
+    """Coherence and delay of two loops, where they are known."""
+    return coherence(a.track, b.track) if a.track is not None and b.track is not None else None
+
+
+def _root(loops: Sequence[Swinging]) -> tuple[str | None, str, bool]:
+    """Where the swing likely comes from, why, and whether the loops swing against each other."""
+    surest = max(loops, key=lambda one: (one.sticks, one.harmonic))
+    if surest.sticks >= STICKS:
+        return surest.tag, "its valve sticks", False
     own = [one for one in loops if one.own]
     if len(own) == 1:
-        return own[0].tag, "its tuning makes it oscillate"
+        return own[0].tag, "its tuning makes it oscillate", False
+    if own:
+        return None, "the tuning of several makes them oscillate against each other; slow one down and look again", True
     loudest, second = sorted(loops, key=lambda one: -one.harmonic)[:2]
-    if loudest.harmonic > LOUDER * second.harmonic:
-        return loudest.tag, "its harmonics are the strongest: what is passed on is filtered"
-    return None, "none stands out"
+    if loudest.harmonic > max(LOUDER * second.harmonic, BENT):
+        return loudest.tag, "its harmonics are the strongest: what is passed on is filtered", False
+    early = _earliest(loops)
+    if early is not None:
+        return early.tag, "it swings before all the others", False
+    if loudest.harmonic < BENT:
+        why = "nothing in them is bent and none is first: they swing against each other, or come from no loop here"
+        return None, why, len(loops) == 2
+    return None, "none stands out", False
+
+
+def _earliest(loops: Sequence[Swinging]) -> Swinging | None:
+    """The loop that is earlier than all others; of two nobody knows, as each is half a period before the other."""
+    if len(loops) < 3:
+        return None
+    for loop in loops:
+        told = [_told(loop, other) for other in loops if other is not loop]
+        if all(t is not None and EARLIER < t[1] < 0.5 - EARLIER for t in told):
+            return loop
+    return None
 
 
 def grouped(groups: Sequence[CommonSwing]) -> Mapping[str, CommonSwing]:

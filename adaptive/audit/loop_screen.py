@@ -8,33 +8,48 @@
 The minimum variance sigma_mv^2 is what cannot be foreseen beyond the dead time b (in samples): with an autoregressive
 model e_i = sum a_j e_(i-j) + n_i of the error, sigma_mv^2 = sigma_n^2 sum_(i<b) psi_i^2, psi the response of 1 / A(q)
 (Harris 1989; Desborough & Harris 1992). Where the dead time is not known, that of MOST_LIKELY_DELAY samples stands in.
-Gaps are no time: an interval counts at most GAP times the usual one.
+Gaps are no time: an interval counts at most GAP times the usual one. All that is counted sample by sample comes out of
+one compiled pass (record_sums.py); noise and grid are told from BLOCKS parts of the record, as they do not change.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from retuner.adaptive.indexes.autocovariance import Regularity, autocovariance, regularity
-from retuner.adaptive.indexes.condition import Condition, record_condition
-from retuner.adaptive.indexes.limits import at_limits
-from retuner.adaptive.indexes.recording_quality import RecordingQuality, recording_quality
+from retuner.adaptive.audit.lasting_swing import LastingSwing, lasting_swing
+from retuner.adaptive.audit.record_sums import LAGS, AtExtreme, Measure, RecordSums, covariances, record_sums
+from retuner.adaptive.indexes.autocovariance import Regularity
+from retuner.adaptive.indexes.condition import (
+    AVERAGED,
+    DEAD,
+    NOISE_RATIO,
+    STILL_LENGTH,
+    STILL_STRETCH,
+    Condition,
+    Traits,
+    condition_of,
+    escapes,
+)
+from retuner.adaptive.indexes.recording_quality import quantum
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 
 DAY_S = 86_400.0
 GAP = 5.0
 """Intervals longer than so many usual ones are gaps."""
-LAGS = 20
-"""Order of the autoregressive model (Desborough & Harris 1992 use 5 to 20)."""
 MOST_LIKELY_DELAY = 3
 """Dead time in samples where none is known: plants are sampled about so finely."""
-LOOKED_AT = 20_000
-"""Samples of the stretch in which an oscillation is looked for: two days at ten seconds."""
-PARTS = 8
-"""Stretches of that length, spread over the record."""
+BLOCKS, BLOCK = 8, 1_024
+"""Parts of a long record from which its noise and grid are told, and their samples."""
+NOISE_OF_CO = 3.0
+"""Moves of co within so many standard deviations of its noise are no turns."""
+STILL_MOST = 400
+"""Samples of constant co that are a long stretch in a record of any length."""
+
+NO_WAVE = Regularity(0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +58,10 @@ class LoopScreen:
 
     samples : in the record. span_s : time on record without gaps. gaps : their number. error_std, iae_per_day : of the
     control error, in the unit of pv and that times seconds. effort_per_day : in units of co. reversals_per_day : turns
-    of co. at_limits : share of co at a limit. harris : see the head of this file. noise_share : of the variance of pv.
-    compression : of pv by its recorder, 1 for none. period_s, regularity, strength : of the strongest lasting
+    of co. in_automatic : share of the record without long stretches of constant co. at_limits : share of co at a limit.
+    loss_at_limits : share of the integral of |error| that comes up there. one_sided : how far the error there is all of
+    one sign, 0 to 1. harris : see the head of this file. noise_share : of the variance of pv. quantum : of pv's grid, 0
+    for none. compression : of pv by its recorder, 1 for none. period_s, regularity, strength : of the strongest lasting
     oscillation, None and 0 where there is none. swinging : share of the stretches looked at in which it lasts.
     condition : of the whole record.
     """
@@ -56,9 +73,13 @@ class LoopScreen:
     iae_per_day: float
     effort_per_day: float
     reversals_per_day: float
+    in_automatic: float
     at_limits: float
+    loss_at_limits: float
+    one_sided: float
     harris: float
     noise_share: float
+    quantum: float
     compression: float
     period_s: float | None
     regularity: float
@@ -78,64 +99,120 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
     ----------
     record : of any length. delay_s : dead time of the loop where it is known.
     """
-    steps_s = np.diff(record.t_s)
-    usual_s = record.sample_time_s
-    held_s = np.minimum(steps_s, GAP * usual_s)
-    error = record.sp - record.pv
-    span_s = float(np.sum(held_s))
-    days = span_s / DAY_S
-    limits = at_limits(record.co)
-    quality = recording_quality(record.pv) or RecordingQuality(0.0, 0.0, 1.0, 1.0)
-    wave, swinging = _oscillation(record)
-    delay = MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)
-    lasting = wave is not None
+    n, parts = len(record.t_s), in_parts(record)
+    usual_s = float(np.median(np.diff(parts.t_s)))
+    pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
+    sums = record_sums(record, _measure(n, usual_s, co_noise))
+    limits = [side for side in (sums.low, sums.high) if sums.limit(n, side)]
+    days, step = sums.held_s / DAY_S, quantum(parts.pv)
+    swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
+    traits = _traits(record, sums, (pv_noise, co_noise), limits)
     return LoopScreen(
-        samples=len(record.t_s),
-        span_s=span_s,
-        gaps=int(np.sum(steps_s > GAP * usual_s)),
-        error_std=float(np.std(error)),
-        iae_per_day=float(np.sum(np.abs(error[:-1]) * held_s)) / days,
-        effort_per_day=float(np.sum(np.abs(np.diff(record.co)))) / days,
-        reversals_per_day=_turns(record.co) / days,
-        at_limits=limits.low + limits.high,
-        harris=harris_index(error, delay),
-        noise_share=quality.noise_share,
-        compression=quality.compression,
-        period_s=wave.period * usual_s if wave is not None else None,
-        regularity=wave.regularity if wave is not None else 0.0,
-        strength=wave.strength if wave is not None else 0.0,
-        swinging=swinging,
-        condition=record_condition(record, limits.low + limits.high, oscillates=lasting).condition,
+        samples=n,
+        span_s=sums.held_s,
+        gaps=int(sums.gaps),
+        error_std=math.sqrt(sums.error_variance),
+        iae_per_day=sums.size / days,
+        effort_per_day=sums.travel / days,
+        reversals_per_day=sums.turns / days,
+        in_automatic=_in_automatic(n, sums, limits),
+        at_limits=traits.at_limit,
+        loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
+        one_sided=_one_sided(limits),
+        harris=_harris(sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)),
+        noise_share=min(pv_noise**2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
+        quantum=step,
+        compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
+        period_s=swing.wave.period * usual_s or None,
+        regularity=swing.wave.regularity,
+        strength=swing.wave.strength,
+        swinging=swing.share,
+        condition=condition_of(traits, oscillates=swing.share > 0).condition,
     )
 
 
-def _turns(x: FloatArray) -> int:
-    """Reversals of a signal, its own noise not counted."""
-    band = 3 * noise_sigma(x)
-    moves = np.diff(np.round((x - x[0]) / band) if band > 0 else x)
-    signs = np.sign(moves[moves != 0])
-    return int(np.sum(signs[1:] != signs[:-1]))
+OF_TIME = (
+    "iae_per_day", "effort_per_day", "reversals_per_day", "in_automatic", "at_limits", "harris", "noise_share",
+    "quantum", "compression", "swinging",
+)  # fmt: skip
+OF_THE_LOSS = ("loss_at_limits", "one_sided")
 
 
-def _oscillation(record: Window) -> tuple[Regularity | None, float]:
-    """The strongest lasting oscillation of the stretches looked at, and the share of them in which one lasts."""
+def joined_screen(screens: Sequence[LoopScreen]) -> LoopScreen:
+    """The screen of a loop whose record was screened in pieces: means over their time; the strongest swing of them."""
+    if len(screens) == 1:
+        return screens[0]
+    spans = np.array([screen.span_s for screen in screens])
+    losses = np.array([screen.iae_per_day for screen in screens]) * spans
+
+    def mean(name: str, weights: FloatArray) -> float:
+        values = np.array([getattr(screen, name) for screen in screens])
+        return float(values @ weights / np.sum(weights)) if np.sum(weights) > 0 else 0.0
+
+    longest, strongest = max(screens, key=lambda s: s.span_s), max(screens, key=lambda s: s.strength * s.swinging)
+    means = {name: mean(name, spans) for name in OF_TIME} | {name: mean(name, losses) for name in OF_THE_LOSS}
+    return replace(
+        longest,
+        samples=sum(screen.samples for screen in screens),
+        span_s=float(np.sum(spans)),
+        gaps=sum(screen.gaps for screen in screens),
+        error_std=math.sqrt(float(np.array([s.error_std for s in screens]) ** 2 @ spans / np.sum(spans))),
+        period_s=strongest.period_s,
+        regularity=strongest.regularity,
+        strength=strongest.strength,
+        condition=longest.condition,
+        **means,
+    )
+
+
+def _measure(samples: int, usual_s: float, co_noise: float) -> Measure:
+    """What a record of so many samples is counted against."""
+    shortest = max(STILL_STRETCH, min(STILL_LENGTH * samples, STILL_MOST))
+    return Measure(GAP * usual_s, NOISE_OF_CO * co_noise, float(shortest), _width(samples))
+
+
+def _width(samples: int) -> int:
+    """Samples of a slow mean."""
+    return min(AVERAGED, max(samples // 8, 1))
+
+
+def in_parts(record: Window) -> Window:
+    """A record's BLOCKS parts of BLOCK samples spread over it; a short one itself."""
     n = len(record.t_s)
-    length = min(n, LOOKED_AT)
-    parts = min(PARTS, max(n // length, 1))
-    begins = np.linspace(0, n - length, parts).astype(int)
-    found = [_wave(record, int(begin), int(begin) + length) for begin in begins]
-    waves = [wave for wave in found if wave is not None]
-    return max(waves, key=lambda w: w.strength, default=None), len(waves) / len(found)
+    if n <= BLOCKS * BLOCK:
+        return record
+    begins = np.linspace(0, n - BLOCK, BLOCKS).astype(int)
+    rows = (begins[:, None] + np.arange(BLOCK)).ravel()
+    return Window(record.t_s[rows], record.sp[rows], record.pv[rows], record.co[rows])
 
 
-def _wave(record: Window, begin: int, end: int) -> Regularity | None:
-    """A lasting oscillation of the error, else of co."""
-    for signal in (record.sp[begin:end] - record.pv[begin:end], record.co[begin:end]):
-        if float(np.ptp(signal)) > 0:
-            wave = regularity(signal)
-            if wave is not None and wave.lasting:
-                return wave
-    return None
+def _in_automatic(samples: int, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:
+    """Share of the record without long stretches of constant co, those at a limit not counted."""
+    still = sums.still - sum(side.samples - side.stretches for side in limits)
+    return 1 - max(still, 0.0) / samples
+
+
+def _one_sided(limits: Sequence[AtExtreme]) -> float:
+    """How far the error at a limit is all of one sign: a limit that binds leaves it on one side."""
+    size = sum(side.size for side in limits)
+    return sum(abs(side.error) for side in limits) / size if size > 0 else 0.0
+
+
+def _traits(record: Window, sums: RecordSums, noise: tuple[float, float], limits: Sequence[AtExtreme]) -> Traits:
+    """What the condition of the whole record is told from; noise : of pv and of co."""
+    n, spread = len(record.t_s), math.sqrt(sums.error_variance)
+    of_noise = NOISE_RATIO / math.sqrt(_width(n))
+    return Traits(
+        dead_pv=sums.pv_high - sums.pv_low <= DEAD * max(abs(sums.pv_low), abs(sums.pv_high)),
+        dead_co=sums.co_high - sums.co_low <= DEAD * max(abs(sums.co_low), abs(sums.co_high)),
+        still=sums.still / n,
+        at_limit=sum(side.samples for side in limits) / n,
+        sp_moving=sums.sp_moves / (n - 1),
+        offset=abs(sums.error_mean) / spread if spread > 0 else 0.0,
+        pv_moves=sums.pv_slow > of_noise * noise[0],
+        co_moves=sums.co_slow > of_noise * noise[1],
+        escapes=lambda: escapes(record),
+    )
 
 
 def harris_index(error: FloatArray, delay: int) -> float:
@@ -147,15 +224,19 @@ def harris_index(error: FloatArray, delay: int) -> float:
 
     Source: Harris (1989), Canadian Journal of Chemical Engineering 67, 856-861; Desborough & Harris (1992).
     """
-    r = autocovariance(error)[: LAGS + 1]
-    if len(r) < LAGS + 1 or r[0] <= 0:
+    return _harris(covariances(error), delay) if len(error) > 2 * LAGS else 0.0
+
+
+def _harris(r: FloatArray, delay: int) -> float:
+    """The same of the error's covariances at lags 0 to LAGS."""
+    if r[0] <= 0:
         return 0.0
-    r = np.concatenate([[r[0] * (1 + 1e-9)], r[1:]])
+    r = np.concatenate([[1 + 1e-9], r[1:] / r[0]])
     ar = solve_toeplitz(r[:-1], r[1:])
     innovation = float(r[0] - ar @ r[1:])
     psi = np.zeros(delay)
     psi[0] = 1.0
     for i in range(1, delay):
         psi[i] = sum(ar[j] * psi[i - 1 - j] for j in range(min(i, LAGS)))
-    least = innovation * float(psi @ psi) / float(r[0])
+    least = innovation * float(psi @ psi)
     return float(min(max(1.0 - least, 0.0), 1.0)) if math.isfinite(least) else 0.0

@@ -6,8 +6,14 @@ loop are no independent records, so each further one counts half, for it or agai
     odds = c1 / (1 - c1)  x product over further ones that name it of sqrt(c / (1 - c))
                           x product over those that say "in order", or another fault, of sqrt((1 - c) / c)
 
-"Unknown" says nothing either way. A stretch in which nothing happens (noise) does not clear a valve that sticks when it
-moves, so of what is no fault only "ok" speaks against.
+A limit of co that binds for part of the time is told from the whole record, because no stretch need show it: with w of
+the time at a limit, and l of the integral of |error| come up there, nearly all of it of one sign,
+
+    odds = one-sidedness  x  (l / (1 - l)) / (w / (1 - w))
+
+Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way. A stretch in
+which nothing happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks
+against.
 """
 
 import math
@@ -26,6 +32,10 @@ CONVINCED = 0.5
 """Joined confidence from which a fault is told."""
 MOST_SURE = 0.98
 """No more is claimed of any stretch: something else may always be the case."""
+LEAST_AT_LIMIT, LEAST_LOSS, LEAST_ONE_SIDED = 0.02, 0.2, 0.7
+"""Share of the time at a limit, share of the loss there, and one-sidedness, from which a limit is asked for."""
+TWO_SIDED = 0.3
+"""One-sidedness below which no limit binds, whatever a stretch says: co rests there, and the error has both signs."""
 SWINGS = 0.5
 """Share of the stretches in which an oscillation lasts from which the loop swings."""
 
@@ -138,9 +148,14 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     """
     condition = FOR_CONDITION.get(screen.condition)
     faults = {s.cause for s in stretches} & FOR_CAUSE.keys()
+    if screen.at_limits > 0 and screen.one_sided < TWO_SIDED:
+        faults -= {Cause.SATURATION}
     if condition is not None and not faults:
         return _of_condition(screen, condition, len(stretches))
     best = max(faults, key=lambda c: joined_confidence(c, stretches), default=None)
+    bound = limit_confidence(screen)
+    if bound >= max(CONVINCED, joined_confidence(best, stretches) if best is not None else 0.0):
+        return _of_limit(bound, screen, stretches)
     if best is not None and joined_confidence(best, stretches) >= CONVINCED:
         return _of_fault(best, screen, stretches)
     if any(s.cause in {Cause.OK, Cause.NOISE} for s in stretches) and screen.swinging < SWINGS:
@@ -149,6 +164,26 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         sure, count = min(sure, MOST_SURE), len(calm)
         return LoopVerdict(calm[-1].cause, sure, Action.NOTHING, calm[-1].reason, None, count, len(stretches), 0.0, 0.0)
     return _unknown(screen, stretches)
+
+
+def limit_confidence(screen: LoopScreen) -> float:
+    """How sure a limit of co binds for part of the record; see the head of this file."""
+    w, loss = screen.at_limits, screen.loss_at_limits
+    if w < LEAST_AT_LIMIT or loss < LEAST_LOSS or screen.one_sided < LEAST_ONE_SIDED:
+        return 0.0
+    odds = screen.one_sided * loss * (1 - w) / max((1 - loss) * w, 1e-6)
+    return min(odds / (1 + odds), MOST_SURE)
+
+
+def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
+    """A limit that binds for part of the time."""
+    action = FOR_CAUSE[Cause.SATURATION]
+    w, loss = screen.at_limits, screen.loss_at_limits
+    reason = f"co stands at a limit for {w:.0%} of the time, where {loss:.0%} of the error comes up, on one side"
+    showing = [s for s in stretches if s.cause == Cause.SATURATION]
+    since = showing[0].begin_s if showing else None
+    rank = sure * loss / EFFORT[action] ** 0.5
+    return LoopVerdict(Cause.SATURATION, sure, action, reason, since, len(showing), len(stretches), loss, rank)
 
 
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:

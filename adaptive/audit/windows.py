@@ -1,20 +1,37 @@
 """Which stretches of a long record are diagnosed: where something happens, and spread over time.
 
-A setpoint change shows the process; a stretch in which the error is largest shows what is wrong; the newest one shows
-whether it still is. A stretch holds CYCLES periods of the oscillation, where there is one, and never a gap.
+A setpoint change shows the process; an event of the error shows what the loop makes of a load; the newest stretch tells
+whether it is still so. A stretch never holds a gap. It holds CYCLES periods of the oscillation where there is one; else
+it is as long as its event needs: an event of width m stands out of what means over m samples usually are,
+
+    score = max over m of |mean over m samples of e| / (1.4826 median |such means|)
 """
+
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 
 import numpy as np
 
 from retuner.adaptive.audit.loop_screen import GAP
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.indexes.autocovariance import running_mean
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 CYCLES = 15.0
 """Ten to twenty show a cause, and drift little."""
 FEWEST, USUAL, MOST = 200, 800, 4_000
-"""Samples of a stretch: at least, without an oscillation, and at most."""
+"""Samples of a stretch: at least, without an oscillation, and from which a slow one is condensed."""
 BEFORE = 0.2
-"""Share of a stretch that lies before the setpoint change that it is taken for."""
+"""Share of a stretch that lies before the event that it is taken for."""
+WIDTHS = (4, 16, 64)
+"""Widths of events that are looked for, in samples."""
+OF_A_WIDTH = 25
+"""A stretch in widths of its event: the return from a load takes several, and what is usual must be seen as well."""
+LEAST_SCORE = 4.0
+EVENTS = 20
+"""Events of a width at most."""
+
+Stretch = tuple[int, int]
+"""First sample and number of samples."""
 
 
 def stretches_of_interest(record: Window, period_s: float | None, most: int) -> list[Window]:
@@ -22,26 +39,24 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
 
     Parameters
     ----------
-    record : of any length. period_s : of its oscillation, None where there is none. most : at least 1.
+    record : of any length. period_s : of its oscillation, None where there is none. none where most is 0.
     """
-    n = len(record.t_s)
-    usual_s = record.sample_time_s
-    length = USUAL if period_s is None else int(np.clip(CYCLES * period_s / usual_s, FEWEST, MOST))
+    if most == 0:
+        return []
+    n, usual_s = len(record.t_s), record.sample_time_s
+    length = USUAL if period_s is None else max(int(CYCLES * period_s / usual_s), FEWEST)
     if n <= 1.5 * length:
-        return _whole(record)
-    whole = _without_gaps(record, length, usual_s)
-    if not len(whole):
-        return _whole(record)
-    taken: list[int] = []
-    for begin in _wanted(record, length, whole):
-        if len(taken) < most and all(abs(begin - other) >= length for other in taken):
-            taken.append(begin)
-    return [_part(record, begin, begin + length) for begin in sorted(taken)]
-
-
-def _whole(record: Window) -> list[Window]:
-    """All of a short record."""
-    return [record]
+        return [record.condensed(MOST)]
+    gap = np.concatenate([[0], np.cumsum(np.diff(record.t_s) > GAP * usual_s)])
+    taken: list[Stretch] = []
+    for wanted, many in _wanted(record, length, gap, events=period_s is None):
+        begin = min(max(wanted, 0), n - many)
+        apart = all(begin >= b + m or b >= begin + many for b, m in taken)
+        if len(taken) < most and apart and gap[begin] == gap[begin + many - 1]:
+            taken.append((begin, many))
+    return [_part(record, begin, begin + many).condensed(MOST) for begin, many in sorted(taken)] or [
+        record.condensed(MOST)
+    ]
 
 
 def _part(record: Window, begin: int, end: int) -> Window:
@@ -49,32 +64,41 @@ def _part(record: Window, begin: int, end: int) -> Window:
     return Window(record.t_s[begin:end], record.sp[begin:end], record.pv[begin:end], record.co[begin:end])
 
 
-def _without_gaps(record: Window, length: int, usual_s: float) -> np.ndarray:
-    """Begins of stretches that hold no gap."""
-    gap = np.concatenate([[0], np.cumsum(np.diff(record.t_s) > GAP * usual_s)])
+def _wanted(record: Window, length: int, gap: np.ndarray, *, events: bool) -> Iterator[Stretch]:
+    """Stretches, the most telling first: the newest, a setpoint change, two events (or where the error is largest)."""
     begins = np.arange(len(record.t_s) - length + 1)
-    return np.asarray(begins[gap[begins + length - 1] == gap[begins]])
-
-
-def _wanted(record: Window, length: int, whole: np.ndarray) -> list[int]:
-    """Begins of stretches, the most telling first: the newest, a setpoint change, the largest error, in turn."""
-    newest = [int(whole[-1])]
+    whole = begins[gap[begins + length - 1] == gap[begins]]
+    newest = [(int(begin), length) for begin in whole[-1:]]
     moves = np.abs(np.diff(record.sp))
-    largest = np.argsort(moves)[::-1][:20]
-    changes = [int(i - BEFORE * length) for i in largest if moves[i] > 0]
-    error = (record.sp - record.pv) ** 2
-    sums = np.concatenate([[0.0], np.cumsum(error)])
+    changes = [(int(i - BEFORE * length), length) for i in np.argsort(moves)[::-1][:EVENTS] if moves[i] > 0]
+    error = record.sp - record.pv
+    telling = _events(error, len(error) // 2) if events else []
+    telling = telling or [(begin, length) for begin in _largest(error, whole, length)]
+    spread = [(int(b), length) for b in whole[np.linspace(0, len(whole) - 1, 12).astype(int)]] if len(whole) else []
+    for some in zip_longest(newest, changes, telling[::2], telling[1::2], spread):
+        yield from (stretch for stretch in some if stretch is not None)
+
+
+def _events(error: FloatArray, longest: int) -> list[Stretch]:
+    """Stretches round events, the most unusual first."""
+    level = error - np.median(error)
+    found: list[tuple[float, Stretch]] = []
+    for width in WIDTHS:
+        means = np.abs(running_mean(level, width))
+        usual = 1.4826 * float(np.median(means))
+        many = min(max(OF_A_WIDTH * width, FEWEST), USUAL, longest)
+        if usual <= 0 or many <= 0:
+            continue
+        blocks = np.maximum.reduceat(means, np.arange(0, len(means), many))
+        for block in np.argsort(blocks)[::-1][:EVENTS]:
+            at = int(block * many + np.argmax(means[block * many : (block + 1) * many]))
+            if means[at] > LEAST_SCORE * usual:
+                found.append((float(means[at]) / usual, (int(at - BEFORE * many), many)))
+    return [stretch for _, stretch in sorted(found, reverse=True)]
+
+
+def _largest(error: FloatArray, whole: np.ndarray, length: int) -> Sequence[int]:
+    """Begins of stretches without gaps in which the error is largest."""
+    sums = np.concatenate([[0.0], np.cumsum(error**2)])
     energy = sums[whole + length] - sums[whole]
-    strongest = [int(whole[i]) for i in np.argsort(energy)[::-1][:: max(length // 4, 1)][:20]]
-    spread = [int(b) for b in whole[np.linspace(0, len(whole) - 1, 12).astype(int)]]
-    allowed = set(whole.tolist())
-    order: list[int] = []
-    columns = [_padded(begins, 20) for begins in (newest, changes, strongest, spread)]
-    for some in zip(*columns, strict=True):
-        order += [begin for begin in some if begin in allowed]
-    return order
-
-
-def _padded(begins: list[int], count: int) -> list[int]:
-    """A list of a given length; -1 is no begin."""
-    return (begins + [-1] * count)[:count]
+    return [int(whole[i]) for i in np.argsort(energy)[::-1][:: max(length // 4, 1)][:EVENTS]]

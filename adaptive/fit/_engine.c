@@ -23,10 +23,11 @@
 #include <Python.h>
 
 #include "engine_c/refine.h"
+#include "engine_c/screen.h"
 #include "engine_c/search.h"
 #include "engine_c/valves.h"
 
-#define VERSION "1"
+#define VERSION "2"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -459,12 +460,42 @@ static PyObject *py_valve_costs(PyObject *self, PyObject *args) {
     return ended(call, Py_NewRef(Py_None));
 }
 
+/* screen(t, sp, pv, co, longest, band, shortest, width, out): the numbers of a record, in the order of Sums. */
+static PyObject *py_screen(PyObject *self, PyObject *args) {
+    (void)self;
+    static const char *const NAMES[] = {"t", "sp", "pv", "co"};
+    PyObject *from[9];
+    Call *call = begun(args, from, 9);
+    if (!call)
+        return NULL;
+    View *v = call->views;
+    Measure by = {PyFloat_AsDouble(from[4]), PyFloat_AsDouble(from[5]), PyFloat_AsDouble(from[6]),
+                  PyLong_AsSsize_t(from[7])};
+    if (PyErr_Occurred())
+        return ended(call, NULL);
+    for (int i = 0; i < 4; i++)
+        if (finite_view(from[i], &v[i], NAMES[i], 0) || sized(&v[i], v[0].n, NAMES[i]))
+            return ended(call, NULL);
+    if (increasing(&v[0]) || view(from[8], &v[4], "out", 1) || sized(&v[4], SUMS, "out"))
+        return ended(call, NULL);
+    if (v[0].n < 3 || !(by.longest > 0 && by.band >= 0 && by.shortest >= 1) || by.width < 1 || by.width > v[0].n)
+        return refuse("screen: three samples, longest and shortest above 0, band from 0, a width of 1 to all are needed"),
+               ended(call, NULL);
+    Sums sums;
+    Py_BEGIN_ALLOW_THREADS
+    screen(v[0].x, v[1].x, v[2].x, v[3].x, v[0].n, &by, &sums);
+    Py_END_ALLOW_THREADS
+    memcpy(v[4].x, &sums, sizeof sums);
+    return ended(call, Py_NewRef(Py_None));
+}
+
 static PyMethodDef METHODS[] = {
     {"refine", py_refine, METH_VARARGS, NULL},     {"costs", py_costs, METH_VARARGS, NULL},
     {"project", py_project, METH_VARARGS, NULL},   {"jacobian", py_jacobian, METH_VARARGS, NULL},
     {"gains", py_gains, METH_VARARGS, NULL},       {"colour", py_colour, METH_VARARGS, NULL},
     {"search", py_search, METH_VARARGS, NULL},     {"position", py_position, METH_VARARGS, NULL},
     {"scan", py_scan, METH_VARARGS, NULL},         {"valve_costs", py_valve_costs, METH_VARARGS, NULL},
+    {"screen", py_screen, METH_VARARGS, NULL},
     {NULL, NULL, 0, NULL},
 };
 

@@ -77,3 +77,15 @@ def scan(
 def valve_costs(
     t: Numbers, pv: Numbers, co: Numbers, numbers: Numbers, p: Numbers, valves: Numbers, out: Numbers, /
 ) -> None: ...
+def screen(
+    t: Numbers,
+    sp: Numbers,
+    pv: Numbers,
+    co: Numbers,
+    longest: float,
+    band: float,
+    shortest: float,
+    width: int,
+    out: Numbers,
+    /,
+) -> None: ...

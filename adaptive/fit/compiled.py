@@ -20,7 +20,7 @@ from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import Prior
 from retuner.adaptive.fit.search import Grid, Node
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
 """In the order of their numbers."""
@@ -161,3 +161,11 @@ def valve_costs(misfit: Misfit, p: FloatArray, valves: Sequence[Valve]) -> list[
         t, pv, misfit.record.co, numbers, np.ascontiguousarray(p), array("d", chain.from_iterable(valves)), out
     )
     return out.tolist()
+
+
+def screened(record: Window, by: tuple[float, float, float, int], numbers: int) -> FloatArray:
+    """The sums over a whole record (record_sums.py); by : of a Measure. numbers : of sums."""
+    out = np.empty(numbers)
+    t_s, sp, pv, co = (np.ascontiguousarray(x) for x in (record.t_s, record.sp, record.pv, record.co))
+    _engine.screen(t_s, sp, pv, co, *by, out)
+    return out

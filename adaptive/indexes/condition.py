@@ -13,6 +13,7 @@ In this order, the first that applies:
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -87,6 +88,26 @@ class RecordCondition:
         return SENTENCES[self.condition]
 
 
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What the condition of a record is told from.
+
+    dead_pv, dead_co : the signal is constant. still : share of samples in long stretches of constant co. at_limit :
+    share of samples with co at a limit. sp_moving, offset : as in RecordCondition. pv_moves, co_moves : slowly, more
+    than noise does. escapes : co goes one way, or the setpoint asks for more than noise; asked where pv does not move.
+    """
+
+    dead_pv: bool
+    dead_co: bool
+    still: float
+    at_limit: float
+    sp_moving: float
+    offset: float
+    pv_moves: bool
+    co_moves: bool
+    escapes: Callable[[], bool]
+
+
 def record_condition(window: Window, at_limit_share: float = 0.0, *, oscillates: bool = False) -> RecordCondition:
     """Judge a record.
 
@@ -98,26 +119,39 @@ def record_condition(window: Window, at_limit_share: float = 0.0, *, oscillates:
     offset = abs(float(np.mean(e))) / spread if spread > 0 else 0.0
     still = sum(end - start for start, end in still_stretches(window.co)) / len(window.co)
     moving = float(np.mean(np.diff(window.sp) != 0))
-    condition = _condition(window, still - at_limit_share, moving, offset, at_limit_share)
+    traits = Traits(
+        _dead(window.pv), _dead(window.co), still, at_limit_share, moving, offset,
+        _slow_movement(window.pv), _slow_movement(window.co), lambda: escapes(window),
+    )  # fmt: skip
+    return condition_of(traits, oscillates=oscillates)
+
+
+def condition_of(traits: Traits, *, oscillates: bool = False) -> RecordCondition:
+    """The condition that these traits make; oscillates : see record_condition."""
+    condition = _condition(traits)
     if oscillates and condition in {Condition.QUIET, Condition.NO_RESPONSE}:
         condition = Condition.NORMAL
-    return RecordCondition(condition, still, moving, offset)
+    return RecordCondition(condition, traits.still, traits.sp_moving, traits.offset)
 
 
-def _condition(window: Window, still: float, moving: float, offset: float, at_limit: float) -> Condition:
+def _condition(traits: Traits) -> Condition:
     """The first that applies, the most fundamental first."""
-    if _dead(window.pv):
+    if traits.dead_pv:
         return Condition.DEAD_PV
-    if _dead(window.co):
+    if traits.dead_co:
         return Condition.DEAD_CO
-    if still > STILL_SHARE:
+    if traits.still - traits.at_limit > STILL_SHARE:
         return Condition.MANUAL
-    pv_moves, co_moves = _slow_movement(window.pv), _slow_movement(window.co)
-    if not pv_moves and moving < MOVING_SHARE:
-        return Condition.NO_RESPONSE if co_moves and (_escapes(window) or _asked(window)) else Condition.QUIET
-    if offset > OFFSET_RATIO and at_limit < STILL_SHARE:
+    if not traits.pv_moves and traits.sp_moving < MOVING_SHARE:
+        return Condition.NO_RESPONSE if traits.co_moves and traits.escapes() else Condition.QUIET
+    if traits.offset > OFFSET_RATIO and traits.at_limit < STILL_SHARE:
         return Condition.NOT_CONTROLLING
-    return Condition.MOVING_SETPOINT if moving > MOVING_SHARE else Condition.NORMAL
+    return Condition.MOVING_SETPOINT if traits.sp_moving > MOVING_SHARE else Condition.NORMAL
+
+
+def escapes(window: Window) -> bool:
+    """Whether co goes one way all the time, or the setpoint asks for more than noise: a pv would answer."""
+    return _escapes(window) or _asked(window)
 
 
 def _dead(x: FloatArray) -> bool:

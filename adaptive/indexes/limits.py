@@ -51,11 +51,30 @@ def at_limits(co: FloatArray, co_min: float | None = None, co_max: float | None 
 def _recognised(x: FloatArray) -> float:
     """Share of samples at the upper extreme where it looks like a limit, else 0."""
     top = x == np.max(x)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], top.astype(np.int8), [0]])))
-    lengths = edges[1::2] - edges[::2]
-    stretches = int(np.sum(lengths >= STRETCH))
-    steps = np.diff(x) != 0
-    elsewhere = ~(top[1:] & top[:-1])
-    moving = float(np.mean(steps[elsewhere])) if np.any(elsewhere) else 0.0
-    recognised = moving > MOVING and (stretches > 1 or (stretches == 1 and bool(np.max(lengths) >= 4 * STRETCH)))
-    return float(np.mean(top)) if recognised else 0.0
+    lengths = runs(top)
+    changes = int(np.count_nonzero(np.diff(x)))
+    long = int(np.sum(lengths >= STRETCH))
+    return (
+        float(np.mean(top))
+        if is_limit(len(x), changes, int(np.sum(lengths)), len(lengths), long, int(np.max(lengths)))
+        else 0.0
+    )
+
+
+def runs(true: np.ndarray) -> np.ndarray:
+    """Lengths of the runs of true samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
+    return np.asarray(edges[1::2] - edges[::2])
+
+
+def is_limit(samples: int, changes: int, at_it: int, stretches: int, long: int, longest: int) -> bool:
+    """Whether an extreme of co is a limit.
+
+    Parameters
+    ----------
+    samples : of the record. changes : steps in which co changes. at_it : samples at the extreme, in so many stretches.
+    long : stretches of STRETCH samples or more. longest : stretch, in samples.
+    """
+    elsewhere = samples - 1 - (at_it - stretches)
+    moving = changes / elsewhere if elsewhere > 0 else 0.0
+    return moving > MOVING and (long > 1 or (long == 1 and longest >= 4 * STRETCH))

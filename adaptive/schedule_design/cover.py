@@ -16,6 +16,8 @@ from retuner.schedule.table import Lookup
 
 CALMER = (1.0, 0.92, 0.85)
 """Factors on a place's own gains that are tried as well: a calmer set may serve more places."""
+LEAST_PART = 0.001
+"""Share of the way from the first knot to the last within which two edges are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +154,7 @@ def _knotted(places: Sequence[Place], way: Sequence[int]) -> Layout | None:
         offset, sign = 2 * c0 - offset, -sign
         a, b = sorted(((c0 - offset) / sign, (c1 - offset) / sign))
         low, high = max(low, a), min(high, b)
-    if not low < high:
+    if low > -float("inf") and high - low < LEAST_PART * (centres[-1] - centres[0]):
         return None
     edges = [(low + high) / 2 if low > -float("inf") else high - (centres[1] - centres[0]) / 2]
     for c in centres:

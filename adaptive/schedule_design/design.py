@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.schedule_design.cover import Layout, knots, steps
+from retuner.adaptive.schedule_design.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.curves import Curves, curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
 from retuner.adaptive.schedule_design.shapes import Axis
@@ -40,6 +42,7 @@ class Design:
 
     variable : that it follows. places : along it. layout : the sets; None where nothing is known well enough.
     hysteresis, min_stay_s, filter_s : of the lookup. candidates : the variables that were weighed. reason : in words.
+    crossings : steps over the range in motion.
     """
 
     variable: str
@@ -50,6 +53,7 @@ class Design:
     min_stay_s: float
     candidates: tuple[Evidence, ...]
     reason: str
+    crossings: tuple[Crossing, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,8 @@ SEEN = 5
 def direction(windows: Sequence[Window]) -> int | None:
     """Sign of the process gain as the controller's answers to setpoint changes show it; None where there are too few.
 
-    In a loop that is closed and works, co goes the process' way when the setpoint moves.
+    In a loop that is closed and works, co goes the process' way when the setpoint moves. Where it never does, the
+    controller is read off the record.
     """
     votes = []
     for window in windows:
@@ -128,7 +133,10 @@ def direction(windows: Sequence[Window]) -> int | None:
             votes.append(math.copysign(1.0, moved[row]) * kick)
     total = sum(votes)
     against = sum(abs(v) for v in votes if v * total < 0)
-    return None if not votes or against > abs(total) else int(math.copysign(1, total))
+    if votes and against <= abs(total):
+        return int(math.copysign(1, total))
+    read_off = (settings_in_force(window).direction for window in windows)
+    return next((way for way in read_off if way is not None), None)
 
 
 def _evidence(name: str, found: Curves) -> Evidence:
@@ -178,7 +186,9 @@ def _designed(
         )
     sets = len(layout.sets)
     how = "one set serves every place" if sets == 1 else f"{sets} sets, {layout.lookup}"
-    return Design(chosen.name, found, places, layout, border, stay, evidence, how)
+    moving_by = (chosen.name,) if chosen.name in {"sp", "pv"} else ()
+    moved = tuple(crossings(found, places, layout, moving_by)) if sets > 1 else ()
+    return Design(chosen.name, found, places, layout, border, stay, evidence, how, moved)
 
 
 def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:

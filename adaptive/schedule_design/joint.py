@@ -21,7 +21,7 @@ from retuner.adaptive.signals.sample import FloatArray
 STEP = 1e-4
 """Of z, for derivatives."""
 ITERATIONS = 30
-SETTLED = 1e-3
+SETTLED = 0.02
 """Fall of the misfit that ends the search."""
 LARGEST_MOVE = 0.7
 """Largest change of any ln p in one iteration."""

@@ -107,23 +107,36 @@ def _between(rows: FloatArray) -> FloatArray:
 
 def _run(kick: FloatArray, decay: FloatArray, gain: FloatArray, start: FloatArray | None) -> FloatArray:
     """The two recursions of q and y."""
+    w0 = kick[0] if start is None else kick[0] + start
+    w = recursion(decay[:-1], kick[1:], w0)
     y = np.zeros((len(kick) + 1, *kick.shape[1:]))
-    w = np.zeros(kick.shape[1:]) if start is None else np.array(start, dtype=np.float64)
-    for i in range(len(kick)):
-        w += kick[i]
-        np.multiply(w, gain[i], out=y[i + 1])
-        w *= decay[i]
-    return np.cumsum(y, axis=0)
+    np.cumsum(w * gain, axis=0, out=y[1:])
+    return y
 
 
 def _lagged(tau2: FloatArray, held: FloatArray, h: FloatArray) -> FloatArray:
     """Means over each interval of a first-order lag of the held input, which rests at the start."""
     decay = np.exp(-h / tau2)
-    share = tau2 / h * (1 - decay)
-    found = np.empty_like(held)
-    v = held[0].copy()
-    for i in range(len(held)):
-        away = v - held[i]
-        found[i] = held[i] + away * share[i]
-        v = held[i] + away * decay[i]
-    return found
+    v = recursion(decay, (1 - decay) * held, held[0])[:-1]
+    return np.asarray(held + (v - held) * (tau2 / h * (1 - decay)), dtype=np.float64)
+
+
+BLOCK = 32
+"""Rows that are gone through at a time."""
+LEAST_DECAY = 1e-8
+"""What has decayed further than this within a row counts as that: products over a block stay far from zero."""
+
+
+def recursion(decay: FloatArray, moved: FloatArray, start: FloatArray) -> FloatArray:
+    """x_0 = start, x_(i+1) = decay_i x_i + moved_i along the first axis; by blocks, x_(j+1) = P_j (x_0 + sum m_i/P_i).
+
+    P_j is the product of the decays of a block up to j.
+    """
+    decay = np.broadcast_to(np.maximum(decay, LEAST_DECAY), moved.shape)
+    x = np.empty((len(moved) + 1, *moved.shape[1:]))
+    x[0] = start
+    for first in range(0, len(moved), BLOCK):
+        block = slice(first, first + BLOCK)
+        product = np.cumprod(decay[block], axis=0)
+        x[1:][block] = product * (x[first] + np.cumsum(moved[block] / product, axis=0))
+    return x

@@ -13,7 +13,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc_on
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.loop.performance import load_variation, setpoint_variation
-from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.process.model import LinearProcess, ProcessModel, ProcessType
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.gains import PidGains
@@ -63,6 +63,7 @@ class Judged:
 class Place:
     """One place x: the process, the models still allowed, and the settings that are its own.
 
+    processes : of the model and of all allowed, as the sampled controller sees them.
     ln_std : of ln b, ln theta, ln tau (, ln tau2). gain_std : of ln Kc of its own settings. known : whether settings
     may follow. iae : of its own settings for a step of setpoint and of load.
     """
@@ -70,6 +71,7 @@ class Place:
     x: float
     model: ProcessModel
     allowed: tuple[ProcessModel, ...]
+    processes: tuple[LinearProcess, ...]
     ln_std: tuple[float, ...]
     gain_std: float
     known: bool
@@ -88,17 +90,28 @@ class Place:
         """Whether a set meets the limits here; a place that is not known demands nothing."""
         if not self.known:
             return True
-        if self._worst(gains) > max(limits.ms, self._worst(self.own)):
+        if gains in self._judged:
+            return self.judged(gains).ms_worst <= self._limit(limits) and self.judged(gains).j <= limits.j
+        limit = self._limit(limits)
+        if self._least_j(gains) > limits.j:
+            return False
+        if any(sensitivity_peak(process, gains) > limit for process in self.processes):  # the first is enough
             return False
         return self.judged(gains).j <= limits.j
 
-    def _worst(self, gains: PidGains) -> float:
-        models = (m.seen_by_controller(self.sample_time_s).linear() for m in (self.model, *self.allowed))
-        return max(sensitivity_peak(m, gains) for m in models)
+    def _least_j(self, gains: PidGains) -> float:
+        """What J is at the least: an error that never changes its sign has the integral 1/(k ki), of a load 1/ki."""
+        if not gains.ki:
+            return math.inf
+        return 0.5 * abs(1 / (self.model.k * gains.ki) / self.iae[0] + 1 / (gains.ki * self.iae[1]))
+
+    def _limit(self, limits: DesignLimits) -> float:
+        """Of Ms here: where its own settings cannot keep what is demanded, what they reach."""
+        return max(limits.ms, self.judged(self.own).ms_worst)
 
     def _judge(self, gains: PidGains) -> Judged:
-        process = self.model.seen_by_controller(self.sample_time_s).linear()
-        ms, worst = sensitivity_peak(process, gains), self._worst(gains)
+        peaks = [sensitivity_peak(process, gains) for process in self.processes]
+        ms, worst = peaks[0], max(peaks)
         if not math.isfinite(ms):
             return Judged(ms, worst, math.inf)
         setpoint, load = iae(self.model, gains, self.sample_time_s)
@@ -126,7 +139,8 @@ def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimit
     spread = _gain_spread(ln, covariance)
     std = tuple(float(s) for s in np.sqrt(np.diag(covariance)))
     known = spread <= limits.std
-    return Place(x, model, allowed, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
+    seen = tuple(m.seen_by_controller(sample_time_s).linear() for m in (model, *allowed))
+    return Place(x, model, allowed, seen, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
 
 
 def _gain_spread(ln: FloatArray, covariance: FloatArray) -> float:

@@ -73,8 +73,9 @@ def _node(batch: Batch, moved: FloatArray, begun: FloatArray, ar: Sequence[float
     for j, stretch in enumerate(batch.stretches):
         n = len(stretch)
         columns = np.stack([np.ones(n), begun[:n, j], moved[:n, j], batch.pv[:n, j]], axis=1)
-        q = np.linalg.qr(white(columns, ar) / max(noise_sigma(stretch.pv), 1e-9), mode="r")
-        xx, xy, yy = xx + q[2, 2] ** 2, xy + q[2, 2] * q[2, 3], yy + q[2, 3] ** 2 + q[3, 3] ** 2
+        triangle = np.linalg.qr(white(columns, ar) / max(noise_sigma(stretch.pv), 1e-9))[1]
+        a, b, c = triangle[2, 2], triangle[2, 3], triangle[3, 3]
+        xx, xy, yy = xx + a**2, xy + a * b, yy + b**2 + c**2
     slope = float(xy / max(xx, 1e-300))
     return float(yy - xy * slope), slope
 

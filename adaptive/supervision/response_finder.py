@@ -110,6 +110,12 @@ class ResponseFinder:
         return RecogniserPhase(self._state.phase) if self._state else None
 
     @property
+    def at_rest(self) -> bool:
+        """Whether it waits for the next response, and none has begun."""
+        state = self._state
+        return state is not None and state.phase == RecogniserPhase.LOCATE_1 and not state.started
+
+    @property
     def band(self) -> float:
         """Noise band in pv units."""
         return max(self._floor, self._per_median * self._median)

@@ -3,18 +3,15 @@
     sample -> finder -> completed response -> pipeline -> decision
            -> trial -> the verified set is restored
 
-The object is a thin shell round pure steps: no clock, no file, no bus. It never writes gains: it hands out a decision,
-and learns by `committed` what the controller then reported.
+The object is a thin shell round pure steps. It hands out decisions, and learns by `committed` what is then in force.
 
 A decision may take longer than a sample. `observe` makes it on the spot; whoever cannot wait takes its three steps:
 
     step(sample)                    a decision that needs no fit, or a Question, or nothing
     decide(question)                the answer: a pure function of plain values, anywhere (pipeline.py)
     enter(question, result, n)      the decision, entered at the n-th sample
-
-Between the first and the last the samples go on, and what ends a trial at once does so. One question is open at a
-time: a response that completes meanwhile is passed over. An answer that came too late is refused with its reason.
-At which sample it is entered is the caller's choice and stands in the decision: the same choice, the same decisions.
+Between the first and the last the samples go on. One question is open at a time: a response that completes meanwhile
+is passed over. The caller chooses at which sample an answer is entered; one that came too late is refused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -90,11 +87,10 @@ class Retuner:
 
     Parameters
     ----------
-    table : regions and the gains in force in each.
-    settings : see RetunerSettings.
+    table : regions and the gains in force in each. settings : see RetunerSettings.
     commissioned : the table as it was at first, when `table` is a later revision of it.
 
-    Its attribute `table` is the gain table as it stands; nothing else changes it.
+    Its attribute `table` is the gain table as it stands.
     """
 
     def __init__(self, table: GainTable, settings: RetunerSettings, commissioned: GainTable | None = None) -> None:
@@ -111,8 +107,7 @@ class Retuner:
         )
         self._decisions = 0
         self._open: OpenQuestion | None = None
-        self.sample_number = 0
-        """Samples observed so far."""
+        self.sample_number = 0  # samples observed so far
 
     @property
     def region(self) -> int | None:
@@ -128,6 +123,11 @@ class Retuner:
     def phase(self) -> RecogniserPhase | None:
         """Where the recogniser stands."""
         return self._finder.phase
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no response is under way."""
+        return self._finder.at_rest
 
     @property
     def band(self) -> float:

@@ -35,6 +35,7 @@ ANSWERS = {
     "stiction": {"stiction"},
     "external": {"external"},
     "saturation": {"saturation"},
+    "interaction": {"interaction"},
 }
 """Causes that are right, by the true kind; manual and dead loops are told by what is to be done."""
 NO_VISIT = {"nothing", "record a setpoint step"}
@@ -43,6 +44,8 @@ DONE = {"manual": "find out why it is in manual", "dead": "check the sensor or t
 
 def is_right(loop: Loop, row: Row) -> bool:
     """Whether the verdict is the true one."""
+    if loop.kind == "interaction":
+        return bool(row.get("interaction")) and loop.against in row.get("swings_with", [])
     return row["action"] == DONE[loop.kind] if loop.kind in DONE else row["cause"] in ANSWERS[loop.kind]
 
 
@@ -55,6 +58,7 @@ def judged(loops: dict[str, Loop], rows: list[Row], groups: list) -> dict[str, o
     wrong = [(row["tag"], loops[str(row["tag"])].kind, row["cause"], row["action"]) for row in first]
     wrong = [w for w in wrong if w[1] not in FAULTS]
     upset = [loop for loop in loops.values() if loop.root]
+    masters = {str(row["tag"]): row.get("master") or "" for row in rows}
     root_of = {tag: group.root for group in groups for tag in group.tags}
     return {
         "right": {kind: f"{right[kind]} of {total[kind]}" for kind in total},
@@ -62,11 +66,19 @@ def judged(loops: dict[str, Loop], rows: list[Row], groups: list) -> dict[str, o
         "first_places_deserve": f"{len(first) - len(wrong)} of {len(first)}",
         "first_places_wrong": wrong,
         "roots_right": f"{sum(root_of.get(loop.tag) == loop.root for loop in upset)} of {len(upset)} upset loops",
+        "groups_true": f"{sum(_is_true(group.tags, loops) for group in groups)} of {len(groups)}",
+        "masters_right": f"{sum(masters[tag] == loop.master for tag, loop in loops.items())} of {len(loops)}",
         "retune_of_sticking": sum(
             row["action"] == "retune" for row in rows if loops[str(row["tag"])].kind == "stiction"
         ),
         "failed": [row["failed"] for row in rows if "failed" in row],
     }
+
+
+def _is_true(tags: tuple[str, ...], loops: dict[str, Loop]) -> bool:
+    """Whether the loops of a group swing together in truth: one root, its own loop too, or a pair."""
+    sources = {loops[tag].root or min(tag, loops[tag].against or tag) for tag in tags}
+    return len(sources) == 1
 
 
 def screening(path: Path, loops: list[Loop]) -> dict[str, float]:
@@ -85,6 +97,16 @@ def screening(path: Path, loops: list[Loop]) -> dict[str, float]:
     return {name: round(s / times["arrow"], 2) for name, s in times.items()}
 
 
+def made_plant(folder: Path, count: int, days: float, seed: int) -> list[Loop]:
+    """The loops of a plant in a folder, made there unless it is the same that stands there."""
+    path, asked = folder / "truth.json", [count, days, seed]
+    if path.is_file() and json.loads(path.read_text())["asked"] == asked:
+        return [Loop(**loop) for loop in json.loads(path.read_text())["loops"]]
+    loops = [loop for some in plant(folder, count, days, seed) for loop in some]
+    path.write_text(json.dumps({"asked": asked, "loops": [vars(loop) for loop in loops]}))
+    return loops
+
+
 def _largest_kb(who: int) -> int:
     """The largest resident memory of this process, or of those that it waited for."""
     return resource.getrusage(who).ru_maxrss
@@ -97,13 +119,17 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=kind, default=default)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder in which the plant stays")
+    parser.add_argument("--rows", type=Path, help="file for all rows and what is true of the loops")
+    parser.add_argument("--only-make", action="store_true", help="make the plant in --keep and nothing else")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         folder = given.keep or Path(made)
         folder.mkdir(exist_ok=True)
-        chunks = list(plant(folder, given.loops, given.days, given.seed))
-        loops = {loop.tag: loop for some in chunks for loop in some}
-        ratios = screening(folder / "unit001.parquet", chunks[0])
+        made_of = made_plant(folder, given.loops, given.days, given.seed)
+        if given.only_make:
+            return
+        loops = {loop.tag: loop for loop in made_of}
+        ratios = screening(folder / "unit001.parquet", made_of)
         found = catalogue(files_of([folder]), RecordForm())
         before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime + time.process_time()
         rows = [r for _, some in on_this_machine(found.tasks, AuditSettings(given.stretches), given.jobs) for r in some]
@@ -116,6 +142,10 @@ def main() -> None:
             "largest_process_mb": max(map(_largest_kb, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))) // 1024,
             "seed": given.seed,
         }
+    if given.rows:
+        given.rows.write_text(
+            json.dumps({"rows": rows, "listed": listed, "truth": {tag: vars(loop) for tag, loop in loops.items()}})
+        )
     for name, value in result.items():
         print(f"{name:32} {value}")
     print(json.dumps(result))

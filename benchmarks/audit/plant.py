@@ -6,14 +6,14 @@ with the product: the valve is that of He et al. (2007), the historian's compres
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 DT_S = 10.0
 KINDS = {
-    "ok": 0.40,
+    "ok": 0.36,
     "sluggish": 0.10,
     "aggressive": 0.10,
     "stiction": 0.10,
@@ -22,16 +22,23 @@ KINDS = {
     "saturation": 0.05,
     "dead": 0.03,
     "cascade": 0.05,
+    "interaction": 0.04,
 }
-"""Share of the loops of each kind; a cascade is a slave in order under a master that moves its setpoint."""
-FAULTS = ("sluggish", "aggressive", "stiction", "external", "saturation", "manual", "dead")
+"""Share of the loops of each kind; a cascade is a slave in order, the output of another loop is its setpoint; two loops
+that are each in order swing against each other (interaction)."""
+FAULTS = ("sluggish", "aggressive", "stiction", "external", "saturation", "manual", "dead", "interaction")
+CROSS = 1.0
+"""What an interacting loop's output does to the other, over what it does to its own process; of opposite signs."""
 GROUP = 10
 """Loops that one sticking valve upsets, besides the loop of the valve itself."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """What is true: kind, process k, tau_s, theta_s, settings, stick band, size of loads, the root that upsets it."""
+    """What is true: kind, process k, tau_s, theta_s, settings, stick band, size of loads.
+
+    root : the loop that upsets it. master : of a cascade's slave. against : the loop that it swings against.
+    """
 
     tag: str
     kind: str
@@ -43,6 +50,8 @@ class Loop:
     stick: float
     load: float
     root: str = ""
+    master: str = ""
+    against: str = ""
 
 
 def draw(count: int, rng: np.random.Generator) -> list[Loop]:
@@ -54,7 +63,14 @@ def draw(count: int, rng: np.random.Generator) -> list[Loop]:
     roots = [loop.tag for loop in loops if loop.kind == "stiction"]
     upset = [i for i, loop in enumerate(loops) if loop.kind == "external"]
     for j, i in enumerate(upset):
-        loops[i] = Loop(**{**vars(loops[i]), "root": roots[(j // GROUP) % len(roots)]})
+        loops[i] = replace(loops[i], root=roots[(j // GROUP) % len(roots)])
+    masters = [loop.tag for loop in loops if loop.kind == "ok"]
+    for j, i in enumerate(i for i, loop in enumerate(loops) if loop.kind == "cascade"):
+        loops[i] = replace(loops[i], master=masters[j % len(masters)])
+    pairs = [i for i, loop in enumerate(loops) if loop.kind == "interaction"]
+    for i, j in zip(pairs[::2], pairs[1::2], strict=False):
+        loops[j] = replace(loops[i], tag=loops[j].tag, against=loops[i].tag)
+        loops[i] = replace(loops[i], against=loops[j].tag)
     return loops
 
 
@@ -79,7 +95,8 @@ def simulate(
     ki = kc * DT_S / np.array([loop.tau_i_s for loop in loops])
     delay = np.maximum(np.round(np.array([loop.theta_s for loop in loops]) / DT_S).astype(int), 1)
     stick = np.array([loop.stick for loop in loops])
-    sp, load = _setpoints(loops, n, rng), _loads(loops, n, rng)
+    sp, load = _setpoints(loops, n, rng, outside), _loads(loops, n, rng)
+    cross = _cross(loops)
     for j, loop in enumerate(loops):
         if loop.root in outside:
             load[:, j] += outside[loop.root][:n] * loop.load
@@ -92,7 +109,8 @@ def simulate(
     sent = np.full((n + int(delay.max()) + 1, m), 50.0)
     columns = np.arange(m)
     for i in range(n):
-        x = a * x + (1 - a) * k * (sent[i + delay.max() - delay, columns] + load[i])
+        felt = sent[i + delay.max() - delay, columns]
+        x = a * x + (1 - a) * k * (felt + (felt - 50.0) @ cross + load[i])
         pv[i] = x + noise[i]
         error = sp[i] - pv[i]
         wanted = kc * error + integral
@@ -107,13 +125,22 @@ def simulate(
     return {"sp": sp, "pv": pv, "co": co}
 
 
-def _setpoints(loops: list[Loop], n: int, rng: np.random.Generator) -> np.ndarray:
-    """Setpoints: a change now and then; a cascade's follows a master."""
+def _cross(loops: list[Loop]) -> np.ndarray:
+    """What the outputs do to other loops, shape (from, to)."""
+    at = {loop.tag: j for j, loop in enumerate(loops)}
+    cross = np.zeros((len(loops), len(loops)))
+    for j, loop in enumerate(loops):
+        if loop.against in at:
+            cross[at[loop.against], j] = CROSS if at[loop.against] < j else -CROSS
+    return cross
+
+
+def _setpoints(loops: list[Loop], n: int, rng: np.random.Generator, outside: dict[str, np.ndarray]) -> np.ndarray:
+    """Setpoints: a change now and then; a cascade's is its master's output."""
     sp = np.tile([50.0 * loop.k for loop in loops], (n, 1))
     for j, loop in enumerate(loops):
         if loop.kind == "cascade":
-            walk = np.cumsum(rng.normal(size=n)) * 0.05
-            sp[:, j] += loop.k * (walk - np.linspace(0, walk[-1], n))
+            sp[:, j] += loop.k * 0.5 * outside[loop.master][:n]
         elif rng.random() < 0.5 and loop.kind != "manual":
             for at in rng.integers(0, n, max(int(n * DT_S / 86_400), 1)):
                 sp[at:, j] += loop.k * rng.choice([-1, 1]) * rng.uniform(1.0, 3.0)
@@ -154,27 +181,32 @@ def swinging_door(values: np.ndarray, deviation: float) -> np.ndarray:
     return np.interp(np.arange(len(plain)), kept, values[kept])
 
 
-def plant(folder: Path, count: int, days: float, seed: int, chunk: int = 25) -> Iterator[list[Loop]]:
+def plant(folder: Path, count: int, days: float, seed: int, chunk: int = 125) -> Iterator[list[Loop]]:
     """Write a plant as wide Parquet files of some loops each; what is true of their loops, file by file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     rng = np.random.default_rng(seed)
     loops = draw(count, rng)
-    loops.sort(key=lambda loop: loop.kind == "external")  # after the roots that upset them
+    loops.sort(key=lambda loop: loop.kind != "interaction")  # the two of a pair in one file
+    later = [loop for loop in loops if loop.root or loop.master]  # after the loops that they hang on
+    loops = [loop for loop in loops if loop not in later]
+    files = [some[i : i + chunk] for some in (loops, later) for i in range(0, len(some), chunk)]
     outside: dict[str, np.ndarray] = {}
-    for first in range(0, len(loops), chunk):
-        some = loops[first : first + chunk]
+    masters = {loop.master for loop in later}
+    for number, some in enumerate(files, start=1):
         trends = simulate(some, days, rng, outside)
         for j, loop in enumerate(some):
             if loop.kind == "stiction":
                 wave = trends["pv"][:, j] - trends["sp"][:, j]
                 outside[loop.tag] = wave / (np.std(wave) or 1.0)
+            elif loop.tag in masters:
+                outside[loop.tag] = trends["co"][:, j] - 50.0
         since = (np.arange(len(trends["sp"])) * int(DT_S)).astype("timedelta64[s]")
         columns = {"time": np.datetime64(1_700_000_000, "s") + since}
         for j, loop in enumerate(some):
             for role, name in (("sp", "SP"), ("pv", "PV"), ("co", "OP")):
                 values = trends[role][:, j]
                 columns[f"{loop.tag}.{name}"] = (values if role == "sp" else recorded(values, rng)).astype(np.float32)
-        pq.write_table(pa.table(columns), folder / f"unit{first // chunk + 1:03d}.parquet")
+        pq.write_table(pa.table(columns), folder / f"unit{number:03d}.parquet")
         yield some

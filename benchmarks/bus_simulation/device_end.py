@@ -8,6 +8,7 @@ import can
 
 from bus_simulation import truth as t
 from bus_simulation.bus import Bus
+from bus_simulation.layers.door import Door
 from bus_simulation.truth import Ran, Truth, ViolationError
 from bus_simulation.twin import Twin
 from retuner.drivers.controller.gain_memory import Slot
@@ -20,6 +21,7 @@ COMMAND = (1 << COMMAND_BITS) - 1
 SEQUENCES = 1 << 16
 LEAP = 64  # numbers by which no honest host goes ahead at once
 BUFFER = 64  # frames that a device which hangs still receives
+TORN = 0.1  # share of the times a place is written in which power fails meanwhile
 SAFE = 1 << 60  # messages until a crash: none
 
 
@@ -46,8 +48,11 @@ class DeviceEnd:
     nothing while its receive buffer fills.
     """
 
-    def __init__(self, bus: Bus, device: VirtualDevice, truth: Truth, rng: Random, twin: Twin | None = None) -> None:
-        self.bus, self.device, self.truth, self._rng, self._twin = bus, device, truth, rng, twin
+    def __init__(
+        self, bus: Bus, device: VirtualDevice, truth: Truth, rng: Random, door: Door, twin: Twin | None = None
+    ) -> None:
+        self.bus, self.device, self.truth, self._rng, self._twin, self._door = bus, device, truth, rng, twin, door
+        door.watch(device)
         self._way = bus.ways[NAME]
         self.fuse = SAFE
         self.down = self.hung = 0
@@ -75,8 +80,10 @@ class DeviceEnd:
         if message.arbitration_id & COMMAND == COMMIT and len(message.data) == 8:
             self._holder[int.from_bytes(message.data[:2], "little")] = self.device.lease.owner
         self.fuse -= 1
-        latest = pages.latest
+        latest, slots = pages.latest, list(pages.slots)
+        self._door.coming(message)
         replies = self.device.receive(message)
+        self._door.came(message, replies)
         if self._twin is not None:
             self._twin.receive(message, replies)
         if (pages.latest - latest) % SEQUENCES > LEAP:
@@ -86,6 +93,10 @@ class DeviceEnd:
         if pages.confirmed is not self._confirmed:
             self._confirmed = pages.confirmed
             self.truth.confirmed.add((pages.confirmed.seq, pages.confirmed.gains))
+        written = next((i for i, slot in enumerate(pages.slots) if slot != slots[i]), None)
+        if written is not None and self._rng.random() < TORN:
+            self.crash(written)
+            return
         self._send(replies)
 
     def sample(self) -> None:
@@ -98,6 +109,7 @@ class DeviceEnd:
             self._twin.step(messages, 2.0 * self.slow)
         if self.device.pages.running is not self._running:
             self._changed()
+        self._door.sampled(messages, 2.0 * self.slow)
         self._send(messages)
 
     def _send(self, messages: list[can.Message]) -> None:
@@ -110,16 +122,18 @@ class DeviceEnd:
         if self.fuse <= 0:
             self.crash()
 
-    def crash(self) -> None:
-        """Power fails; a store under way may be torn."""
+    def crash(self, written: int | None = None) -> None:
+        """Power fails; what was stored last may be lost."""
         device, rng = self.device, self._rng
         self.truth.counts["device crashes"] += 1
         self.fuse, self.down = SAFE, rng.choice((0, 0, 1, 3, 8, 30))
-        if rng.random() < 0.3:
-            self._tear()
+        torn = written if written is not None else self._last_written() if rng.random() < 0.3 else None
+        if torn is not None:
+            self._tear(torn)
         device.restart()
         if self._twin is not None:
             self._twin.restart()
+        self._door.restarted(torn=torn is not None)
         running = device.pages.running
         now = Ran(self.bus.step, device.epoch, running.seq, running.gains)
         t.restarted_on_a_confirmed_set(self.truth, now)
@@ -127,17 +141,23 @@ class DeviceEnd:
         self._running = self._confirmed = running
         self.truth.began(now)
 
-    def _tear(self) -> None:
-        """The slot that was being written is not whole: the newer one, if both are there."""
+    def _last_written(self) -> int | None:
+        """The place written last, where both are whole: it may be damaged and the other one must do."""
         slots = self.device.pages.slots
-        there = [slot for slot in slots if slot is not None]
-        if len(there) == len(slots):
-            newest = max(there, key=lambda slot: slot.generation)
-            torn = Slot(newest.generation, newest.content, newest.crc ^ 1 << self._rng.randrange(32))
-            place = slots.index(newest)
-            slots[place] = torn
-            if self._twin is not None:
-                self._twin.device.pages.slots[place] = torn
+        there = [slot for slot in slots if slot is not None and slot.whole]
+        if len(there) < len(slots):
+            return None
+        return slots.index(max(there, key=lambda slot: slot.generation))
+
+    def _tear(self, place: int) -> None:
+        """A place that is not whole."""
+        slots = self.device.pages.slots
+        was = slots[place]
+        if was is None:
+            return
+        torn = slots[place] = Slot(was.generation, was.content, was.crc ^ 1 << self._rng.randrange(32))
+        if self._twin is not None:
+            self._twin.device.pages.slots[place] = torn
 
     def _changed(self) -> None:
         """Another set runs: swapped in, or the confirmed one come back."""

@@ -1,5 +1,6 @@
 """A host on the simulated bus: the real client, a clerk who keeps the ledger, crashes at any frame or row."""
 
+from contextlib import suppress
 from random import Random
 
 import can
@@ -29,6 +30,7 @@ READ, PAGE_RUNNING = 2, 0
 COMMAND = 31
 SAFE = 1 << 60
 LINK = LinkSettings()
+KEEPS = 0.1  # share of steps after a write in which the host confirms or stores
 REACH = 1.5  # decades by which an ordered gain may differ from the running one: further than the box allows
 
 
@@ -125,10 +127,17 @@ class HostEnd:
             for event in self.device.poll(self.now_s):
                 self._event(event)
             self._note_number()
+            self._keep()
             if self.order is None and not self.calm and self._random() < self._eager:
                 self.begin(self._choose())
         except (CrashError, DeviceError):
             self.die()
+
+    def _keep(self) -> None:
+        """Now and then what has been written is confirmed, and then stored."""
+        if self.order is None and isinstance(self.last_outcome, WriteDone) and self._random() < KEEPS:
+            with suppress(WriteRefusedError):
+                self.device.confirm(self.now_s) if self._random() < 0.5 else self.device.store(self.now_s)
 
     def _note_number(self) -> None:
         """A write whose lease ran out goes on under another number."""

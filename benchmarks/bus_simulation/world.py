@@ -14,6 +14,8 @@ from bus_simulation.device_end import NAME as DEVICE
 from bus_simulation.device_end import DeviceEnd, LagPlant
 from bus_simulation.host_end import HostEnd
 from bus_simulation.intruder import Intruder
+from bus_simulation.layers.door import Door
+from bus_simulation.layers.one_wrong import OneWrong
 from bus_simulation.truth import Ran, Truth
 from bus_simulation.twin import Drawn, Twin
 from bus_simulation.weather import CALM, CHANGE_EVERY, draw
@@ -28,6 +30,7 @@ BOX = GainBox(kp_max=100.0, ki_max=10.0, kd_max=50.0, ratio_max=10.0, direction=
 LEASE_LONGEST = 120  # samples
 CALM_STEPS = 60  # within which, and ALONE heartbeats, everything must be known: docs/protocol.md
 LEASE_STEPS = 200  # a lease of somebody who is gone has run out by then
+ONE_WRONG = 0.5  # share of an intruder's turns in which it also sends something with exactly one thing wrong
 WRITE_STEPS = 10  # the promise of the gain transaction on an idle bus
 
 
@@ -57,14 +60,16 @@ class World:
             heartbeat_samples=rng.choice((1, 5, 5, 5, 20, 20)),
         )
         drawn = Drawn(rng)
-        self.device = make(settings, LagPlant(), nonce=drawn.first)
+        door = Door(key, drawn.first)
+        self.device = make(settings, LagPlant(), nonce=door.codes.draw)
         other = None if twin is None else Twin(self.device, lambda plant: twin(settings, plant, nonce=drawn.second))
-        self.far = DeviceEnd(self.bus, self.device, self.truth, rng, other)
+        self.far = DeviceEnd(self.bus, self.device, self.truth, rng, door, other)
         eager, same_owner = rng.choice((0.02, 0.1, 0.3)), rng.random() < 0.3
         self.hosts = [
             HostEnd(name, self.bus, self.truth, rng, key=key, same_owner=same_owner, eager=eager) for name in hosts
         ]
         self.intruder = Intruder(self.bus, self.device, self.truth, rng, forges=forges)
+        self.one_wrong = OneWrong(self.bus, self.device, rng, door.codes)
         self.step_number = 0
 
     def step(self) -> None:
@@ -82,6 +87,8 @@ class World:
         self.far.answer()
         if weather.intruder and random() < weather.intruder:
             self.intruder.act()
+            if random() < ONE_WRONG:
+                self.one_wrong.act()
 
     def change_weather(self) -> None:
         """Another weather."""

@@ -86,12 +86,13 @@ def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
 
 def _loads(options: argparse.Namespace) -> tuple[list[loads.Row], bool]:
     kinds = loads.KINDS if options.kind == "all" else (options.kind,)
-    wanted = {"opened": options.opened, "verbose": options.verbose}
+    wanted = {"opened": options.opened, "verbose": options.verbose, "nudge": options.nudge}
     tasks = [task for kind in kinds for task in loads.tasks(options.seed, kind, options.loops, **wanted)][
         options.offset :: options.every
     ]
     rows, whole = collect(loads.run, tasks, options.jobs, options.out, loads.line)
-    _say([f"loads only, seed {options.seed}", *loads.table(rows)])
+    bumps = f", setpoint bumps of {options.nudge:g} %" if options.nudge else ""
+    _say([f"loads only, seed {options.seed}{bumps}", *loads.table(rows)])
     return rows, whole
 
 
@@ -198,6 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     eight.add_argument("--kind", choices=("all", *loads.KINDS), default="all")
     eight.add_argument("--loops", type=int, default=20, help="loops of each kind")
     eight.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+    eight.add_argument("--nudge", type=float, default=0.0, help="percent of pv's range of a bump of the setpoint")
     nine = parts.add_parser("own", parents=[common], help="loops that swing by their own fault, Ms over 3")
     nine.add_argument("--kind", choices=("all", *own_fault.KINDS), default="all")
     nine.add_argument("--loops", type=int, default=20, help="loops of each kind")

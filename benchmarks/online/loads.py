@@ -6,6 +6,10 @@ ramps      the load moves over 5 to 40 dead times to another place, and stays
 walk       a random walk all the time
 sinusoid   a slow sinusoid all the time, of 20 to 80 dead times
 coloured   noise through a lag of 1 to 10 dead times, all the time
+quiet      no load at all: measurement noise
+calm walk, calm coloured   as above, a twentieth of the size
+
+nudge : percent of pv's range (a standard step is 10 %) by which retuner may bump the setpoint, at most once a period.
 
 A period is 60 effective dead times (longer for sluggish starts), as between two disturbances of the batch; noise is
 1 %. Loads are sized by what they do under SIMC with perfect knowledge: a step moves pv by 1. Processes are those of
@@ -30,9 +34,14 @@ from online.harm import effects
 from online.judge import Judge, Judgement
 from online.loop import LostLoop, WatchedLoop
 from online.supervisors import Watching, one_region, settings
+from retuner.adaptive.nudge.settings import NudgeSettings
+from retuner.adaptive.nudge.watching import Nudger
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 
 Row = dict[str, Any]
-KINDS = ("steps", "pulses", "ramps", "walk", "sinusoid", "coloured")
+KINDS = ("steps", "pulses", "ramps", "walk", "sinusoid", "coloured", "quiet", "calm walk", "calm coloured")
+CALM = 0.05
+"""Size of a calm load over that of the same load otherwise."""
 PERIODS = 6
 LENGTH_THETA = 60.0
 REST_SAMPLES = 60
@@ -47,11 +56,37 @@ class Task:
     index: int
     opened: bool = False
     verbose: bool = False
+    nudge: float = 0.0
 
 
-def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool) -> list[Task]:
+def tasks(seed: int, kind: str, count: int, *, opened: bool, verbose: bool, nudge: float = 0.0) -> list[Task]:
     """The first `count` loops of a kind."""
-    return [Task(kind, seed, index, opened, verbose) for index in range(count)]
+    return [Task(kind, seed, index, opened, verbose, nudge) for index in range(count)]
+
+
+def nudger(percent: float, watching: Watching, period_s: float) -> Nudger:
+    """Bumps the setpoint when half a period has shown nothing; percent 0 : never."""
+    allowed = {"allowed": True, "percent": percent} if percent else {}
+    wanted = NudgeSettings(
+        **allowed, after_h=period_s / 2 / 3600, most_per_day=100, most=PERIODS, announce_s=0.0, longest_s=period_s
+    )
+    return Nudger(wanted, watching.retuner)
+
+
+def period(watched: WatchedLoop, bumps: Nudger, watching: Watching, load: list[float], noise: list[float]) -> None:
+    """One period; where bumps are allowed, a sample at a time at the setpoint that was last sent."""
+    if not bumps.planner.settings.allowed:
+        watched.run(0.0, load, noise)
+        return
+    sp, told_of = watched.sp, len(watching.decisions)
+    for upset, one in zip(load, noise, strict=True):
+        [(pv, co)] = watched.run(sp, upset, [one])
+        for decision in watching.decisions[told_of:]:
+            bumps.decided(decision)
+        told_of = len(watching.decisions)
+        news = bumps.look(LoopSample(watched.t_s, sp, pv, co, LoopMode.AUTO, False, sp, watched.revision))
+        sp = news.setpoint if news is not None and news.setpoint is not None else sp
+    watched.sp = sp
 
 
 def run(task: Task) -> Row:
@@ -71,12 +106,13 @@ def run(task: Task) -> Row:
         lambda decision: story.append("   " + told(decision, judge)),
     )
     watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching)
+    bumps = nudger(task.nudge, watching, n * loop.dt_s)
     judged: list[Judgement] = []
     lost = False
     try:
         watched.run(0.0, 0.0, _noise(rng, REST_SAMPLES))
         for i in range(PERIODS):
-            watched.run(0.0, load[i * n : (i + 1) * n].tolist(), _noise(rng, n))
+            period(watched, bumps, watching, load[i * n : (i + 1) * n].tolist(), _noise(rng, n))
             judged.append(judge.of(watched.gains))
             story.append(f"{i + 1}. Ms {judged[-1].ms:.2f} J {judged[-1].j:.2f} {judged[-1].in_spec}")
     except LostLoop:
@@ -94,6 +130,8 @@ def run(task: Task) -> Row:
         "ms": [judge.of(scaled(loop.best, kc, tau_i)).ms, *(x.ms for x in judged)],
         "j": [judge.of(scaled(loop.best, kc, tau_i)).j, *(x.j for x in judged)],
         "ms_limit": judge.ms_limit,
+        "nudge": task.nudge,
+        "bumps": len(bumps.planner.made),
         "changes": len(found),
         "worse": sum(x.worse and not x.restored for x in found),
         "made_unstable": sum(math.isfinite(x.before.ms) and math.isinf(x.after.ms) for x in found),
@@ -107,6 +145,10 @@ def load_of(kind: str, rng: np.random.Generator, n: int, theta: float) -> FloatA
     """The load of all periods, 1 for a step of the standard size. n : samples of a period. theta : of a dead time."""
     whole = n * PERIODS
     time = np.arange(whole)
+    if kind == "quiet":
+        return np.zeros(whole)
+    if kind.startswith("calm "):
+        return CALM * load_of(kind.removeprefix("calm "), rng, n, theta)
     if kind == "walk":
         return 0.3 * random_walk(rng, whole) / math.sqrt(theta)
     if kind == "coloured":
@@ -152,7 +194,8 @@ def table(rows: list[Row]) -> list[str]:
             continue
         lines.append(
             f"{kind}: {len(of)} loops, {sum(r['changes'] for r in of)} changes, worse {sum(r['worse'] for r in of)}, "
-            f"made unstable {sum(r['made_unstable'] for r in of)}, responses {sum(r['records'] for r in of)}"
+            f"made unstable {sum(r['made_unstable'] for r in of)}, responses {sum(r['records'] for r in of)}, "
+            f"bumps {sum(r.get('bumps', 0) for r in of)}"
         )
         lines += [f"  in spec after {n}  {counted(sum(r['spec'][n - 1] for r in of), len(of))}" for n in (1, 3, 6)]
     return lines

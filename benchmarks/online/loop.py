@@ -82,6 +82,8 @@ class WatchedLoop:
         self._law = law(table.gains_of(self.region.region), co_min=low, co_max=high)
         self._state: tuple[float, float, float, float, int] = tuple(start(self._law, sp0, sp0, co0))
         self.i, self.y, self.changes, self.revision = 0, 0.0, 0, 0
+        self.sp = 0.0
+        """Setpoint that was last sent, where somebody moves it between runs."""
 
     @property
     def gains(self) -> PidGains:

@@ -106,6 +106,11 @@ class CanLink:
             self._write_log(message, received=False)
         return True
 
+    def note(self, message: can.Message) -> None:
+        """Put a frame into the log, if there is one, and on no bus. Never raises."""
+        if self._log is not None:
+            self._write_log(message, received=False)
+
     def receive_all(self, limit: int = 10_000) -> list[can.Message]:
         """All frames that have arrived, oldest first, at most limit; own echoes and error frames left out."""
         messages = self._receive(limit)

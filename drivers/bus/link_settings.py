@@ -89,3 +89,7 @@ class FramePort(Protocol):
     def receive_all(self) -> list[can.Message]:
         """All frames that have arrived, oldest first. Never raises."""
         ...
+
+    def note(self, message: can.Message) -> None:
+        """Put a frame into the log, if there is one, and on no bus. Never raises."""
+        ...

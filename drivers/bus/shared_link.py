@@ -98,6 +98,11 @@ class LinkPort:
         with self._share.lock:
             return self._share.link.send(message)
 
+    def note(self, message: can.Message) -> None:
+        """Put a frame into the log of the shared bus, and on no bus."""
+        with self._share.lock:
+            self._share.link.note(message)
+
     @property
     def waiting(self) -> bool:
         """Whether frames have come for this node that nobody has taken yet."""

@@ -65,7 +65,7 @@ class DbcAccess:
         self._guards = self._take_guards()
         for name in mapping.fixed:
             message, _, signal = name.partition(".")
-            file.place(message, signal, ("fixed",))
+            file.signal(message, signal, ("fixed",))
 
     def _place(self, at: object, key: Key) -> SignalPlace:
         assert isinstance(at, SignalOf)

@@ -46,24 +46,25 @@ class SignalPlace:
     def holds(self) -> Holds:
         """The numbers that it can carry, by the limits of its bits and, where the DBC has some, by those of the DBC."""
         signal = self.signal
-        if signal.is_float:
-            single = signal.length == SINGLE_BITS
-            low, high, step, zero = -SINGLE_MAX, SINGLE_MAX, 0.0, 0.0
-        else:
-            single = False
-            least, most = (
-                (-(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1)
-                if signal.is_signed
-                else (0, (1 << signal.length) - 1)
-            )
-            ends = sorted(float(raw * signal.scale + signal.offset) for raw in (least, most))
-            low, high, step, zero = ends[0], ends[1], abs(float(signal.scale)), float(signal.offset)
+        low, high = carried(signal)
+        single = signal.is_float and signal.length == SINGLE_BITS
+        step, zero = (0.0, 0.0) if signal.is_float else (abs(float(signal.scale)), float(signal.offset))
         if signal.minimum is not None or signal.maximum is not None:
             told_low = float(signal.minimum) if signal.minimum is not None else low
             told_high = float(signal.maximum) if signal.maximum is not None else high
             if told_low < told_high:  # [0|0] says that nobody has filled it in
                 low, high = max(low, told_low), min(high, told_high)
         return Holds(low, high, step, zero, single)
+
+
+def carried(signal: Signal) -> tuple[float, float]:
+    """The smallest and largest number that a signal's bits can carry, whatever the DBC says of its range."""
+    if signal.is_float:
+        return -SINGLE_MAX, SINGLE_MAX
+    half = 1 << (signal.length - 1)
+    ends = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
+    low, high = sorted(float(raw * signal.scale + signal.offset) for raw in ends)
+    return low, high
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,23 @@ class DbcFile:
         return layout
 
     def place(self, message: str, signal: str, key: Key, scale: float = 1.0, offset: float = 0.0) -> SignalPlace:
-        """A signal.
+        """A signal that carries a number.
+
+        Raises
+        ------
+        ProfileError
+            As signal(), or its number says which other signals are there.
+        """
+        found = self.signal(message, signal, key, scale, offset)
+        if found.signal.is_multiplexer:
+            raise ProfileError(
+                f"{self.source}: signal {signal!r} says which signals message {message!r} carries; give one of these",
+                (*key, "signal"),
+            )
+        return found
+
+    def signal(self, message: str, signal: str, key: Key, scale: float = 1.0, offset: float = 0.0) -> SignalPlace:
+        """Any signal.
 
         Raises
         ------
@@ -178,6 +195,7 @@ def defaults(layout: Layout, page: int | None, fixed: Mapping[str, float]) -> di
     the fixed value, else the DBC's start value, else 0 or the end nearest to it.
     """
     found: dict[str, float] = {}
+    page = _page_of(layout, fixed) if page is None else page
     for signal in layout.signals:
         if signal.multiplexer_ids and page not in signal.multiplexer_ids:
             continue
@@ -189,8 +207,19 @@ def defaults(layout: Layout, page: int | None, fixed: Mapping[str, float]) -> di
         low, high = signal.minimum, signal.maximum
         if low is not None and high is not None and low < high:
             start = min(max(start, float(low)), float(high))
+        least, most = carried(signal)
+        start = min(max(start, least), most)
         found[signal.name] = fixed.get(f"{layout.name}.{signal.name}", start)
     return found
+
+
+def _page_of(layout: Layout, fixed: Mapping[str, float]) -> int | None:
+    """The page to send a multiplexed message with where none is asked for: the fixed one, else the first."""
+    choice = selector(layout)
+    if choice is None:
+        return None
+    pages = sorted({page for signal in layout.signals for page in signal.multiplexer_ids or ()})
+    return int(fixed.get(f"{layout.name}.{choice.name}", pages[0] if pages else 0))
 
 
 def _identifier(name: str) -> int | None:

@@ -1,13 +1,32 @@
-"""Tables that are no text: Parquet, and frames of pandas, polars and arrow, none of which need be installed."""
+"""Tables that are no text: frames of pandas, polars and arrow, none of which need be installed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
 from retuner.drivers.historian.raw_table import Column, RawTable
 from retuner.drivers.recorded.recording import RecordingError
+
+
+class RowNumbers(Sequence[str]):
+    """The rows of a table as a message tells them, counted from 1; made when one is asked for."""
+
+    def __init__(self, rows: int, first: int = 0) -> None:
+        self._rows = range(first, first + rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @overload
+    def __getitem__(self, row: int) -> str: ...
+    @overload
+    def __getitem__(self, row: slice) -> list[str]: ...
+    def __getitem__(self, row: int | slice) -> str | list[str]:
+        if isinstance(row, slice):
+            return [f": row {i + 1}" for i in self._rows[row]]
+        return f": row {self._rows[row] + 1}"
 
 
 def is_frame(source: object) -> bool:
@@ -29,12 +48,12 @@ def table_of_frame(frame: object) -> RawTable:
         if index.name is not None or np.asarray(index).dtype.kind == "M":
             given = given.reset_index(names="t") if index.name is None else given.reset_index()
     names = list(getattr(given, "column_names", None) or given.columns)
-    columns = [_column(str(name), given[name]) for name in names]
+    columns = [column_of(str(name), given[name]) for name in names]
     size = len(columns[0]) if columns else 0
-    return RawTable("the frame", tuple(map(str, names)), tuple(columns), [f": row {i + 1}" for i in range(size)])
+    return RawTable("the frame", tuple(map(str, names)), tuple(columns), RowNumbers(size))
 
 
-def _column(name: str, series: object) -> Column:
+def column_of(name: str, series: object) -> Column:
     """One column."""
     combined = getattr(series, "to_numpy", None)
     values = np.asarray(combined() if combined is not None else series)
@@ -61,46 +80,3 @@ def _objects(name: str, values: np.ndarray) -> Column:
         except (TypeError, ValueError):
             raise RecordingError(f"column {name}: {some[0]!r} is neither a number nor a time nor text") from None
     return ["" if v is None else str(v) for v in values]
-
-
-def table_of_parquet(path: Path, wanted: Callable[[Sequence[str]], Sequence[str]] | None = None) -> RawTable:
-    """The table of a Parquet file; wanted : which of its columns are read, all where it is None.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or pyarrow is not installed.
-    """
-    try:
-        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
-        import pyarrow.parquet as pq  # noqa: PLC0415
-    except ImportError:
-        raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file; give a record as text or Parquet")
-    try:
-        with pq.ParquetFile(path) as file:
-            frame = file.read(columns=None if wanted is None else list(wanted(file.schema_arrow.names)))
-    except (OSError, pa.ArrowException) as error:
-        raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error
-    columns = tuple(_column(name, frame.column(name)) for name in frame.column_names)
-    return RawTable(str(path), tuple(frame.column_names), columns, [f": row {i + 1}" for i in range(frame.num_rows)])
-
-
-def parquet_names(path: Path) -> list[str]:
-    """The columns of a Parquet file, nothing of it read.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or pyarrow is not installed.
-    """
-    try:
-        import pyarrow as pa  # noqa: PLC0415  an extra, loaded when wanted
-        import pyarrow.parquet as pq  # noqa: PLC0415
-    except ImportError:
-        raise RecordingError(f'{path}: reading Parquet needs pyarrow; pip install "retuner[parquet]"') from None
-    try:
-        return list(pq.read_schema(path).names)
-    except (OSError, pa.ArrowException) as error:
-        raise RecordingError(f"{path}: not a Parquet file that can be read: {str(error).splitlines()[0]}") from error

@@ -5,7 +5,7 @@
 What is ambiguous is not guessed: the refusal names the option that answers it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,11 +15,13 @@ import numpy as np
 
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.drivers.historian.assumption import Assumption, quoted
-from retuner.drivers.historian.frames import is_frame, table_of_frame, table_of_parquet
+from retuner.drivers.historian.frames import is_frame, table_of_frame
+from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.reshaped import annotated_table, is_annotated
 from retuner.drivers.historian.row_order import Trend, joined
+from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import TableSignals, signals_of
 from retuner.drivers.recorded.recording import Recording, RecordingError
 
@@ -71,20 +73,72 @@ def read_loop_record(sources: Iterable[object], form: RecordForm = WHOLE, *, in_
     return _record(loop, read, form)
 
 
-def read_loops(sources: Iterable[object], form: RecordForm = WHOLE) -> dict[str, LoopRecord | RecordingError]:
+def read_loops(
+    sources: Iterable[object], form: RecordForm = WHOLE, tags: Sequence[str] = ()
+) -> dict[str, LoopRecord | RecordingError]:
     """Every loop of the sources by its tag; one that cannot be read is there with the reason.
+
+    tags : loops of Parquet files that are wanted; where none is given, all.
 
     Raises
     ------
     RecordingError
         A source cannot be read at all.
     """
-    read = [signals_of(table, form, in_automatic=True) for source in sources for table in _tables(source, form)]
-    found: dict[str, LoopRecord | RecordingError] = {}
-    for tag, trends in _together(read).items():
-        if {"pv", "co"} <= trends.keys():
+    read: list[TableSignals] = []
+    broken: list[RecordingError] = []
+    for source in sources:
+        try:
+            read += [signals_of(table, form, in_automatic=True) for table in _tables(source, form, tags)]
+        except RecordingError as error:
+            broken.append(error)
+    if broken and not read:
+        raise broken[0]
+    told = tuple(Assumption(f"left out: {error}") for error in broken)
+    return _loops([*(replace(one, assumed=(*one.assumed, *told)) for one in read[:1]), *read[1:]], form)
+
+
+def loop_in_pieces(files: Sequence[Path], form: RecordForm, tag: str, most_rows: int) -> Iterator[LoopRecord]:
+    """One loop of wide Parquet files, each of which holds all its signals for a time, so much of it at once.
+
+    Parameters
+    ----------
+    files : in the order of time. most_rows : of a piece; small files are put together.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read, or holds the loop not at all.
+    """
+    pending: list[TableSignals] = []
+    rows = 0
+    for path in files:
+        for tables in tables_of_parquet(path, form, [tag], most_rows):
+            more = sum(len(table.places) for table in tables)
+            if pending and rows + more > most_rows:
+                yield _only(pending, form, tag)
+                pending, rows = [], 0
+            pending += [signals_of(table, form, in_automatic=True) for table in tables]
+            rows += more
+    if pending:
+        yield _only(pending, form, tag)
+
+
+def _only(read: Sequence[TableSignals], form: RecordForm, tag: str) -> LoopRecord:
+    """The one loop of a piece."""
+    found = _loops(read, form).get(tag, RecordingError(f"{read[0].source}: no values of {tag} that are known"))
+    if isinstance(found, RecordingError):
+        raise found
+    return found
+
+
+def _loops(read: Sequence[TableSignals], form: RecordForm) -> dict[str, LoopRecord | RecordingError]:
+    """The loops of tables; one that is broken in one of them is told so."""
+    found: dict[str, LoopRecord | RecordingError] = {tag: error for one in read for tag, error in one.refused.items()}
+    for tag, roles in _pieces(read).items():
+        if {"pv", "co"} <= roles.keys() and tag not in found:
             try:
-                found[tag] = _record(_Loop(tag, trends), read, form)
+                found[tag] = _record(_Loop(tag, _put_together(roles, read[0].source)), read, form)
             except RecordingError as error:
                 found[tag] = error
     return found
@@ -96,7 +150,7 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
         if not len(trend.t_s):
             raise RecordingError(f"{read[0].source}: {role} has no value that is known; name another column")
     t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
-    assumed = _told_once([*(a for one in read for a in one.assumed), *told])
+    assumed = _told_once([*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told])
     source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
     if form.sp is not None and "sp" not in values:
         values["sp"] = np.full(len(t_s), form.sp)
@@ -104,7 +158,8 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
         raise RecordingError(f"{source}: a record needs at least 3 samples, this one has {len(t_s)}")
     origin = 0.0 if _counted_from_zero(t_s) else float(t_s[0])
     recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
-    return LoopRecord(recording, assumed, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]))
+    recording, more = scaled(recording, form.scale)
+    return LoopRecord(recording, assumed + more, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]))
 
 
 def _counted_from_zero(t_s: FloatArray) -> bool:
@@ -112,15 +167,17 @@ def _counted_from_zero(t_s: FloatArray) -> bool:
     return abs(float(t_s[0])) < 1e8
 
 
-def _tables(source: object, form: RecordForm) -> list[RawTable]:
-    """The tables of a source."""
+def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[RawTable]:
+    """The tables of a source; tags : loops that are wanted of a Parquet file, all where none is given."""
     if is_frame(source):
         return [table_of_frame(source)]
     path = Path(str(source))
     if path.is_dir():
         inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in FILES_OF_A_FOLDER)
-        return [table for p in inside for table in _tables(p, form)]
-    return [table_of_parquet(path) if path.suffix.lower() == ".parquet" else _text_table(path, form)]
+        return [table for p in inside for table in _tables(p, form, tags)]
+    if path.suffix.lower() == ".parquet":
+        return [table for tables in tables_of_parquet(path, form, tags) for table in tables]
+    return [_text_table(path, form)]
 
 
 def _text_table(path: Path, form: RecordForm) -> RawTable:
@@ -132,9 +189,21 @@ def _text_table(path: Path, form: RecordForm) -> RawTable:
     return text_table(path, text, assumed, form)
 
 
+Pieces = dict[str, list[Trend]]
+"""A loop's signals by role, each in pieces."""
+
+
 def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
     """Signals of all tables by tag and role: pieces of one signal one after the other."""
-    pieces: dict[str, dict[str, list[Trend]]] = {}
+    refused = [error for one in read for error in one.refused.values()]
+    if refused:
+        raise refused[0]
+    return {tag: _put_together(roles, read[0].source) for tag, roles in _pieces(read).items()}
+
+
+def _pieces(read: Sequence[TableSignals]) -> dict[str, Pieces]:
+    """The same, not put together."""
+    pieces: dict[str, Pieces] = {}
     for one in read:
         for tag, trends in one.loops.items():
             for role, trend in trends.items():
@@ -144,10 +213,12 @@ def _together(read: Sequence[TableSignals]) -> dict[str, dict[str, Trend]]:
         for roles in pieces.values():
             for role, found in shared.items():
                 roles.setdefault(role, found)
-    return {
-        tag: {role: _one_after_the_other(role, found, read[0].source) for role, found in roles.items()}
-        for tag, roles in pieces.items()
-    }
+    return pieces
+
+
+def _put_together(roles: Pieces, source: str) -> dict[str, Trend]:
+    """A loop's signals, their pieces one after the other."""
+    return {role: _one_after_the_other(role, found, source) for role, found in roles.items()}
 
 
 def _one_after_the_other(role: str, pieces: list[Trend], source: str) -> Trend:

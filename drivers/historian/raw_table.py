@@ -94,6 +94,8 @@ def text_table(path: Path, text: str, assumed: tuple[Assumption, ...], form: Rec
     names, told = _names(header, len(body[0][1]))
     columns = tuple(zip(*(fields for _, fields in body), strict=True))
     places = [f":{number}" for number, _ in body]
+    kept = set(form.columns.values())
+    names = tuple(name if name in kept else form.called(name) for name in names)
     return RawTable(str(path), names, columns, places, (*assumed, *told), _time_units(header))
 
 

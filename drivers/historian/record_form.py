@@ -18,6 +18,8 @@ from types import MappingProxyType
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from retuner.drivers.historian.scaling import Scaling
+from retuner.drivers.historian.tags import APART, SEPARATORS
 from retuner.drivers.recorded.recording import RecordingError
 
 SIGNALS = ("sp", "pv", "co")
@@ -40,7 +42,10 @@ class RecordForm:
     time_format : of stamps as text, in the codes of strptime. time_unit : of stamps as numbers, one of TIME_UNITS.
     zone : of stamps without one, as in Europe/Berlin. decimal : "." or ",". delimiter : between fields. encoding : of
     the text. header : the line that holds the names, counted from 1; 0 for none. good : what the quality of a good
-    value says. bad : further words that stand for a missing value.
+    value says. bad : further words that stand for a missing value. scale : what signals are recorded as and stand for,
+    by role, as in {"pv": "4..20:0..200"} (scaling.py). words : roles by the last word of signals' names, as in
+    {"meas": "pv"}, beside those that are known. signals : names as TAG.ROLE by the names that they have in the record,
+    as in {"40FT17": "FIC17.PV"}; a name without role is no signal.
 
     Raises
     ------
@@ -61,11 +66,21 @@ class RecordForm:
     header: int | None = None
     good: str = ""
     bad: tuple[str, ...] = ()
+    scale: Mapping[str, str] = field(default_factory=dict)
+    words: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for role, text in self.scale.items():
+            if role not in SIGNALS:
+                raise ValueError(f'scale: "{role}": signals are {", ".join(SIGNALS)}')
+            Scaling.of(text)
         for role, name in self.columns.items():
             if role not in COLUMN_ROLES or not name:
                 raise ValueError(f'columns: "{role}" = "{name}": roles are {", ".join(COLUMN_ROLES)}, each with a name')
+        for word, role in self.words.items():
+            if role not in COLUMN_ROLES or not word:
+                raise ValueError(f'words: "{word}" = "{role}": give one of {", ".join(COLUMN_ROLES)} to each word')
         for name, value in (("sp", self.sp), ("dt_s", self.dt_s)):
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"{name} = {value}: give a finite number")
@@ -75,6 +90,14 @@ class RecordForm:
         self._one_of("decimal", self.decimal, DECIMALS)
         self._one_of("delimiter", self.delimiter, tuple(DELIMITERS))
         self._known_elsewhere()
+
+    def called(self, name: str) -> str:
+        """A signal's name as it is understood: by `signals`, by its last word in `words`, else as it stands."""
+        if name in self.signals:
+            return self.signals[name]
+        parts = [part for part in APART.split(name) if part] if self.words else []
+        role = {word.lower(): role for word, role in self.words.items()}.get(parts[-1].lower()) if parts else None
+        return f"{name[: name.rindex(parts[-1])].rstrip(SEPARATORS)}.{role.upper()}".lstrip(".") if role else name
 
     @staticmethod
     def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
@@ -130,10 +153,13 @@ def form_from_toml(path: Path) -> RecordForm:
 KINDS = MappingProxyType(
     {
         "columns": 'names by role as in { pv = "flow" }',
+        "words": 'roles by word as in { meas = "pv" }',
+        "signals": 'names as TAG.ROLE as in { "40FT17" = "FIC17.PV" }',
         "sp": "a number",
         "dt_s": "a number in seconds",
         "header": "the number of a line",
         "bad": 'words as in ["Offline"]',
+        "scale": 'ranges by signal as in { pv = "4..20:0..200" }',
     }
 )
 """What a key of another kind than text takes."""
@@ -142,7 +168,7 @@ KINDS = MappingProxyType(
 def _fits(name: str, value: object) -> bool:
     """Whether a value is of the kind that a key takes."""
     match name:
-        case "columns":
+        case "columns" | "scale" | "words" | "signals":
             return isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
         case "sp" | "dt_s":
             return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -44,6 +44,8 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
         places = places[::-1]
         told.append(Assumption("newest first: turned round"))
         steps = np.diff(t_s[places])
+    if np.all(steps > 0):
+        return places, t_s[places], told
     back = np.flatnonzero(steps < 0)
     displaced = _displaced(t_s[places]) if len(back) else 0
     if displaced > FEW * len(places):
@@ -92,6 +94,9 @@ def joined(pv: Trend, others: dict[str, Trend]) -> tuple[FloatArray, dict[str, F
     known = np.ones(len(t_s), dtype=bool)
     values: dict[str, FloatArray] = {"pv": pv.values}
     for role, trend in others.items():
+        if not trend.held and np.array_equal(trend.t_s, t_s):
+            values[role] = trend.values
+            continue
         at, same = np.searchsorted(trend.t_s, t_s, side="right") - 1, np.zeros(len(t_s), dtype=bool)
         inside = at >= 0
         same[inside] = np.abs(trend.t_s[at[inside]] - t_s[inside]) < 1e-6

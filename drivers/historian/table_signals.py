@@ -4,7 +4,7 @@ A wide table has a column for each signal; a long one has a row for each value, 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from types import MappingProxyType
 
@@ -37,11 +37,13 @@ SILENT = frozenset({"sp", "pv", "co"})
 
 @dataclass(frozen=True, slots=True)
 class TableSignals:
-    """Signals of a table by tag and role, and what was assumed."""
+    """Signals of a table by tag and role, what was assumed of all and of each; loops that cannot be read."""
 
     source: str
     loops: Mapping[str, Mapping[str, Trend]]
     assumed: tuple[Assumption, ...]
+    refused: Mapping[str, RecordingError] = field(default_factory=dict)
+    of_loop: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +77,21 @@ def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False)
     told += [*mark, *more]
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
+    refused: dict[str, RecordingError] = {}
+    own: dict[str, tuple[Assumption, ...]] = {}
     for tag, roles in wanted.items():
-        qualities = found.get(tag, {}).get("quality", []) if tag else []
-        rows = good_rows & _good(table, qualities, form, told)
-        if in_automatic:
-            rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, told)
-        known[tag] = _trends(table, roles, decimal, clock, rows, form, told)
-    return TableSignals(table.source, known, tuple(told))
+        try:
+            qualities, of_it = found.get(tag, {}).get("quality", []) if tag else [], list[Assumption]()
+            rows = good_rows & _good(table, qualities, form, of_it)
+            if in_automatic:
+                rows &= _automatic(table, found.get(tag, {}).get("mode", []), clock, form, of_it)
+            known[tag] = _trends(table, roles, decimal, clock, rows, form, of_it)
+            own[tag] = tuple(of_it)
+        except RecordingError as error:
+            if len(wanted) == 1:
+                raise
+            refused[tag] = error
+    return TableSignals(table.source, known, tuple(told), refused, own)
 
 
 def _is_long(plain: Mapping[str, list[int]], found: Mapping[str, Mapping[str, list[int]]], form: RecordForm) -> bool:
@@ -151,7 +161,7 @@ def _by_file_name(
     table: RawTable, found: Mapping[str, Mapping[str, list[int]]], form: RecordForm
 ) -> dict[str, dict[str, int]]:
     """A file of one signal: its name says which; its column is the only one beside the time."""
-    read = named(PurePath(table.source).stem)
+    read = named(form.called(PurePath(table.source).stem))
     role = "co" if read.role == "mv" else read.role
     used = {place for roles in found.values() for r in BESIDE for place in roles.get(r, [])}
     used |= {table.names.index(name) for name in form.columns.values() if name in table.names}
@@ -218,9 +228,10 @@ def _counted(table: RawTable, place: int, decimal: str, form: RecordForm) -> Sta
 
 def _refuse_other_clocks(table: RawTable, times: Sequence[int]) -> None:
     """Refuse times of several tags that differ between the rows: each signal has a clock of its own there."""
-    tags = {named(table.names[place]).tag for place in times}
-    first, *others = [[str(field).strip() for field in table.columns[place]] for place in times] or [[]]
-    if len(tags) > 1 and any(other != first for other in others):
+    if len({named(table.names[place]).tag for place in times}) < 2:
+        return
+    first, *others = [[str(field).strip() for field in table.columns[place]] for place in times]
+    if any(other != first for other in others):
         names = ", ".join(table.names[place] for place in times[:3])
         raise RecordingError(
             f"{table.source}: each signal has times of its own ({names}); give a file for each signal, as FIC101.PV.csv"
@@ -340,6 +351,7 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
     stamps = _stamps(table, {"": plain}, form, decimal, _begins(tags))
     good_rows = _good(table, plain.get("quality", []), form, told)
     known: dict[str, dict[str, Trend]] = {}
+    own: dict[str, tuple[Assumption, ...]] = {}
     told += [*mark, *stamps.assumed]
     for tag, role, name in _signals_named(table, sorted(set(tags)), form):
         of_it = np.flatnonzero(tags == name)
@@ -348,10 +360,9 @@ def _long(table: RawTable, plain: Mapping[str, list[int]], form: RecordForm, tol
         values = numbers(its, value_at, decimal, form)
         fine = np.isfinite(values) & good_rows[of_it]
         rows, t_s, more = in_order(stamps.t_s[of_it[fine]], table.source)
-        told += more
         known.setdefault(tag, {})[role] = Trend(t_s, values[fine][rows])
-        told.append(Assumption(f"{role} is {quoted(name)}"))
-    return TableSignals(table.source, known, tuple(told))
+        own[tag] = (*own.get(tag, ()), *more, Assumption(f"{role} is {quoted(name)}"))
+    return TableSignals(table.source, known, tuple(told), of_loop=own)
 
 
 def _begins(tags: np.ndarray) -> list[int]:
@@ -369,7 +380,7 @@ def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> l
         Two names are the same signal of a loop.
     """
     found = []
-    for tag, roles in loops(names).items():
+    for tag, roles in loops([form.called(name) for name in names]).items():
         if form.tag and tag.lower() != form.tag.lower():
             continue
         for role in SIGNALS:

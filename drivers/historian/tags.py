@@ -7,6 +7,7 @@ manipulated variable (the output) beside PV and SV, and the measured value besid
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 WORDS = MappingProxyType(
@@ -25,6 +26,8 @@ WORDS = MappingProxyType(
 """Names of each role, written together in small letters."""
 ROLE_OF = MappingProxyType({word: role for role, words in WORDS.items() for word in words.split()})
 APART = re.compile(r"[\s._/\\|:\-()\[\]]+")
+SEPARATORS = " ._/\\|:-()[]"
+"""What may stand between a tag and its role."""
 UNIT = re.compile(r"[\[(]([^\])]*)[\])]\s*$")
 TIME_UNIT = MappingProxyType(
     {
@@ -45,8 +48,9 @@ class Named:
     unit: str
 
 
+@lru_cache(maxsize=1 << 16)
 def named(name: str) -> Named:
-    """Read a column's name."""
+    """Read a column's name; a plant's names are asked for again and again."""
     unit = UNIT.search(name)
     bare = UNIT.sub("", name).strip() if unit and UNIT.sub("", name).strip() else name.strip()
     inside = unit.group(1).strip().lower() if unit else ""

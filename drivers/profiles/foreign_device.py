@@ -36,6 +36,7 @@ from retuner.drivers.profiles.bench_loop import load_frame
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.gain_course import GainCourse
 from retuner.drivers.profiles.sample_grid import SampleGrid
+from retuner.drivers.recorded.sample_note import note_of
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.drivers.telemetry.signal_values import SignalTap
 from retuner.schedule.axis import CAN
@@ -199,7 +200,10 @@ class ForeignDevice:
         self._fresh.clear()
         t_s, lost = placed
         self._events += [SamplesLost(lost, t_s)] if lost else []
-        self._events += [*self._tap.news(), self._tap.fill(self._as_sample(t_s, pv.value, co.value, self.running.seq))]
+        changes = self._tap.news()
+        sample = self._tap.fill(self._as_sample(t_s, pv.value, co.value, self.running.seq))
+        self.link.note(note_of(sample, self.settings.note_id))
+        self._events += [*changes, sample]
 
     def _as_sample(self, t_s: float, pv: float, co: float, seq: int) -> LoopSample:
         """The sample, without what comes from other signals on the bus."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from retuner.drivers.recorded.sample_note import NOTES
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.gains import PidGains
 
@@ -21,6 +22,7 @@ class ForeignSettings:
     longest wait for the first connection. feed_s : the setpoint is sent again after so long, which feeds a watchdog.
     look_s : its gains are read again after so long. closed : why gains are never written, "" when they are.
     bench_node : number of a virtual one, which takes loads; None for a real one. after_s : as CanDevice.
+    note_id : identifier under which its samples are noted in the log (sample_note.py).
 
     Raises
     ------
@@ -43,6 +45,7 @@ class ForeignSettings:
     closed: str = ""
     bench_node: int | None = None
     after_s: float | None = field(default=None)
+    note_id: int = NOTES
 
     def __post_init__(self) -> None:
         for name in TIMES:

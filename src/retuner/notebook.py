@@ -17,6 +17,7 @@ from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.explain import document_of, one_line
 from retuner.decision_page.html import escaped
 from retuner.decision_page.page import article
+from retuner.decision_page.shown_units import chosen_units
 from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_png
@@ -43,7 +44,7 @@ def html(result: object) -> str:
 
 @text.register
 def _(result: TuneResult) -> str:
-    return "\n".join(tuning_lines(result))
+    return "\n".join(tuning_lines(result, chosen_units()))
 
 
 @text.register
@@ -108,7 +109,7 @@ def _cure(result: RecordDiagnosis) -> list[str]:
     if not result.diagnosis.retune or result.settings is None:
         return ["no change of settings recommended"]
     title = "recommended settings:" if result.aim is None else "recommended first step:"
-    return [title, *tuning_lines(result.settings)]
+    return [title, *tuning_lines(result.settings, chosen_units())]
 
 
 def _picture(

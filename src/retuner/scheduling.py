@@ -1,15 +1,18 @@
 """`retuner.design_schedule`: a gain schedule from ordinary records of a loop, with what it rests on."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 
+from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_design.cover import Layout
 from retuner.adaptive.schedule_design.design import Candidate, Design, design
+from retuner.adaptive.schedule_design.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
 from retuner.adaptive.signals.sample import Window
 from retuner.api import Numbers, window_of, within
@@ -42,12 +45,14 @@ class ScheduleDesign:
     """A gain schedule and what it rests on.
 
     design : curves, places, sets and the evidence of each candidate variable. table : the gain table, None where
-    nothing is known well enough. in_force : the gains while the records were made, where they are known.
+    nothing is known well enough. in_force : the gains while the records were made, where they are known. limits : that
+    were demanded.
     """
 
     design: Design
     table: GainTable | None
     in_force: GainTable | PidGains | None = None
+    limits: DesignLimits = field(default_factory=DesignLimits)
 
     @property
     def variable(self) -> str:
@@ -79,6 +84,18 @@ class ScheduleDesign:
         """
         return self.layout.gains_at(x)
 
+    def before_at(self, x: float) -> PidGains | None:
+        """The gains that were in force at x, where they are known."""
+        if not isinstance(self.in_force, GainTable):
+            return self.in_force
+        table = self.in_force
+        return table.at(bisect_right(table.regions.bounds, x), x) if table.regions.second is None else None
+
+    @property
+    def next_experiment(self) -> NextExperiment:
+        """The experiment that would teach most."""
+        return next_experiment(self.design.curves, self.places)
+
     @property
     def layout(self) -> Layout:
         """The sets along the variable; errors as gains_at."""
@@ -87,7 +104,9 @@ class ScheduleDesign:
         return self.design.layout
 
     def to_dict(self) -> dict[str, object]:
-        """Keys schema, variable, reason, candidates, lookup, regions, hysteresis, min_stay_s, places."""
+        """Keys schema, variable, reason, candidates, lookup, regions, hysteresis, min_stay_s, crossings,
+        next_experiment, places.
+        """
         return {
             "schema": SCHEMA,
             "variable": self.variable,
@@ -105,6 +124,8 @@ class ScheduleDesign:
             "hysteresis": self.design.hysteresis,
             "min_stay_s": self.design.min_stay_s,
             "regions": [] if self.table is None else _regions_dict(self.table),
+            "crossings": [crossing.to_dict() for crossing in self.design.crossings],
+            "next_experiment": self.next_experiment.to_dict(),
             "places": [self._place_dict(place) for place in self.places],
         }
 
@@ -171,7 +192,13 @@ def design_schedule(
     low, high : ends of the variable; left out, what the records visit. co_min, co_max : limits of the final element.
     ms_limit : largest Ms at any place on any model that the records allow. j_limit : largest J over that of a place's
         own settings. lookup : "hard", "interpolated" or "auto". name, unit : of the loop and of the variable.
-    gains : in force while the records were made, for comparison only. progress : told each stage and the share done.
+    gains : in force while the records were made, for comparison only; left
+        out, they are read off the records where these show them. progress : told each stage and the share done.
+
+    Returns
+    -------
+    ScheduleDesign
+        The gain table, and what it rests on at every place; no table where none follows, with the reason.
 
     Raises
     ------
@@ -184,8 +211,16 @@ def design_schedule(
     if low is not None and high is not None and not low < high:
         raise ValueError(f"low = {low:g} must be below high = {high:g}")
     candidates = [_candidate(one, windows, values) for one in _names(by, values)]
-    found = design(windows, candidates, DesignLimits(ms_limit, j_limit), lookup, (low, high), progress)
-    return ScheduleDesign(found, table_of(found, name, unit), gains)
+    limits = DesignLimits(ms_limit, j_limit)
+    found = design(windows, candidates, limits, lookup, (low, high), progress)
+    before = gains if gains is not None else _read_off(windows, co_min, co_max)
+    return ScheduleDesign(found, table_of(found, name, unit), before, limits)
+
+
+def _read_off(windows: Sequence[Window], co_min: float | None, co_max: float | None) -> PidGains | None:
+    """The gains that made the records, where one of them shows it."""
+    found = (settings_in_force(window, co_min, co_max).gains for window in windows)
+    return next((gains for gains in found if gains is not None and gains.ki), None)
 
 
 def _names(by: str | Sequence[str], values: Mapping[str, object]) -> list[str]:

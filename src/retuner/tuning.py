@@ -9,6 +9,7 @@ from retuner.adaptive.rules.explanation import Explanation, explanation
 from retuner.adaptive.rules.registry import RULES as REGISTRY
 from retuner.adaptive.rules.registry import kind_for, rule_named, settings
 from retuner.adaptive.rules.rule import ControllerKind, Oscillation, Rule, Takes, Tuning, Wishes
+from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains
 
 RULES = tuple(REGISTRY)
@@ -131,8 +132,8 @@ def _reading(rule: Rule, ku: float | None, pu: float | None, kq: float | None, p
     return None
 
 
-def tuning_lines(result: TuneResult) -> list[str]:
-    """Settings, margins and notes in lines."""
+def tuning_lines(result: TuneResult, units: ControllerUnits | None = None) -> list[str]:
+    """Settings, margins and notes in lines. units : of the controller, for a line of the numbers that stand on it."""
     shown = result.to_dict()
     gains, parallel, m = shown["gains"], shown["parallel"], result.margins
     assert isinstance(gains, dict)
@@ -145,6 +146,8 @@ def tuning_lines(result: TuneResult) -> list[str]:
         f"  {result.form:<8}  Kc {_number(gains['kc'])}  {times}",
         f"  parallel  kp {_number(parallel['kp'])}  ki {ki}  kd {kd}",
     ]
+    if units is not None:
+        lines.append(f"  dialled   {units.text(result.gains, digits=4, acting=True)}")
     if m is not None and not m.stable:
         lines.append("  the closed loop would be UNSTABLE")
     elif m is not None:

@@ -114,7 +114,7 @@ def swinging(period_s: float) -> dict[str, object]:
 def test_rows_are_ranked_and_what_comes_from_another_loop_waits_for_it() -> None:
     rows = [
         row("upset", 0.9, "external", screen=swinging(100.0)),
-        row("valve", 0.5, "stiction", screen=swinging(101.0)),
+        row("valve", 0.5, "stiction", screen=swinging(101.0), sticks=0.8),
         row("calm", 0.0, "ok"),
     ]
     listed, groups = ranked(rows, [row("valve", 0.1, "ok"), row("calm", 0.0, "ok")])
@@ -157,7 +157,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--stretches", "0"], "stretches = 0: give 1 to 24"),
+        (["--stretches", "25"], "stretches = 25: give 0 to 24"),
         (["--since", "nowhere"], "no audit in it"),
         (["--tag-pattern", "("], "--tag-pattern"),
     ],

@@ -162,7 +162,7 @@ def test_it_reads_well(tmp_path, capsys):
     shown = capsys.readouterr().out
     first = shown.splitlines()[0]
     assert first == "AGGRESSIVE (confidence 97%): Ms 3.10 is over 1.8"
-    assert "active settings: Kc 1.95 tau_I 19.5 s, read off the record" in shown
+    assert "active settings: Kc 1.95 tau_I 19.5 s, identified from the record" in shown
     assert "recommended settings:" in shown
     assert "overshoot of setpoint responses" in shown
     assert (tmp_path / "a.png").read_bytes().startswith(PNG)
@@ -208,7 +208,7 @@ def test_identify_draws_its_record(tmp_path, capsys):
     picture = tmp_path / "heater.png"
     assert main(["identify", str(HEATER), "--open-loop", "--plot", str(picture)]) == 0
     assert picture.read_bytes().startswith(PNG)
-    assert "settings that follow" in capsys.readouterr().out
+    assert "recommended settings" in capsys.readouterr().out
 
 
 def test_identify_takes_the_limits_of_co(tmp_path, capsys):

@@ -10,6 +10,7 @@ import pytest
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase, after
 from retuner.cli import main
 from retuner.config.loading import load_config
+from retuner.drivers.bus.bus import CanLink
 from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
 from retuner.drivers.device import DeviceStopped
 from retuner.drivers.plants.plant import Plant
@@ -57,6 +58,19 @@ def test_a_set_of_three_messages_is_written_in_an_order_that_was_proved(
     assert 1.0 < float(str(orders[0]["ms_between"])) < 2.1
     decision = rows(tmp_path / "run", "decision")[0]
     assert committed[0]["gains"] == decision["gains_after"]  # what was proved is what the node holds, bit for bit
+    assert main(["replay", str(tmp_path / "run"), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert (again["identical"], again["samples"]) == (True, rows(tmp_path / "run", "end")[0]["samples"])
+
+
+def test_a_log_without_notes_of_samples_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (EXAMPLES / "odrive.toml").read_text().replace("duration_s = 120.0", "duration_s = 4.0")
+    (tmp_path / "loop.toml").write_text(text[: text.index("steps = [")] + "steps = [{ at_s = 0.0, sp = 0.0 }]\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CanLink, "note", lambda *_: None)  # as releases before did
+        run(tmp_path / "loop.toml", tmp_path / "run", capsys)
+    assert main(["replay", str(tmp_path / "run")]) == 1
+    assert "no sample is noted in it" in capsys.readouterr().out
 
 
 def test_without_read_back_and_without_the_users_word_it_is_advice(

@@ -22,7 +22,7 @@ ORDER = (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
         "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
-        "schedule_design", "audit",
+        "nudge", "schedule_design", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
@@ -32,8 +32,8 @@ ORDER = (
     )),
     "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
     "scheduling", "config", "ledger", "decisions", "pid_controller", "",
-    "decision_page", "report", "experiment", "audit", "session", "live_view", "replay", "serve", "gain_export",
-    "doctor", "commands", "notebook", "cli", "__main__",
+    "decision_page", "report", "schedule_report", "experiment", "audit", "session", "live_view", "replay", "serve",
+    "gain_export", "doctor", "commands", "notebook", "cli", "__main__",
 )
 """Every package in the order of the house, lowest first, below `retuner.`; a file on a floor of packages counts as one,
 and "" is what `import retuner` gives. A package imports only from itself and from those before it."""

@@ -1,6 +1,7 @@
 """What pyproject.toml allows is what the code takes; scripts/lowest_versions installs and runs it."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -36,3 +37,10 @@ def test_nothing_is_used_that_the_lowest_numpy_lacks(room: str) -> None:
 
 def test_the_scan_sees_such_names() -> None:
     assert names_of_numpy_2("np.trapezoid(y, t) + np.linalg.vector_norm(y) + np.sum(y)") == ["trapezoid", "vector_norm"]
+
+
+def test_every_file_that_is_run_with_the_lowest_versions_is_there() -> None:
+    named = re.findall(r'"(tests/[^"]+)"', (ROOT / "scripts" / "lowest_versions.py").read_text("utf-8"))
+
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []

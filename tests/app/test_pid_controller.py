@@ -86,7 +86,7 @@ def test_a_proposal_waits_for_approval_and_can_be_taken_back() -> None:
     assert (advised.action, pid.gains) == (Action.ADVISE, WEAK)
     assert pid.approve().action is Action.COMMIT
     assert pid.gains == advised.gains_after
-    with pytest.raises(ValueError, match="other gains"):
+    with pytest.raises(ValueError, match="active gains"):
         pid.approve()
     back = pid.take_back()
     assert back is not None

@@ -38,7 +38,7 @@ def test_a_frame_a_path_and_arrays_are_the_same_record() -> None:
 def test_an_identification_shows_the_process_and_the_settings() -> None:
     found = retuner.identify(**step_test(), open_loop=True)
     assert repr(found).startswith("Identification(fopdt: k 2 tau1 30 s theta 5 s; settings TuneResult(simc pi: kp 1.")
-    assert "settings that follow" in str(found)
+    assert "recommended settings" in str(found)
     assert found._repr_html_().count("<img") == 1
     still = retuner.identify(
         **{**step_test(), "co": np.linspace(50, 60, 300), "pv": np.arange(300.0) % 2}, open_loop=True

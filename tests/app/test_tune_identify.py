@@ -126,7 +126,7 @@ def test_identify_in_closed_loop_with_renamed_columns_and_gains_in_force(tmp_pat
     assert found["model"]["theta"] == pytest.approx(3.0, rel=0.1)
     assert found["margins_in_force"]["stable"] is True
     assert main(["identify", str(path), "--columns", "t=time,sp=target,pv=level,co=valve"]) == 0
-    assert "settings that follow" in capsys.readouterr().out
+    assert "recommended settings" in capsys.readouterr().out
 
 
 def test_identify_says_no_with_status_1(tmp_path: Path, capsys: Capture) -> None:
@@ -202,3 +202,47 @@ def test_python_dash_m_is_the_command() -> None:
         [sys.executable, "-P", "-m", "retuner", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("retuner ")
+
+
+def test_gains_are_given_and_shown_in_the_controllers_units(tmp_path: Path, capsys: Capture) -> None:
+    path = str(closed_loop(tmp_path / "loop.csv"))
+    plain = answer(capsys, "identify", path, "--kc", "2", "--tau-i", "20")
+    trade = ["--controller", "pb-rpm", "--pv-span", "10"]
+    same = answer(capsys, "identify", path, "--kc", "500", "--tau-i", "3", *trade)  # 100 / 500 % of 10 is 2 %/unit
+    assert same["margins_in_force"]["ms"] == pytest.approx(plain["margins_in_force"]["ms"])
+    assert main(["diagnose", path, "--kc", "500", "--tau-i", "3", *trade, "--action", "reverse"]) == 0
+    assert "active settings: PB 500 % reset 3 repeats/min" in capsys.readouterr().out
+    assert main(["identify", path, *trade]) == 0
+    assert "  dialled   PB " in capsys.readouterr().out
+    assert main(["identify", path]) == 0
+    assert "dialled" not in capsys.readouterr().out
+    tuned = answer(capsys, *TUNE, "--controller", "gain-min", "--pv-span", "200")
+    dialled, gains = tuned["dialled"], tuned["gains"]
+    assert dialled["gain"] == pytest.approx(2 * gains["kc"])
+    assert dialled["tau_i_min"] == pytest.approx(gains["tau_i"] / 60)
+
+
+TUNE = ("tune", "--type", "fopdt", "--k", "0.361", "--tau1", "138", "--theta", "14.2")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--controller", "px-s"], "use kc-s"),
+        (["--controller", "pb-rpm"], "give --pv-span"),
+        (["--controller", "pb-rpm", "--pv-span", "0"], "pv_span"),
+        (["--controller", "pb-rpm", "--pv-span", "nan"], "pv_span"),
+        (["--controller", "kc-s", "--action", "heating"], "reverse or direct"),
+        (["--action", "direct"], "--action needs --controller"),
+    ],
+)
+def test_wrong_units_are_refused_in_one_line(capsys: Capture, options: list[str], said: str) -> None:
+    assert said in refused(capsys, *TUNE, *options)
+
+
+def test_gains_that_act_against_the_record_are_refused(tmp_path: Path, capsys: Capture) -> None:
+    path = str(closed_loop(tmp_path / "loop.csv"))
+    for command in ("identify", "diagnose"):
+        said = refused(capsys, command, path, "--kc", "-2", "--tau-i", "20")
+        assert "these gains are direct acting; " in said
+        assert "shows a reverse-acting controller" in said

@@ -79,6 +79,7 @@ class Wire:
         self.node = node
         self.waiting: list[can.Message] = []
         self.sent: list[can.Message] = []
+        self.noted: list[can.Message] = []
         self.lost = nothing
 
     def send(self, message: can.Message) -> bool:
@@ -86,6 +87,9 @@ class Wire:
         if not self.lost(message):
             self.waiting += self.node.receive(message)
         return True
+
+    def note(self, message: can.Message) -> None:
+        self.noted.append(message)
 
     def receive_all(self) -> list[can.Message]:
         waiting, self.waiting = self.waiting, []

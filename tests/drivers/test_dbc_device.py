@@ -107,11 +107,15 @@ class Wire:
         self.axis = axis
         self.waiting: list[can.Message] = []
         self.sent: list[can.Message] = []
+        self.noted: list[can.Message] = []
 
     def send(self, message: can.Message) -> bool:
         self.sent.append(message)
         self.waiting += self.axis.take(message)
         return True
+
+    def note(self, message: can.Message) -> None:
+        self.noted.append(message)
 
     def receive_all(self) -> list[can.Message]:
         waiting, self.waiting = self.waiting, []

@@ -8,7 +8,7 @@ import pytest
 
 from retuner.drivers.dbc.access import DbcAccess
 from retuner.drivers.dbc.checksums import ALGORITHMS
-from retuner.drivers.dbc.dbc_file import DbcFile, read_dbc_file
+from retuner.drivers.dbc.dbc_file import DbcFile, carried, defaults, read_dbc_file
 from retuner.drivers.profiles.access import Heard, ProfileError
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, Protection, SignalOf
 from retuner.schedule.gains import PidGains
@@ -166,6 +166,57 @@ WRONG = [
 def test_what_cannot_be_found_is_told(file: DbcFile, at: SignalOf, told: str) -> None:
     with pytest.raises(ProfileError, match=told):
         DbcAccess(file, DeviceMapping(at, CURRENT, MAPPING.gains))
+
+
+# Shapes that are found in files of others (cantools' own tests, opendbc); each of these once ended in a traceback.
+ODD = """VERSION ""
+NS_ :
+BS_:
+BU_: host drive
+BO_ 10 Paged: 8 drive
+ SG_ Page M : 0|8@1+ (1,0) [0|50] "" host
+ SG_ Always : 8|16@1+ (1,0) [0|0] "" host
+ SG_ Some m8 : 24|16@1+ (1,0) [0|0] "" host
+
+BO_ 11 Shifted: 8 host
+ SG_ Far : 7|8@0+ (1,100) [0|0] "" drive
+ SG_ Low : 15|8@0+ (1,0) [-5|300] "" drive
+ SG_ Target : 23|16@0- (0.000095875,0) [-3.1416|3.13964] "" drive
+"""
+
+
+@pytest.fixture
+def odd(tmp_path: Path) -> DbcFile:
+    (tmp_path / "odd.dbc").write_text(ODD)
+    return DbcFile(read_dbc_file(tmp_path / "odd.dbc"), "odd.dbc")
+
+
+def test_a_number_is_not_what_says_which_signals_there_are(odd: DbcFile) -> None:
+    with pytest.raises(ProfileError, match="says which signals message 'Paged' carries"):
+        odd.place("Paged", "Page", ("co",))
+    assert odd.signal("Paged", "Page", ("fixed",)).signal.is_multiplexer
+
+
+def test_a_message_with_pages_is_sent_with_one_that_there_is(odd: DbcFile) -> None:
+    layout = odd.layout("Paged", ())
+    assert defaults(layout, None, {}) == {"Page": 8.0, "Always": 0.0, "Some": 0.0}
+    assert layout.encode(defaults(layout, None, {}))[0] == 8
+    assert defaults(layout, None, {"Paged.Page": 3.0}) == {"Page": 3.0, "Always": 0.0}
+
+
+def test_what_is_not_written_stays_inside_its_bits(odd: DbcFile) -> None:
+    layout = odd.layout("Shifted", ())
+    assert defaults(layout, None, {})["Far"] == 100.0
+    layout.encode(defaults(layout, None, {}))  # 0 of Far would be a negative number in its bits
+    assert carried(layout.get_signal_by_name("Low")) == (0.0, 255.0)
+
+
+def test_an_end_that_lies_between_two_steps_can_be_written(odd: DbcFile) -> None:
+    holds = odd.place("Shifted", "Target", ()).holds()
+    assert 3.1395 < holds.nearest(3.13964) <= 3.13964
+    assert -3.1416 <= holds.nearest(-3.1416) < -3.1415
+    with pytest.raises(ValueError, match="outside"):
+        holds.nearest(3.1398)
 
 
 def test_a_doubled_name_is_found_by_its_identifier(file: DbcFile) -> None:

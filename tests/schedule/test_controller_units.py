@@ -64,11 +64,15 @@ def test_a_controller_without_integral_action_says_so() -> None:
 def test_the_action_is_a_word_and_the_numbers_are_positive() -> None:
     cooling = PidGains(-2.0, -0.1)
     units = ControllerUnits.named("pb-rpm", 200.0, action="direct")
-    assert units.text(cooling) == "PB 25 % reset 3 repeats/min, direct acting"
+    assert units.text(cooling) == "PB 25 % reset 3 repeats/min"
+    assert units.text(cooling, acting=True) == "PB 25 % reset 3 repeats/min, direct acting"
+    assert ControllerUnits.named("kc-s").text(cooling, acting=True) == "Kc -2 tau_I 20 s, direct acting"
     assert units.gains(25.0, 3.0) == cooling
     with pytest.raises(ValueError, match="give a positive number"):
         units.gains(-25.0, 3.0)
-    assert units.numbers(PidGains(2.0, 0.1)).gain == -25.0  # the other way round: it shows
+    heating = PidGains(2.0, 0.1)
+    assert units.numbers(heating).gain == -25.0
+    assert units.text(heating) == "PB 25 % reset 3 repeats/min, reverse acting (the controller is set to direct)"
     assert ControllerUnits.named("pb-rpm", 200.0).numbers(cooling).gain == -25.0
 
 
@@ -79,6 +83,12 @@ def test_what_has_no_form_of_its_own_is_shown_in_another_by_name() -> None:
     assert ControllerUnits.named("kc-s").text(swinging) == "Kc 1 tau_I 1 s tau_D 1 s (ideal)"
     assert ControllerUnits.named("pb-min", 50.0).text(PidGains(0.0, 0.5)) == "Ki 0.5/s (integral only)"
     assert ControllerUnits.named("parallel").text(PidGains(0.0, 0.5)) == "kp 0 ki 0.5/s"
+
+
+def test_a_table_says_what_its_numbers_are() -> None:
+    assert ControllerUnits().heads == "Kc, tau_I in s"
+    assert ControllerUnits.named("pb-rpm", 200.0).heads == "PB in %, reset in repeats/min"
+    assert ControllerUnits.named("parallel").heads == "kp, ki in/s, kd in s"
 
 
 def test_a_narrow_table_has_the_numbers_alone() -> None:

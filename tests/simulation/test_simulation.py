@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 from bus_simulation import truth as t
 from bus_simulation.campaign import Campaign, run_seed
+from bus_simulation.layers.door import Door
 from bus_simulation.naive import NaiveWorld
 from bus_simulation.truth import Order, Ran, Truth, ViolationError
 from bus_simulation.weather import late
@@ -64,12 +65,21 @@ def seeds_until_broken(seeds: int = 40, device: str = "virtual") -> str:
     return next((o.broken for seed in range(seeds) if (o := run_seed((seed, STEPS, device))).broken), "")
 
 
+@pytest.fixture
+def only_what_comes_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The invariants over all layers together must bite by themselves as well."""
+    for name in ("came", "sampled", "restarted"):
+        monkeypatch.setattr(Door, name, lambda *_, **__: None)
+
+
+@pytest.mark.usefixtures("only_what_comes_of_all")
 def test_a_device_that_does_not_fence_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bus_simulation.world.draw", late)
     monkeypatch.setattr(GainPages, "abort", lambda self, frame: self._ack(Kind.ABORT, frame.seq, Reason.OK))
     assert "failed_sets_stay_dead" in seeds_until_broken()
 
 
+@pytest.mark.usefixtures("only_what_comes_of_all")
 def test_a_device_that_does_not_check_the_base_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     judge = GainPages._judge
 

@@ -1,24 +1,28 @@
-"""Which loops a plant's files hold: found by the names of columns, or of files, before anything is read whole.
+"""Which loops a plant's files hold: found by the names of columns, of files or of folders, nothing being read whole.
 
 A file of one loop without tags is that loop's record, called by the file's name, or by the part of it that
-`--tag-pattern` names. Loops that share their files are one task: their text is read once.
+`--tag-pattern` names. Loops that share their text files are one task: text is read once. Of Parquet files that loops
+share, a task takes as many loops as fit a piece; a loop longer than that is read in pieces, where every file has all of
+its signals.
 """
 
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from retuner.drivers.historian.frames import parquet_names, table_of_parquet
 from retuner.drivers.historian.loop_record import FILES_OF_A_FOLDER
-from retuner.drivers.historian.raw_table import RawTable, read_text_table
-from retuner.drivers.historian.record_form import RecordForm
+from retuner.drivers.historian.parquet_tables import MOST_ROWS, long_names, parquet_shape
+from retuner.drivers.historian.raw_table import read_text_table
+from retuner.drivers.historian.record_form import SIGNALS, RecordForm
 from retuner.drivers.historian.tags import loops, named
 from retuner.drivers.recorded.recording import RecordingError
 
 BEGIN_BYTES = 65_536
 """As much of a text file tells its form."""
 WHOLE = frozenset({"pv", "co"})
+FEW, MANY = 4, 64
+"""Loops of a task at most, of wide Parquet files and of long ones, which are looked through for each task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,19 +30,39 @@ class Task:
     """Loops that are read together.
 
     tags : of the loops. files : that hold them. separate : each file is a record of its own (with its own clock).
+    in_pieces : the loop is read in pieces of MOST_ROWS rows.
     """
 
     tags: tuple[str, ...]
     files: tuple[Path, ...]
     separate: bool = False
+    in_pieces: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """What a file holds: names of signals as it writes them by role and tag, names that are none; its size in rows.
+
+    rows : of a Parquet file, 0 of text. long : it has a row for each value.
+    """
+
+    signals: Mapping[str, Mapping[str, str]]
+    others: tuple[str, ...] = ()
+    rows: int = 0
+    long: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """The tasks, and files that are no record, with the reason."""
+    """The tasks; files that are no record, with the reason; how names were joined to loops.
+
+    signals : names by tag and role. others : names that no loop has.
+    """
 
     tasks: tuple[Task, ...]
     refused: tuple[tuple[Path, str], ...]
+    signals: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    others: tuple[str, ...] = ()
 
     @property
     def tags(self) -> tuple[str, ...]:
@@ -77,80 +101,111 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
     files : as files_of gives them. form : what is known of their form. tag_pattern : a regular expression; what its
     first group finds in a file's name is the tag of a record without tags.
     """
-    apart: dict[str, dict[Path, set[str]]] = {}
-    alone: dict[str, list[Path]] = {}
+    held: dict[Path, _Held] = {}
     refused: list[tuple[Path, str]] = []
     for path in files:
         try:
-            roles = _roles(path, form)
+            held[path] = _held(path, form)
         except RecordingError as error:
             refused.append((path, str(error)))
-            continue
-        if "" in roles and roles[""] >= WHOLE:
-            alone.setdefault(_by_name(path, tag_pattern), []).append(path)
-            roles = {tag: found for tag, found in roles.items() if tag}
-        for tag, found in roles.items():
-            apart.setdefault(tag, {}).setdefault(path, set()).update(found)
-        if not roles and path not in {p for some in alone.values() for p in some}:
-            refused.append((path, f"{path}: neither its columns nor its name tell a loop's pv or co"))
-    shared = _shared(apart, refused)
+        else:
+            if not held[path].signals:
+                refused.append((path, f"{path}: neither its columns nor its name tell a loop's pv or co"))
+    alone: dict[str, list[Path]] = {}
+    apart: dict[str, list[Path]] = {}
+    for path, one in held.items():
+        for tag, roles in one.signals.items():
+            if tag or roles.keys() < WHOLE:
+                apart.setdefault(tag, []).append(path)
+            else:
+                alone.setdefault(_by_name(path, tag_pattern), []).append(path)
+    shared = _shared(apart, held, refused)
     twice = alone.keys() & {tag for task in shared for tag in task.tags}
     said = "by its name loop {}, which other files hold by their columns; rename it, or give --tag-pattern"
     refused += [(path, f"{path}: {said.format(tag)}") for tag in sorted(twice) for path in alone[tag]]
     tasks = [Task((tag,), tuple(paths), separate=True) for tag, paths in alone.items() if tag not in twice]
-    return Catalogue((*tasks, *shared), tuple(refused))
+    return Catalogue((*tasks, *shared), tuple(refused), *_joined(held.values()))
 
 
-def _shared(apart: dict[str, dict[Path, set[str]]], refused: list[tuple[Path, str]]) -> list[Task]:
-    """Tasks of tagged loops: those of the same files together, but a Parquet file's one by one."""
+def _joined(held: Iterable[_Held]) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
+    """Names by tag and role in all files, and names that are no signal's."""
+    signals: dict[str, dict[str, str]] = {}
+    for one in held:
+        for tag, roles in one.signals.items():
+            signals.setdefault(tag, {}).update(roles)
+    return signals, tuple(dict.fromkeys(name for one in held for name in one.others))
+
+
+def _shared(apart: Mapping[str, list[Path]], held: Mapping[Path, _Held], refused: list[tuple[Path, str]]) -> list[Task]:
+    """Tasks of tagged loops: those of the same files together, of Parquet as many as fit a piece."""
     together: dict[tuple[Path, ...], list[str]] = {}
-    for tag, held in apart.items():
-        missing = WHOLE - {role for roles in held.values() for role in roles}
+    for tag, paths in apart.items():
+        missing = WHOLE - {role for path in paths for role in held[path].signals[tag]}
         if missing:
-            refused.append((next(iter(held)), f"{tag}: no {', '.join(sorted(missing))} in any file"))
+            refused.append((paths[0], f"{tag}: no {', '.join(sorted(missing))} in any file"))
         else:
-            together.setdefault(tuple(held), []).append(tag)
+            together.setdefault(tuple(paths), []).append(tag)
     tasks = []
-    for paths, tags in together.items():
-        one_by_one = all(path.suffix.lower() == ".parquet" for path in paths)
-        tasks += [Task((tag,), paths) for tag in tags] if one_by_one else [Task(tuple(tags), paths)]
+    for files, tags in together.items():
+        if all(path.suffix.lower() == ".parquet" for path in files):
+            tasks += _of_parquet(files, tags, [held[path] for path in files])
+        else:
+            tasks.append(Task(tuple(tags), files))
     return tasks
 
 
-def _roles(path: Path, form: RecordForm) -> dict[str, set[str]]:
-    """Roles by tag that a file holds."""
-    if path.suffix.lower() == ".parquet":
-        names: Sequence[str] = parquet_names(path)
-    else:
-        names = read_text_table(path, form, BEGIN_BYTES).names
-    found = {tag: set(roles) for tag, roles in loops(names).items()}
-    plain = found.get("", set())
-    if {"tag", "value"} <= plain and not any(WHOLE & roles for roles in found.values()):
-        return _of_long(path, names, form)
-    plain |= {role for role in form.columns if role in {"sp", "pv", "co"} and form.columns[role] in names}
-    found = {tag: roles & {"sp", "pv", "co"} for tag, roles in {**found, "": plain}.items()}
-    found = {tag: roles for tag, roles in found.items() if roles}
-    if found:
-        return found
-    read = named(path.stem)
-    role = "co" if read.role == "mv" else read.role
-    return {read.tag: {role}} if role in {"sp", "pv", "co"} else {}
+def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_Held]) -> list[Task]:
+    """Tasks of as many loops as fit a piece, of one at least."""
+    long = any(one.long for one in held)
+    rows = sum(one.rows // max(len(one.signals), 1) if one.long else one.rows for one in held)
+    count = max(min(MOST_ROWS // max(rows, 1), MANY if long else FEW), 1)
+    whole = not long and all(one.signals.get(tag, {}).keys() >= WHOLE for tag in tags for one in held)
+    in_pieces = rows > MOST_ROWS and whole
+    return [Task(tuple(tags[i : i + count]), files, in_pieces=in_pieces) for i in range(0, len(tags), count)]
 
 
-def _of_long(path: Path, names: Sequence[str], form: RecordForm) -> dict[str, set[str]]:
-    """Roles by tag of a table with a row for each value: its tags must be read."""
-    place = loops(names)[""]["tag"][0]
-    if path.suffix.lower() == ".parquet":
-        table: RawTable = table_of_parquet(path, lambda _: [names[place]])
-        column = table.columns[0]
-    else:
-        column = read_text_table(path, form).columns[place]
-    found: dict[str, set[str]] = {}
-    for field in set(map(str, column)):
-        read = named(field.strip())
-        if read.role in {"sp", "pv", "co", "mv"}:
-            found.setdefault(read.tag, set()).add("co" if read.role == "mv" else read.role)
-    return found
+def _held(path: Path, form: RecordForm) -> _Held:
+    """What a file holds."""
+    if path.suffix.lower() != ".parquet":
+        table = read_text_table(path, replace(form, words={}, signals={}), BEGIN_BYTES)
+        if not _is_long(table.names):
+            return _of_columns(path, table.names, form)
+        tags = read_text_table(path, form).columns[loops(table.names)[""]["tag"][0]]
+        return _Held(*_roles(list(dict.fromkeys(str(field).strip() for field in tags)), form), long=True)
+    shape = parquet_shape(path)
+    if _is_long([form.called(name) for name in shape.names]):
+        return _Held(*_roles(long_names(path, form), form), rows=shape.rows, long=True)
+    if shape.folder_signal:
+        return _Held(*_roles([shape.folder_signal], form), rows=shape.rows)
+    return replace(_of_columns(path, shape.names, form), rows=shape.rows)
+
+
+def _is_long(names: Sequence[str]) -> bool:
+    """Whether a table of these columns has a row for each value."""
+    found = loops(names)
+    return found.get("", {}).keys() >= {"tag", "value"} and not any(WHOLE & roles.keys() for roles in found.values())
+
+
+def _roles(names: Sequence[str], form: RecordForm) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
+    """Names by tag and role, and those that have none. Of two for one role the first; reading tells of them."""
+    signals: dict[str, dict[str, str]] = {}
+    for tag, roles in loops([form.called(name) for name in names]).items():
+        found = {role: names[places[0]] for role, places in roles.items() if role in SIGNALS}
+        if found:
+            signals[tag] = found
+    return signals, tuple(name for name in names if not named(form.called(name)).role)
+
+
+def _of_columns(path: Path, names: Sequence[str], form: RecordForm) -> _Held:
+    """What a wide file holds by its columns, else by its name."""
+    signals, others = _roles(names, form)
+    own = {role: name for role, name in form.columns.items() if role in SIGNALS and name in names}
+    if own:
+        signals[""] = {**signals.get("", {}), **own}
+    if signals:
+        return _Held(signals, tuple(name for name in others if name not in form.columns.values()))
+    by_name, _ = _roles([path.stem], form)
+    return _Held(by_name, () if by_name else others)
 
 
 def _by_name(path: Path, pattern: str) -> str:
@@ -159,8 +214,3 @@ def _by_name(path: Path, pattern: str) -> str:
     if match is None:
         return path.stem
     return match.group(1) if match.groups() else match.group(0)
-
-
-def form_for(task: Task, tag: str, form: RecordForm) -> RecordForm:
-    """The form under which one loop of a task is read."""
-    return form if task.separate else replace(form, tag=tag)

@@ -5,85 +5,86 @@ with that of an earlier audit. A loop that fails is a row with the reason.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
 
-from retuner.adaptive.audit.loop_screen import LoopScreen, screen_loop
-from retuner.adaptive.audit.verdict import LoopVerdict, StretchVerdict, loop_verdict
+from retuner.adaptive.audit.loop_screen import LoopScreen, joined_screen, screen_loop
+from retuner.adaptive.audit.tracks import swing_track, trend_track
+from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, loop_verdict
 from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import RecordDiagnosis, diagnose_record
-from retuner.audit.catalogue import Task, form_for
-from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record, read_loops
+from retuner.audit.catalogue import Task
+from retuner.drivers.historian.loop_record import LoopRecord, loop_in_pieces, read_loop_record, read_loops
+from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of a row's keys."""
 DRAWN = 1_200
 """Points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each."""
 DRAWN_OF_A_STRETCH = 600
 Row = dict[str, object]
+Trend = dict[str, list[float]]
+"""Times and signals of a picture."""
 
 
 @dataclass(frozen=True, slots=True)
 class AuditSettings:
     """How an audit is made.
 
-    stretches : of each record that are diagnosed at most, 1 to 24. form : of the records.
+    stretches : of each record that are diagnosed at most, 0 to 24; 0 screens only. form : of the records.
 
     Raises
     ------
     ValueError
-        stretches is outside 1 to 24.
+        stretches is outside 0 to 24.
     """
 
     stretches: int = 4
     form: RecordForm = field(default_factory=RecordForm)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.stretches <= 24:
-            raise ValueError(f"stretches = {self.stretches}: give 1 to 24")
+        if not 0 <= self.stretches <= 24:
+            raise ValueError(f"stretches = {self.stretches}: give 0 to 24")
 
 
 def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
     """The rows of the loops of a task."""
     if task.separate:
-        return [_row(task.tags[0], _each_by_itself(task, settings), settings)]
-    if len(task.tags) == 1:
-        return [_row(task.tags[0], _one(task, settings), settings)]
+        return [_row(task.tags[0], _each_by_itself(task, settings), settings, common_clock=False)]
+    if task.in_pieces:
+        return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
-        read = read_loops(task.files, settings.form)
+        read = read_loops(task.files, settings.form, task.tags)
     except RecordingError as error:
         return [failed(tag, str(error)) for tag in task.tags]
-    return [_row(tag, read.get(tag, RecordingError("no values that are known")), settings) for tag in task.tags]
+    missing = RecordingError(f"{task.files[0]}: no values that are known")
+    return [_row(tag, _the_only(read.get(tag, missing)), settings) for tag in task.tags]
 
 
-Read = Sequence[LoopRecord] | LoopRecord | RecordingError
+def _the_only(read: LoopRecord | RecordingError) -> Iterator[LoopRecord]:
+    """A record, or its refusal when it is asked for."""
+    if isinstance(read, RecordingError):
+        raise read
+    yield read
 
 
-def _one(task: Task, settings: AuditSettings) -> Read:
-    """The one loop of a task."""
-    try:
-        return read_loop_record(task.files, form_for(task, task.tags[0], settings.form), in_automatic=True)
-    except RecordingError as error:
-        return error
-
-
-def _each_by_itself(task: Task, settings: AuditSettings) -> Read:
+def _each_by_itself(task: Task, settings: AuditSettings) -> Iterator[LoopRecord]:
     """The records of a loop whose files have clocks of their own; broken ones are left out, if one is whole."""
-    read: list[LoopRecord] = []
     broken: list[RecordingError] = []
     for path in task.files:
         try:
-            read.append(read_loop_record([path], settings.form, in_automatic=True))
+            yield read_loop_record([path], settings.form, in_automatic=True)
         except RecordingError as error:
             broken.append(error)
-    return read if read or not broken else broken[0]
+    if len(broken) == len(task.files):
+        raise broken[0]
 
 
 def failed(tag: str, reason: str) -> Row:
@@ -91,51 +92,92 @@ def failed(tag: str, reason: str) -> Row:
     return {"schema": SCHEMA, "tag": tag, "failed": reason, "rank": 0.0, "cause": "failed", "action": "read the reason"}
 
 
-def _row(tag: str, read: Read, settings: AuditSettings) -> Row:
-    """The row of a loop."""
-    if isinstance(read, RecordingError):
-        return failed(tag, str(read))
-    records = [read] if isinstance(read, LoopRecord) else list(read)
-    if any(record.recording.sp is None for record in records):
-        return failed(tag, f"{records[0].recording.source}: no setpoint; name its column, or give --sp")
+def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, common_clock: bool = True) -> Row:
+    """The row of a loop; its records are read one after the other. common_clock : their times are other loops' too."""
+    seen = _Seen()
     try:
-        return _judged(tag, records, settings)
-    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        return failed(tag, f"{records[0].recording.source}: {type(error).__name__}: {error}")
+        for record in read:
+            if record.recording.sp is None:
+                return failed(tag, f"{record.recording.source}: no setpoint; name its column, or give --sp")
+            seen.add(record, settings)
+        return _judged(tag, seen, common_clock=common_clock)
+    except (RecordingError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        kind = "" if isinstance(error, RecordingError) else f"{type(error).__name__}: "
+        return failed(tag, f"{kind}{error}")
 
 
-def _judged(tag: str, records: Sequence[LoopRecord], settings: AuditSettings) -> Row:
-    """The row of a loop whose records could be read."""
-    windows = [record.recording.window() for record in records]
-    screens = [screen_loop(window) for window in windows]
-    main = max(range(len(windows)), key=lambda i: screens[i].span_s)
-    parts: list[tuple[Window, StretchVerdict, RecordDiagnosis]] = []
-    for window, screen in zip(windows, screens, strict=True):
+@dataclass(slots=True)
+class _Seen:
+    """What is kept of a loop's records, whatever their length."""
+
+    screens: list[LoopScreen] = field(default_factory=list)
+    parts: list[tuple[StretchVerdict, Row, RecordDiagnosis]] = field(default_factory=list)
+    trends: list[tuple[float, Trend]] = field(default_factory=list)
+    assumed: dict[str, None] = field(default_factory=dict)
+    begin_s: float | None = None
+    tracks: Row = field(default_factory=dict)
+
+    def add(self, record: LoopRecord, settings: AuditSettings) -> None:
+        """Screen a record and diagnose its telling stretches."""
+        window = record.recording.window()
+        screen = screen_loop(window)
+        if not self.screens:
+            self.begin_s = record.begin_s
+        later_s = record.begin_s - self.begin_s if record.begin_s is not None and self.begin_s is not None else 0.0
         for stretch in stretches_of_interest(window, screen.period_s, settings.stretches):
             found = diagnose_record(stretch)
             told = found.diagnosis
-            begin_s, end_s = float(stretch.t_s[0]), float(stretch.t_s[-1])
+            begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
-            parts.append((stretch, seen, found))
-    verdict = loop_verdict(screens[main], [part[1] for part in parts])
+            self.parts.append((seen, _stretch(stretch, seen, found), found))
+        if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
+            self.tracks = _tracks(window, record.begin_s or 0.0, screen)
+        self.screens.append(screen)
+        self.trends.append((later_s, drawn(window, DRAWN)))
+        self.assumed |= dict.fromkeys(a.what for a in record.assumed)
+
+
+def _tracks(window: Window, begin_s: float, screen: LoopScreen) -> Row:
+    """What is kept of a record to compare it with those of other loops."""
+    t_s = window.t_s + begin_s
+    swings = screen.period_s is not None and screen.swinging >= SWINGS
+    track = swing_track(t_s, window.sp - window.pv, screen.period_s).to_dict() if swings and screen.period_s else None
+    return {"swing": track, "trend": trend_track(t_s, window.sp, window.co).to_dict()}
+
+
+def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
+    """The row of a loop whose records were seen."""
+    screen = joined_screen(seen.screens)
+    verdict = loop_verdict(screen, [part[0] for part in seen.parts])
+    harmonics = (part[2].diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
     return {
-        **_told(tag, records, screens[main], verdict),
-        "harmonic": max((part[2].diagnosis.evidence.get("third_harmonic", 0.0) for part in parts), default=0.0),
-        "settings": _settings(verdict, [part[2] for part in parts]),
-        "stretches": [_stretch(*part) for part in parts],
-        "trend": drawn(windows[main], DRAWN),
+        **_told(tag, seen, screen, verdict),
+        "harmonic": max(harmonics, default=0.0),
+        "sticks": sum(p[0].confidence for p in seen.parts if p[0].cause == Cause.STICTION) / max(len(seen.parts), 1),
+        "settings": _settings(verdict, [part[2] for part in seen.parts]),
+        "tracks": seen.tracks if common_clock else {},
+        "stretches": [part[1] for part in seen.parts],
+        "trend": _one_trend(seen.trends),
     }
 
 
-def _told(tag: str, records: Sequence[LoopRecord], screen: LoopScreen, verdict: LoopVerdict) -> Row:
+def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:
+    """The trends of several records as one, where their times tell how they follow; else the longest."""
+    if len(trends) == 1 or len({later_s for later_s, _ in trends}) < len(trends):
+        return max((trend for _, trend in trends), key=lambda trend: trend["t_s"][-1] - trend["t_s"][0])
+    ordered = sorted(trends, key=lambda one: one[0])
+    times = np.concatenate([np.array(trend["t_s"]) + later_s for later_s, trend in ordered])
+    values = {name: np.concatenate([trend[name] for _, trend in ordered]) for name in ("sp", "pv", "co")}
+    return _thinned(times, values, DRAWN)
+
+
+def _told(tag: str, seen: _Seen, screen: LoopScreen, verdict: LoopVerdict) -> Row:
     """What a table shows of a loop."""
-    begin_s = records[0].begin_s
-    since = verdict.since_s
-    assumed = dict.fromkeys(a.what for record in records for a in record.assumed)
+    begin_s, since = seen.begin_s, verdict.since_s
     return {
         "schema": SCHEMA,
         "tag": tag,
-        "records": len(records),
+        "records": len(seen.screens),
         "begin": _moment(begin_s, 0.0),
         "cause": str(verdict.cause),
         "confidence": verdict.confidence,
@@ -149,7 +191,7 @@ def _told(tag: str, records: Sequence[LoopRecord], screen: LoopScreen, verdict: 
         "rank": verdict.rank,
         "loss_per_day": verdict.avoidable**0.5 * screen.iae_per_day,
         "screen": screen.to_dict(),
-        "assumed": list(assumed),
+        "assumed": list(seen.assumed),
     }
 
 
@@ -184,23 +226,27 @@ def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) ->
     }
 
 
-def drawn(window: Window, points: int) -> dict[str, list[float]]:
+def drawn(window: Window, points: int) -> Trend:
     """A trend for a screen: of each of its columns the lowest and the highest value, so that no peak is lost."""
-    n = len(window.t_s)
+    return _thinned(window.t_s, {name: getattr(window, name) for name in ("sp", "pv", "co")}, points)
+
+
+def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) -> Trend:
+    """The same of times and signals."""
+    n = len(t_s)
     if n <= points:
-        return {name: _short(getattr(window, name)) for name in ("t_s", "sp", "pv", "co")}
+        return {"t_s": _short(t_s, 10), **{name: _short(values) for name, values in signals.items()}}
     edges = np.linspace(0, n, points // 2 + 1).astype(int)
-    found = {"t_s": _short(np.repeat(window.t_s[edges[:-1]], 2))}
-    for name in ("sp", "pv", "co"):
-        values = getattr(window, name)
+    found = {"t_s": _short(np.repeat(t_s[edges[:-1]], 2), 10)}
+    for name, values in signals.items():
         both = np.column_stack((np.minimum.reduceat(values, edges[:-1]), np.maximum.reduceat(values, edges[:-1])))
         found[name] = _short(both.ravel())
     return found
 
 
-def _short(values: FloatArray) -> list[float]:
+def _short(values: FloatArray, digits: int = 6) -> list[float]:
     """Values with as many digits as a picture shows."""
-    return [float(f"{v:.6g}") for v in values]
+    return [float(f"{v:.{digits}g}") for v in values]
 
 
 def is_fault(row: Row) -> bool:

@@ -7,16 +7,27 @@ so that ten thousand loops open as fast as ten. It needs no server and no networ
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped
+from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
 from retuner.adaptive.audit.verdict import SWINGS
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
-from retuner.audit.loop_row import SCHEMA, Row
+from retuner.audit.catalogue import Catalogue
+from retuner.audit.loop_row import SCHEMA, Row, is_fault
+from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 
 PICTURES = ("trend", "stretches")
+TRACKS = "tracks"
+SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
+"""Causes that a swing in step with a root's takes the place of."""
+ROOT_SURE = 0.9
+"""How sure the root of a coherent group is."""
+MOST_FIRST = 10
+"""Loops that the page tells first, with the reason."""
 WORSE = 1.2
 """Ratio of ranks from which a loop became worse, or better."""
 
@@ -30,15 +41,22 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     """
     listed = [{k: v for k, v in row.items() if k not in PICTURES} for row in rows]
     groups = common_swings([s for s in map(_swinging, listed) if s is not None])
+    masters = _masters(listed)
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
         group = group_of.get(str(row["tag"]))
         row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
         row["root"] = group.root if group else None
+        row["interaction"] = group.interaction if group else False
+        row["master"] = masters.get(str(row["tag"]))
+        row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
-    _from_the_root(listed)
+    for row in listed:
+        row.pop(TRACKS, None)
+    _from_the_root(listed, group_of)
+    _in_order(listed)
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
     for place, row in enumerate(listed, start=1):
         row["place"] = place
@@ -52,16 +70,57 @@ def _swinging(row: Row) -> Swinging | None:
         return None
     cause = row["cause"]
     own = cause in {str(c) for c in TUNING_CAUSES}
-    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), cause == str(Cause.STICTION), own)
+    tracks = row.get(TRACKS)
+    told = tracks.get("swing") if isinstance(tracks, Mapping) else None
+    track = SwingTrack.of_dict(told) if told else None
+    sticks = _number(row, "sticks")
+    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
 
 
-def _from_the_root(rows: Sequence[Row]) -> None:
-    """A loop that swings with another from which it comes is visited after that one."""
+def _masters(rows: Sequence[Row]) -> dict[str, str]:
+    """The master of each slave of a cascade: the loop whose output the slave's setpoint follows."""
+    tracks = {}
     for row in rows:
-        root = row["root"]
-        if root is not None and root != row["tag"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
-            row["action"] = f"look at {root} first"
+        held = row.get(TRACKS)
+        if isinstance(held, Mapping) and held.get("trend"):
+            tracks[str(row["tag"])] = TrendTrack.of_dict(held["trend"])
+    return cascades(tracks)
+
+
+def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
+    """What swings in step with a root comes from there: it is visited after it, and nothing in it is retuned before.
+
+    The root's visit brings what half of the others' would.
+    """
+    by_tag = {str(row["tag"]): row for row in rows}
+    for row in rows:
+        group = group_of.get(str(row["tag"]))
+        if group is None or group.root is None or group.root == row["tag"] or not is_fault(row):
+            continue
+        if row["cause"] in SWUNG and group.coherence is not None:
+            row["reason"] = f"swings in step with {group.root} ({group.why}); by itself: {row['reason']}"
+            row["cause"], row["settings"] = str(Cause.EXTERNAL), None
+            row["confidence"] = max(_number(row, "confidence"), group.coherence * ROOT_SURE)
+        if row["cause"] == str(Cause.EXTERNAL):
+            row["action"] = f"look at {group.root} first"
             row["rank"] = 0.5 * _number(row, "rank")
+            root = by_tag[group.root]
+            root["rank"] = _number(root, "rank") + _number(row, "rank")
+            root["upsets"] = int(_number(root, "upsets")) + 1
+
+
+def _in_order(rows: Sequence[Row]) -> None:
+    """The slave of a cascade comes before its master; of loops that swing against each other one is slowed down."""
+    by_tag = {str(row["tag"]): row for row in rows}
+    for row in rows:
+        slaves = row["slaves"] if isinstance(row["slaves"], list) else []
+        sick = [tag for tag in slaves if is_fault(by_tag[tag])]
+        if sick and is_fault(row):
+            row["action"] = f"its slave {sick[0]} first, then {row['action']}"
+            row["rank"] = 0.5 * _number(row, "rank")
+        if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
+            others = row["swings_with"] if isinstance(row["swings_with"], list) else []
+            row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
 
 
 def _number(row: Row, name: str) -> float:
@@ -84,6 +143,21 @@ def change(row: Row, earlier: Row | None) -> str:
     return "same"
 
 
+def write_joined(path: Path, found: Catalogue) -> None:
+    """How names were joined to loops, as a file that --record takes back after somebody has mended it."""
+    lines = [
+        "# How the audit joined names to loops. Mend what is wrong and give it back with --record; a name that stands",
+        '# for no signal gets "". Rules by the last word of names do the same for many: words = { meas = "pv" }',
+        "[record]",
+        "words = {}",
+        "[record.signals]",
+    ]
+    for tag, roles in sorted(found.signals.items()):
+        lines += [f"{quoted(name)} = {quoted(f'{tag}.{role.upper()}')}" for role, name in sorted(roles.items()) if tag]
+    lines += ["", "# Names that belong to no loop:", *(f'# {quoted(name)} = ""' for name in found.others)]
+    write_whole(path, "\n".join(lines) + "\n")
+
+
 def summary(rows: Sequence[Row], refused: int) -> str:
     """The audit in a sentence."""
     counted = Counter(str(row["action"]) for row in rows)
@@ -102,7 +176,7 @@ def write_results(
         "schema": SCHEMA,
         "summary": told,
         "rows": listed,
-        "groups": [{"period_s": g.period_s, "tags": g.tags, "root": g.root, "why": g.why} for g in groups],
+        "groups": [asdict(group) for group in groups],
         "refused": [{"file": str(path), "reason": reason} for path, reason in refused],
     }
     write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
@@ -139,7 +213,10 @@ def _for_the_page(row: Row) -> Row:
     shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "loss_per_day", "since", "change", "file")
     looked_at = _number(row, "looked_at")
     share = _number(row, "seen") / looked_at if looked_at else None
-    return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share}
+    told = {name: row[name] for name in ("master", "slaves", "swings_with", "root", "upsets") if row.get(name)}
+    if is_fault(row) and _number(row, "place") <= MOST_FIRST:
+        told["why"] = row.get("reason", "")
+    return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share} | told
 
 
 def _write_parquet(path: Path, rows: Sequence[Row]) -> None:

@@ -1,13 +1,14 @@
 """The work of an audit spread over processes: of this machine, or of a dask cluster; results are kept as they come.
 
-A task whose process dies is tried once more by itself; if that dies as well, its loops are rows that say so. Ctrl-C
-keeps what is done.
+A task whose process dies is tried once more, each of its loops by itself; one that dies as well is a row that says so.
+Ctrl-C keeps what is done.
 """
 
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
@@ -19,6 +20,8 @@ from retuner.errors import UserError
 
 AHEAD = 3
 """Tasks that are given out beyond those at work, a process."""
+MOST_GIVEN_OUT = 2_000
+"""Tasks that a cluster has at once."""
 Work = Callable[[Task], list[Row]]
 
 
@@ -46,7 +49,7 @@ def on_this_machine(
         broken = yield from _until_broken(left, do, jobs)
         again += broken
     for task in again:
-        yield task, _by_itself(task, do)
+        yield task, [row for tag in task.tags for row in _by_itself(replace(task, tags=(tag,)), do)]
 
 
 def _until_broken(left: list[Task], do: Work, jobs: int) -> Generator[tuple[Task, list[Row]], None, list[Task]]:
@@ -103,10 +106,18 @@ def on_a_cluster(tasks: Sequence[Task], settings: AuditSettings, address: str) -
         client = cluster.Client(address, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:
         raise UserError(f"--scheduler {address}: no answer there: {error}") from error
+    left = list(reversed(tasks))
     with client:
-        futures = {client.submit(audit_task, task, settings, pure=False, retries=2): task for task in tasks}
-        for future in cluster.as_completed(list(futures)):
-            task = futures[future]
+        futures = {}
+        going = cluster.as_completed([], with_results=False)
+        for task in (left.pop() for _ in range(min(len(left), MOST_GIVEN_OUT))):
+            futures[future := client.submit(audit_task, task, settings, pure=False, retries=2)] = task
+            going.add(future)
+        for future in going:
+            task = futures.pop(future)
             broken = future.exception()
             rows = [failed(tag, f"its worker: {broken}") for tag in task.tags] if broken else future.result()
+            if left:
+                futures[further := client.submit(audit_task, left[-1], settings, pure=False, retries=2)] = left.pop()
+                going.add(further)
             yield task, rows

@@ -18,6 +18,7 @@ from retuner.commands.options import By, Json, Loop, Note, Session
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
+from retuner.decision_page.shown_units import show_units_of
 from retuner.errors import LedgerError, UserError, user_input
 from retuner.ledger.lock import WriterLock
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
@@ -64,6 +65,7 @@ def places(session: Path, loop: str | None = None) -> list["LoopPlace"]:
     """
     ledger = ledger_path(session)
     rows, config = believed_rows(ledger), load_session(ledger.parent / CONFIG)[0]
+    show_units_of(config)
     about = rows_by_loop(rows, config.names) if config.several else {config.names[0]: rows}
     wanted = config.loops if loop is None else (config.loops[config.place(loop)],)
     return [LoopPlace(ledger, one, config.several, shown(about[one.loop.name])) for one in wanted]

@@ -22,6 +22,7 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 @app.command(epilog="Example: retuner check oven.toml")
 def check(path: ConfigFile, as_json: Json = False) -> int:
     """Check a configuration: each error with file, line, key and limit; without errors, a summary."""
+    from retuner.commands.foreseen import foreseen  # noqa: PLC0415  see above
     from retuner.config.loading import (  # noqa: PLC0415  see above
         UnusableError,
         parse_session,
@@ -37,13 +38,16 @@ def check(path: ConfigFile, as_json: Json = False) -> int:
             raise ConfigError(*(finding.text(str(path)) for finding in unusable.findings)) from None
         _print_json({"ok": False, "file": str(path), "problems": [_problem(f) for f in unusable.findings]})
         return UNUSABLE
+    warned = [one for config in session.loops for one in foreseen(config)]
+    wrong = any(one.wrong for one in warned)
     if as_json:
-        _print_json({"ok": True, "file": str(path), "problems": [], **session.summary()})
+        told = {"problems": [], "warnings": [one.text for one in warned]}
+        _print_json({"ok": not wrong, "file": str(path), **told, **session.summary()})
     else:
         lines = [line for config in session.loops for line in described(config, several=session.several)]
-        lines += [output_line(session.loops[0])]
-        sys.stdout.write(f"{path}: ok\n" + "".join(f"  {line}\n" for line in lines))
-    return 0
+        lines += [output_line(session.loops[0]), *(f"warning     {one.text}" for one in warned)]
+        sys.stdout.write(f"{path}: {'WRONG' if wrong else 'ok'}\n" + "".join(f"  {line}\n" for line in lines))
+    return 1 if wrong else 0
 
 
 def output_line(config: "Config") -> str:
@@ -87,14 +91,10 @@ def _axis_text(axis: "Axis") -> str:
 def _region_lines(config: "Config") -> list[str]:
     where = config.regions()
     width = max(len(region.name) for region in config.schedule.regions)
-    lines = []
-    for i, region in enumerate(config.schedule.regions):
-        tau_i = "no integral action" if region.integral_time_s is None else f"tau_i {region.integral_time_s:g} s"
-        lines.append(
-            f"  {region.name:<{width}}  {where.text(i)}: kc {region.kc:g} %/{config.loop.pv_unit}, "
-            f"{tau_i}, tau_d {region.tau_d_s:g} s ({region.form})"
-        )
-    return lines
+    gains = [config.units.text(one, digits=6, acting=True) for one in config.gains()]
+    return [
+        f"  {region.name:<{width}}  {where.text(i)}: {gains[i]}" for i, region in enumerate(config.schedule.regions)
+    ]
 
 
 def _problem(finding: "ConfigFlaw") -> dict[str, object]:

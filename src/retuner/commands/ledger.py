@@ -20,6 +20,8 @@ from rich.table import Table
 
 from retuner.commands.approve import Person, order_back
 from retuner.commands.options import By, Json, Loop, Note, Session
+from retuner.decision_page.row_values import part
+from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
@@ -155,6 +157,7 @@ def show(
     path = ledger_path(session)
     rows, broken = believed(path)
     chosen = Selection(decision, since, kind, loop).rows(rows)
+    show_units_told(part(rows[0].body, "config") if rows else {})
     if as_json:
         document = {
             "ledger": str(path),

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from retuner.errors import UserError
+from retuner.errors import UserError, user_input
 
 if TYPE_CHECKING:  # slow to load, and most commands have no configuration
     from retuner.config.model import Config
     from retuner.config.session_config import SessionConfig
+    from retuner.schedule.controller_units import ControllerUnits
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).")]
 Session = Annotated[Path, typer.Argument(metavar="SESSION", help="Folder of a session, finished or running.")]
@@ -22,6 +23,20 @@ Channel = Annotated[str | None, typer.Option("--channel", "-c", help="Channel of
 Loop = Annotated[str | None, typer.Option("--loop", metavar="NAME", help="Which loop, where there are several.")]
 By = Annotated[str | None, typer.Option(help="Who requests it; default: the user of this process.")]
 Note = Annotated[str, typer.Option(help="Why, for the ledger.")]
+
+Controller = Annotated[
+    str | None,
+    typer.Option(
+        metavar="UNITS",
+        help="Units of gains, given and shown: kc-s, gain-min, pb-rpm and so on; -ideal behind for that form.",
+    ),
+]
+ActionOption = Annotated[
+    str | None,
+    typer.Option("--action", help="With --controller: reverse or direct acting; else the sign of the gain says it."),
+]
+PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit; gain and pb are told of it.")]
+CONTROLLER = "--controller, --action, --pv-span"
 
 Options = TypeVar("Options")
 
@@ -59,3 +74,23 @@ def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | N
             f"--interface, --channel: name one bus, and the loops depend on {len(session.buses)}; name them in the file"
         )
     return replace(session, loops=tuple(on_bus(config, interface, channel) for config in session.loops))
+
+
+def controller_units(name: str | None, pv_span: float | None, action: str | None) -> "ControllerUnits | None":
+    """The units that the options name, None without a name.
+
+    Raises
+    ------
+    UserError
+        There are no such units, or they need a span that is not given.
+    """
+    from retuner.schedule.controller_units import ControllerUnits  # noqa: PLC0415  most commands need none
+
+    if name is not None and pv_span is None and name.split("-")[0] in {"gain", "pb"}:
+        raise UserError(f"--controller {name} is told of the span of pv: give --pv-span")
+    if name is None:
+        if action is not None:
+            raise UserError("--action needs --controller: say how the gains are given, as in --controller pb-rpm")
+        return None
+    with user_input(CONTROLLER):
+        return ControllerUnits.named(name, pv_span, action=action)

@@ -17,6 +17,7 @@ from retuner.commands.options import Json, Loop, signed_by
 from retuner.commands.recorded.record_form import FormOptions, read_record, renamed, tell_assumed
 from retuner.config import Config, load_config
 from retuner.decision_page.explain import one_line
+from retuner.decision_page.shown_units import show_units_of
 from retuner.drivers.recorded.frame_log import is_frame_log
 from retuner.drivers.recorded.recorded_samples import (
     LoopFacts,
@@ -61,6 +62,7 @@ def replay(options: ReplayOptions) -> int:
         raise UserError(f"{target}: is not the folder of a session; to replay a log of another origin give --config")
     _refuse_form(options, "a session has its own")
     recorded, meant = read_loops(target)
+    show_units_of(meant)
     if options.loop is not None:
         recorded = (recorded[meant.place(options.loop)],)
     return _again(recorded, as_json=options.as_json)

@@ -14,6 +14,7 @@ from retuner.config.model import Config
 from retuner.decision_page.decision_view import view_of, what_came_of
 from retuner.decision_page.page import page
 from retuner.decision_page.row_values import Document, gains_of, number, part, parts, words
+from retuner.decision_page.shown_units import show_units_of
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.ledger import Row
@@ -42,6 +43,7 @@ def report(
 ) -> int:
     """Make the report of a recorded session again, or the page of one decision with its full reasoning."""
     recorded, config = read_loops(session)
+    show_units_of(config)
     every = config.several and loop is None and decision is None and out is None
     with busy("drawing the report"):
         told = _all_loops(recorded) if every else _one_loop(recorded[config.place(loop)], decision, out)

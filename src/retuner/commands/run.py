@@ -20,6 +20,7 @@ from retuner.commands.report import scores_of
 from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
+from retuner.decision_page.shown_units import show_units_of
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
@@ -97,6 +98,7 @@ def run(options: RunOptions) -> int:
     """
     read, text = load_session(options.config)
     config = all_on_bus(read, options.interface, options.channel)
+    show_units_of(config)
     if options.pretune:
         config = replace(config, loops=tuple(_pretuned(one) for one in config.loops))
     if options.mode is not None and options.mode not in set(Mode):

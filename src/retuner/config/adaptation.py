@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from retuner.adaptive.diagnosis.cause import CauseSettings
-from retuner.config.learning import AdmissionConfig, LimitsConfig, PatternConfig
+from retuner.config.learning import AdmissionConfig, LimitsConfig, NudgeConfig, PatternConfig
 from retuner.config.setting import Many, Problem, Section, setting
 
 
@@ -82,6 +82,9 @@ class AdaptationConfig(Section):
     )
     pattern: PatternConfig = setting(
         "What may be done without a model", unit="-", default=PatternConfig(), source="see there"
+    )
+    nudge: NudgeConfig = setting(
+        "Small setpoint bumps where days pass without evidence", unit="-", default=NudgeConfig(), source="see there"
     )
     approval_s: float = setting(
         "How long a proposal may be approved after it was made",

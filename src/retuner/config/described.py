@@ -10,6 +10,7 @@ from retuner.drivers.profiles.access import Access, ProfileError
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.mapping import DeviceMapping
 from retuner.drivers.profiles.ready import described_by
+from retuner.drivers.recorded.sample_note import note_id
 from retuner.drivers.telemetry.signal_source import ScheduleInputs
 from retuner.schedule.table import GainTable
 from retuner.schedule.vendor_units import VendorUnits
@@ -129,4 +130,5 @@ def foreign_settings(
         closed=closed(foreign, access),
         bench_node=config.node if foreign.plant is not None else None,
         after_s=after_s,
+        note_id=note_id(config.loop.name),
     )

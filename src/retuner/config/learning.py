@@ -1,10 +1,12 @@
-"""[adaptation.limits], [adaptation.admission] and [adaptation.pattern]: how far the guard lets gains go, what may
-teach a region, and what may be done without a model. The settings are declared where they are used.
+"""[adaptation.limits], [adaptation.admission], [adaptation.pattern] and [adaptation.nudge]: how far the guard lets
+gains go, what may teach a region, what may be done without a model, and whether the setpoint may be bumped. The
+settings are declared where they are used.
 """
 
 from collections.abc import Iterator
 
 from retuner.adaptive.guard.settings import GuardSettings
+from retuner.adaptive.nudge.settings import NudgeSettings
 from retuner.adaptive.supervision.admission import AdmissionSettings
 from retuner.adaptive.without_model.pattern_rule import PatternSettings
 from retuner.config.setting import Problem, Section, holding, setting
@@ -44,3 +46,21 @@ class PatternConfig(Section):
         for name in ("overshoot_target", "damping_target"):
             if given["dead_zone"] > given[name]:
                 yield Problem(("dead_zone",), f"= {given['dead_zone']:g} must be at most {name} = {given[name]:g}")
+
+
+@holding(NudgeSettings)
+class NudgeConfig(Section):
+    """[adaptation.nudge]: small setpoint bumps where nothing else shows the process, in modes trial and auto."""
+
+    allowed: bool = setting(
+        "Whether retuner may move the setpoint a little, for a while, where nothing else shows the process",
+        unit="-",
+        default=False,
+        source="no test signal unless someone asks for it",
+    )
+
+    def problems(self) -> Iterator[Problem]:
+        """Hours in which there is time."""
+        given = self.model_dump()
+        if given["from_h"] == given["to_h"]:
+            yield Problem(("to_h",), f"= {given['to_h']:g} must differ from from_h, or no bump could ever begin")

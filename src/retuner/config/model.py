@@ -1,5 +1,6 @@
 """The whole configuration, schema 1, and what must hold between its sections."""
 
+import math
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Annotated, Literal
@@ -9,9 +10,11 @@ from pydantic import Discriminator, Tag
 from retuner.config.adaptation import AdaptationConfig
 from retuner.config.bench import CONFIRM_SAMPLES, BusConfig, DeviceConfig, OutputConfig, ScenarioConfig
 from retuner.config.foreign import CanOpenDeviceConfig, DbcDeviceConfig
-from retuner.config.schedule import AxisConfig, ScheduleConfig
+from retuner.config.schedule import AxisConfig, RegionConfig, ScheduleConfig
 from retuner.config.setting import Problem, Section, setting
 from retuner.drivers.controller.firmware_settings import SAMPLES_MAX
+from retuner.schedule.controller_units import DEFAULT, Acting, ControllerUnits
+from retuner.schedule.forms import in_form
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -55,8 +58,29 @@ class LoopConfig(Section):
         source="controller",
     )
 
+    controller: str | None = setting(
+        'How gains are shown: "kc-s", "gain-min", "pb-rpm" and so on (docs/units.md); absent: as the first region has '
+        "them",
+        unit="-",
+        text=(1, 32),
+        default=None,
+        source="the user",
+    )
+    action: Literal["reverse", "direct"] | None = setting(
+        "What the output does when pv rises: reverse, it falls (heating); direct, it rises (cooling); absent: the sign "
+        "of the gains says it, negative for direct",
+        unit="-",
+        default=None,
+        source="the controller's switch",
+    )
+
+    @property
+    def acting(self) -> Acting | None:
+        """The controller's action, where it is given."""
+        return None if self.action is None else Acting(self.action)
+
     def problems(self) -> Iterator[Problem]:
-        """Ranges with room between their ends."""
+        """Ranges with room between their ends, and units that there are."""
         if self.pv_min >= self.pv_max:
             message = (
                 f"= {self.pv_max:g} must be greater than pv_min = {self.pv_min:g}; give the range of the transmitter"
@@ -65,6 +89,10 @@ class LoopConfig(Section):
         if self.co_min_pct >= self.co_max_pct:
             message = f"= {self.co_max_pct:g} must be greater than co_min_pct = {self.co_min_pct:g}"
             yield Problem(("co_max_pct",), message)
+        try:
+            ControllerUnits.named(self.controller or DEFAULT, 1.0)
+        except ValueError as error:
+            yield Problem(("controller",), f"= {error}")
 
 
 SCHEMA = 1
@@ -84,6 +112,13 @@ AnyDevice = Annotated[
     | Annotated[CanOpenDeviceConfig, Tag("canopen")],
     Discriminator(_kind),
 ]
+
+
+def _in_seconds(region: RegionConfig, gains: PidGains) -> dict[str, float | None]:
+    """Gain and times of a region's form in %/pv and seconds, whatever units they are given in."""
+    if region.dials == ControllerUnits().dials:
+        return {"kc": math.copysign(region.dialled, gains.kp), "tau_i": region.integral_time_s, "tau_d": region.tau_d_s}
+    return in_form(gains, region.form)
 
 
 class Config(Section):
@@ -143,7 +178,18 @@ class Config(Section):
 
     def gains(self) -> tuple[PidGains, ...]:
         """The gains of each region in parallel form, in the order of the regions."""
-        return tuple(region.gains() for region in self.schedule.regions)
+        return tuple(region.gains(self._span, self.loop.acting) for region in self.schedule.regions)
+
+    def units_in(self, region: RegionConfig) -> ControllerUnits:
+        """The units in which a region has its gains."""
+        return region.units(self._span, self.loop.acting)
+
+    @property
+    def units(self) -> ControllerUnits:
+        """The units in which people see the gains."""
+        if self.loop.controller is not None:
+            return ControllerUnits.named(self.loop.controller, self._span, action=self.loop.acting)
+        return ControllerUnits(self.schedule.regions[0].dials, pv_span=self._span, action=self.loop.acting)
 
     def gain_table(self) -> GainTable:
         """The gain table as commissioned: revision 0."""
@@ -152,6 +198,7 @@ class Config(Section):
     def summary(self) -> dict[str, object]:
         """What it says, as JSON values: every setting with its defaults, and the gains of each region."""
         settings = self.model_dump(mode="json", by_alias=True)
+        settings["loop"]["controller"] = self.loop.controller or self.units.name
         where = self.regions()
         regions = [
             {
@@ -165,7 +212,7 @@ class Config(Section):
                 ],
                 "neighbours": [where.names[other] for other in where.neighbours(i)],
                 "form": region.form,
-                "gains": {"kc": region.kc, "tau_i": region.integral_time_s, "tau_d": region.tau_d_s},
+                "gains": _in_seconds(region, gains),
                 "parallel": {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd},
             }
             for i, (region, gains) in enumerate(zip(self.schedule.regions, self.gains(), strict=True))
@@ -175,6 +222,7 @@ class Config(Section):
     def problems(self) -> Iterator[Problem]:
         """What must hold between sections."""
         yield from self._border_problems()
+        yield from self._action_problems()
         yield from self._time_problems()
         yield from self._scenario_problems()
         if self.adaptation.noise_band is not None and self.adaptation.noise_band > self._span / 2:
@@ -206,13 +254,22 @@ class Config(Section):
                     f"= {axis.hysteresis:g} must be at most half of the narrowest region, {narrowest / 2:g} {unit}",
                 )
 
+    def _action_problems(self) -> Iterator[Problem]:
+        """Gains have no sign of their own where the action is given."""
+        for i, region in enumerate(self.schedule.region):
+            if self.loop.action is not None and region.dialled < 0:
+                yield Problem(
+                    ("schedule", "region", i, region.dials[0].key),
+                    f"= {region.dialled:g}: loop.action = {self.loop.action!r} says the direction; give it positive",
+                )
+
     def _time_problems(self) -> Iterator[Problem]:
         sample = self.loop.sample_time_s
         for i, region in enumerate(self.schedule.region):
             tau_i = region.integral_time_s
             if tau_i is not None and tau_i < sample:
                 yield Problem(
-                    ("schedule", "region", i, "tau_i_s"),
+                    ("schedule", "region", i, region.dials[1].key),
                     f"= {tau_i:g} s must be at least loop.sample_time_s = {sample:g} s",
                 )
         wait = self.adaptation.wait_s

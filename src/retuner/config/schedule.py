@@ -3,42 +3,65 @@
 from collections.abc import Iterator
 from itertools import pairwise
 from math import prod
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from retuner.config.setting import Many, Problem, Section, setting
 from retuner.config.toml_lines import Path
 from retuner.schedule.axis import CAN, Axis
-from retuner.schedule.forms import from_form
+from retuner.schedule.controller_units import KEYS, Acting, ControllerUnits, Dial
+from retuner.schedule.forms import Form
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
+from retuner.schedule.vendor_units import SECONDS_PER_MINUTE, Quantity
 
 IntegralTime = Annotated[float, Field(gt=0, le=1e9)]
+Dials = tuple[Dial, Dial, Dial]
+GAIN_KEYS = ("kc", "gain", "pb_pct")
+INTEGRAL_KEYS = ("tau_i_s", "tau_i_min", "repeats_per_min")
+DERIVATIVE_KEYS = ("tau_d_s", "tau_d_min")
+EVERY_KEY = (GAIN_KEYS, INTEGRAL_KEYS, DERIVATIVE_KEYS)
+"""Keys of a region that say the same in other units, by action."""
 NO_INTEGRAL = "none"  # how a person writes "no integral action": leaving it out by mistake must not mean the same
 STALE_AFTER_S = 10.0
 Edge = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
+def _number(meaning: str, unit: str, low: float = -1e9) -> Any:  # noqa: ANN401  as setting()
+    """A number of the controller that another one may stand for."""
+    return setting(meaning, unit=unit, low=low, high=1e9, default=None, source="the active gains")
+
+
 class RegionConfig(Section):
-    """[[schedule.region]]: the gains of one operating region, in a named form."""
+    """[[schedule.region]]: the gains of one operating region, in the units in which they stand on the controller."""
 
     name: str = setting("Name of the region in reports", unit="-", text=(1, 32), source="the user")
-    kc: float = setting(
-        "Controller gain of the named form, negative for a reverse-acting process",
-        unit="%/pv",
-        low=-1e9,
-        high=1e9,
+    kc: float | None = _number(
+        "Controller gain of the named form, or gain or pb_pct; negative where [loop] action is not given and the "
+        "controller is direct-acting",
+        "%/pv",
+    )
+    gain: float | None = _number("In place of kc: gain in percent of the span of the output per percent of pv's", "%/%")
+    pb_pct: float | None = _number("In place of kc: proportional band in percent of the span of pv", "%")
+    tau_i_s: IntegralTime | Literal["none"] | None = setting(
+        'Integral time of the named form, or "none" for no integral action; or tau_i_min or repeats_per_min',
+        unit="s",
+        default=None,
         source="the active gains",
     )
-    tau_i_s: IntegralTime | Literal["none"] = setting(
-        'Integral time of the named form, or "none" for no integral action', unit="s", source="the active gains"
+    tau_i_min: IntegralTime | Literal["none"] | None = setting(
+        "In place of tau_i_s: the same in minutes", unit="min", default=None, source="the active gains"
+    )
+    repeats_per_min: float | None = _number(
+        "In place of tau_i_s: repeats per minute, 0 for no integral action", "1/min", low=0
     )
     tau_d_s: float = setting(
         "Derivative time of the named form", unit="s", low=0, high=1e9, default=0.0, source="the active gains"
     )
+    tau_d_min: float | None = _number("In place of tau_d_s: the same in minutes", "min", low=0)
     form: Literal["series", "ideal", "parallel"] = setting(
-        "Form of kc, tau_i_s and tau_d_s; parallel means the times are kp/ki and kd/kp",
+        "Form of these numbers; parallel means the times are kp/ki and kd/kp",
         unit="-",
         default="series",
         source="SIMC's native form",
@@ -67,18 +90,45 @@ class RegionConfig(Section):
     )
 
     def problems(self) -> Iterator[Problem]:
-        """Gains that a controller can have."""
-        if self.kc == 0:
-            yield Problem(("kc",), "= 0 would control nothing; give the active gain, negative when reverse-acting")
+        """Gains that a controller can have, each told once."""
+        for keys, needed in ((GAIN_KEYS, True), (INTEGRAL_KEYS, True), (DERIVATIVE_KEYS, False)):
+            given = [key for key in keys if key in self.model_fields_set]
+            if len(given) > 1:
+                yield Problem((given[1],), f"stands beside {given[0]}; give one of them")
+            if needed and not given:
+                yield Problem((keys[0],), f"is missing; add {', '.join(keys[:-1])} or {keys[-1]}")
+        key = self.dials[0].key
+        if key in self.model_fields_set and self.dialled == 0:
+            yield Problem((key,), "= 0 would control nothing; give the active gain")
+
+    @property
+    def dials(self) -> Dials:
+        """The numbers that are given, each with its unit."""
+        given = [next((key for key in keys if key in self.model_fields_set), keys[0]) for keys in EVERY_KEY]
+        return KEYS[given[0]], KEYS[given[1]], KEYS[given[2]]
+
+    @property
+    def dialled(self) -> float:
+        """The gain or the proportional band, as it is given; its sign is that of kc."""
+        return float(getattr(self, self.dials[0].key) or 0.0)
 
     @property
     def integral_time_s(self) -> float | None:
-        """tau_i_s, or None for no integral action."""
-        return None if self.tau_i_s == NO_INTEGRAL else float(self.tau_i_s)
+        """Integral time in seconds, None for no integral action."""
+        number, dial = getattr(self, self.dials[1].key), self.dials[1]
+        if number is None or number in {NO_INTEGRAL, 0.0}:
+            return None
+        return SECONDS_PER_MINUTE / number if dial.quantity is Quantity.REPEATS else float(number) * dial.scale
 
-    def gains(self) -> PidGains:
-        """The gains in parallel form."""
-        return from_form(self.form, self.kc, self.integral_time_s, self.tau_d_s)
+    def units(self, pv_span: float, action: Acting | None) -> ControllerUnits:
+        """The units of its numbers. pv_span : of pv. action : of the controller, None where the sign tells it."""
+        return ControllerUnits(self.dials, Form(self.form), pv_span, action=action)
+
+    def gains(self, pv_span: float, action: Acting | None = None) -> PidGains:
+        """The gains in parallel form; arguments as `units`."""
+        gain, integral, derivative = (getattr(self, dial.key) for dial in self.dials)
+        acts = self.integral_time_s is not None
+        return self.units(pv_span, action).gains(gain, float(integral) if acts else None, derivative or 0.0)
 
 
 class AxisConfig(Section):
@@ -274,10 +324,11 @@ class ScheduleConfig(Section):
             if region.name in seen:
                 yield Problem(("region", i, "name"), f"{region.name!r} is taken by another region; give each its own")
             seen.add(region.name)
-            if region.kc * self.region[0].kc < 0:
+            if region.dialled * self.region[0].dialled < 0:
                 yield Problem(
-                    ("region", i, "kc"),
-                    f"= {region.kc:g} acts against the first region's {self.region[0].kc:g}; all regions act one way",
+                    ("region", i, region.dials[0].key),
+                    f"= {region.dialled:g} acts against the first region's {self.region[0].dialled:g}; "
+                    "all regions act one way",
                 )
 
     def _cell_problems(self) -> Iterator[Problem]:

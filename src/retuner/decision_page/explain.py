@@ -8,7 +8,7 @@ import math
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.supervision.decision import Decision
 from retuner.decision_page.row_values import Document, decided_on, gains_of, number, part, words
-from retuner.schedule.forms import in_form
+from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
 
 WHOLE_STEP = 0.999
@@ -36,27 +36,14 @@ def takes_back(decision: Decision | Document) -> bool:
     return words(document, "action") == "restore" and not stays(document)
 
 
-def settings_text(gains: PidGains) -> str:
-    """Gains as people write them: series form where it exists, else ideal, else the integral gain alone."""
-    if gains.kp == 0:
-        return f"Ki {gains.ki:.3g}/s (integral only)" if gains.ki else f"Kd {gains.kd:.3g} s (derivative only)"
-    form = "series"
-    try:
-        shown = in_form(gains, form)
-    except ValueError:
-        form = "ideal"
-        shown = in_form(gains, form)
-    text = f"Kc {shown['kc']:.3g}"
-    if shown["tau_i"] is not None:
-        text += f" tau_I {shown['tau_i']:.3g} s"
-    if shown["tau_d"]:
-        text += f" tau_D {shown['tau_d']:.3g} s ({form})"
-    return text
+def settings_text(gains: PidGains, loop: str = "") -> str:
+    """Gains as people write them, in the units of the loop's controller. loop : its name, if it is known."""
+    return units_of(loop).text(gains)
 
 
-def short_settings(gains: PidGains) -> str:
+def short_settings(gains: PidGains, loop: str = "") -> str:
     """Gains for a narrow table: the numbers of settings_text without their names."""
-    return settings_text(gains).replace("Kc ", "").replace(" tau_I ", ", ").replace(" tau_D ", ", ").replace(" s", "")
+    return units_of(loop).short(gains)
 
 
 def response_text(decision: Decision | Document) -> str:
@@ -102,13 +89,13 @@ def cause_text(decision: Decision | Document) -> str:
 def change_text(decision: Decision | Document) -> str:
     """What changes, from what to what, with Ms."""
     document = document_of(decision)
-    verb = VERBS.get(words(document, "action"))
+    verb, loop = VERBS.get(words(document, "action")), words(document, "loop")
     before, after = (gains_of(part(document, name)) for name in ("gains_before", "gains_after"))
     if verb is None or before is None or after is None:
         return "no change"
     if stays(document):
-        return f"kept: {settings_text(after)}"
-    moved = f"{verb}: {settings_text(before)} -> {settings_text(after)}"
+        return f"kept: {settings_text(after, loop)}"
+    moved = f"{verb}: {settings_text(before, loop)} -> {settings_text(after, loop)}"
     return f"{moved}{_robustness(part(document, 'verdict'))}"
 
 

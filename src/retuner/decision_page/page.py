@@ -4,6 +4,8 @@ The page tells what stands in the decision's document; only curves and margins a
 it. A section for which there is nothing is left out.
 """
 
+from collections.abc import Iterator, Sequence
+
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.update import Agreement
@@ -19,8 +21,9 @@ from retuner.decision_page.outcome import judgement_section, later_section, prom
 from retuner.decision_page.response_drawing import response_svg
 from retuner.decision_page.robustness_drawing import new_name, old_name, robustness_svg
 from retuner.decision_page.row_values import finite, gains_of, number, numbers, part, parts, words
+from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import DONE, footing, headline, margin_rows, ms_limit, parameters, structure
-from retuner.schedule.forms import in_form
+from retuner.schedule.controller_units import PARALLEL, ControllerUnits
 from retuner.schedule.gains import PidGains
 
 COLOURS = {"commit": "#0072b2", "advise": "#7a5c00", "restore": "#b42318", "none": "#555555"}
@@ -182,8 +185,8 @@ def _proposal(view: DecisionView) -> str:
     lead = f"Rule {rule}" if rule else ""
     lead += f", tau_c {tau_c:.4g} s" if tau_c is not None else ""
     lead += f", {basis}." if lead and basis else "." if lead else ""
-    rows = [(label, *(_setting(gains, label) for _, gains in shown)) for label in SETTINGS_SHOWN]
-    rows = [row for row in rows if any(cell not in {"-", "0"} for cell in row[1:])]
+    settled = _settings_rows([gains for _, gains in shown], units_of(words(view.document, "loop")))
+    rows = [row for row in settled if any(cell not in {"-", "0"} for cell in row[1:])]
     return (
         paragraph(lead)
         + (_formula(view, wanted) if wanted else "")
@@ -191,27 +194,28 @@ def _proposal(view: DecisionView) -> str:
     )
 
 
-SETTINGS_SHOWN = {
-    "Kc (series)": ("kc", ""),
-    "tau_I": ("tau_i", " s"),
-    "tau_D": ("tau_d", " s"),
-    "kp": ("kp", ""),
-    "ki": ("ki", " /s"),
-    "kd": ("kd", " s"),
-}
-"""Rows of the table of settings: label, name and unit; series form where it exists, and parallel, as it is sent."""
+def _settings_rows(sets: Sequence[PidGains], units: ControllerUnits) -> Iterator[tuple[str, ...]]:
+    """Settings as they stand on the controller, and in parallel form as they are sent; what nobody has is left out."""
+    for i, dial in enumerate(units.dials):
+        form = f" ({units.form})" if i == 0 and units.dials != PARALLEL else ""
+        cells = [_cell(_dialled(gains, units)[i], dial.unit) for gains in sets]
+        yield f"{dial.label}{form}", *cells
+    if units.dials != PARALLEL:
+        for name, unit in (("kp", ""), ("ki", " /s"), ("kd", " s")):
+            yield name, *(_cell(getattr(gains, name), unit) for gains in sets)
 
 
-def _setting(gains: PidGains, label: str) -> str:
-    """One number of one set of gains."""
-    name, unit = SETTINGS_SHOWN[label]
-    if name in {"kp", "ki", "kd"}:
-        value: float | None = getattr(gains, name)
-    else:
-        try:
-            value = in_form(gains, "series")[name]
-        except ValueError:
-            return "-"
+def _dialled(gains: PidGains, units: ControllerUnits) -> tuple[float | None, ...]:
+    """The numbers on the controller; none in a form that this set has not."""
+    try:
+        shown = units.numbers(gains)
+    except ValueError:
+        return None, None, None
+    return shown[:3] if shown.form == units.form else (None, None, None)
+
+
+def _cell(value: float | None, unit: str) -> str:
+    """One number."""
     return "-" if value is None else "0" if value == 0 else f"{value:.5g}{unit}"
 
 
@@ -304,7 +308,10 @@ def _whereabouts(view: DecisionView) -> str:
     return pairs(
         [
             ("ledger row", f"{view.row}, hash {view.hash}" if view.row is not None else ""),
-            ("active gains at the time", settings_text(view.before) if view.before else ""),
+            (
+                "active gains at the time",
+                settings_text(view.before, words(view.document, "loop")) if view.before else "",
+            ),
             ("code", words(view.document, "code")),
             ("load steps in the record", str(loads) if loads else ""),
             ("state of the region", words(view.document, "trial")),

@@ -9,7 +9,7 @@ from retuner.adaptive.region_model.update import Agreement
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.explain import process_text, settings_text, stays
 from retuner.decision_page.row_values import number, part, parts, words
-from retuner.schedule.forms import in_form
+from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
 
 STRUCTURES = {
@@ -53,28 +53,30 @@ def seen(view: DecisionView) -> str:
 def done(view: DecisionView) -> str:
     """What follows, with the numbers."""
     if stays(view.document) and view.after is not None:
-        return f"The trial settings stay: {settings_text(view.after)}."
+        return f"The trial settings stay: {settings_text(view.after, words(view.document, 'loop'))}."
     what = DONE.get(view.action, view.action)
     if view.before is None or view.after is None:
         return f"{what}."
-    return f"{what}: {moves(view.before, view.after)}."
+    return f"{what}: {moves(view.before, view.after, words(view.document, 'loop'))}."
 
 
-def moves(before: PidGains, after: PidGains) -> str:
-    """From where to where, each setting that moves by its name and with its factor."""
+def moves(before: PidGains, after: PidGains, loop: str = "") -> str:
+    """From where to where, each setting that moves by its name and with its factor. loop : its name, if known."""
+    units = units_of(loop)
     try:
-        old, new = in_form(before, "series"), in_form(after, "series")
+        old, new = units.numbers(before), units.numbers(after)
     except ValueError:
-        return f"{settings_text(before)} becomes {settings_text(after)}"
+        return f"{settings_text(before, loop)} becomes {settings_text(after, loop)}"
+    if old.form != new.form:
+        return f"{settings_text(before, loop)} becomes {settings_text(after, loop)}"
     told = []
-    for name, label, unit in (("kc", "Kc", ""), ("tau_i", "tau_I", " s"), ("tau_d", "tau_D", " s")):
-        was, now = old[name], new[name]
+    for dial, was, now in zip(units.dials, old[:3], new[:3], strict=True):
         if (was or 0.0) == (now or 0.0):
             continue
         if not was or not now:
-            told.append(f"{label} from {_or_none(was, unit)} to {_or_none(now, unit)}")
+            told.append(f"{dial.label} from {_or_none(was, dial.unit)} to {_or_none(now, dial.unit)}")
         elif abs(now / was - 1) > SAME:
-            told.append(f"{label} from {was:.3g} to {now:.3g}{unit} (x {now / was:.3g})")
+            told.append(f"{dial.label} from {was:.3g} to {now:.3g}{dial.unit} (x {now / was:.3g})")
     return ", ".join(told) or "the same settings"
 
 

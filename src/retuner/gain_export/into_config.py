@@ -12,11 +12,13 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from retuner.adaptive.guard import change_factor
+from retuner.config import Config
 from retuner.config.loading import UnusableError, load_session, parse_session
 from retuner.errors import UserError
-from retuner.schedule.forms import in_form
+from retuner.schedule.controller_units import ControllerUnits, Dialled
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
+from retuner.schedule.vendor_units import Quantity
 
 SAME = 1.0 + 1e-9
 """Factor within which gains that went through a form and back are the same."""
@@ -43,7 +45,9 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         )
     try:
         document = tomlkit.parse(text)
-        told = [line for region in _regions(document, place if several else None) for line in _put(region, table)]
+        told = [
+            line for region in _regions(document, place if several else None) for line in _put(region, table, config)
+        ]
     except (TOMLKitError, KeyError, TypeError) as error:
         raise UserError(f"{path}: its regions cannot be found to be written: {error}") from None
     written = tomlkit.dumps(document)
@@ -61,32 +65,35 @@ def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMappi
     return list(own["region"])
 
 
-def _put(region: MutableMapping[str, Any], table: GainTable) -> list[str]:
-    """The gains of one region."""
-    gains = table.gains_of(str(region["name"]))
-    form, shown = _shown(gains, str(region.get("form", "series")))
-    before = (region["kc"], region["tau_i_s"], region.get("tau_d_s", 0.0))
-    _set(region, "kc", shown["kc"])
-    _set(region, "tau_i_s", NO_INTEGRAL if shown["tau_i"] is None else shown["tau_i"])
-    if shown["tau_d"] or "tau_d_s" in region:
-        _set(region, "tau_d_s", shown["tau_d"])
-    if form != region.get("form", "series"):
-        _set(region, "form", form)
-    after = (region["kc"], region["tau_i_s"], region.get("tau_d_s", 0.0))
-    if tuple(map(str, before)) == tuple(map(str, after)):
+def _put(region: MutableMapping[str, Any], table: GainTable, config: Config) -> list[str]:
+    """The gains of one region, in the units in which it has them."""
+    name = str(region["name"])
+    meant = next(one for one in config.schedule.regions if one.name == name)
+    units = config.units_in(meant)
+    shown = _shown(table.gains_of(name), units)
+    before = [region.get(dial.key) for dial in units.dials]
+    none = NO_INTEGRAL if units.dials[1].quantity is Quantity.TN else 0.0
+    values = (shown.gain, none if shown.integral is None else shown.integral, shown.derivative)
+    for dial, value in zip(units.dials, values, strict=True):
+        if value or dial.key in region:
+            _set(region, dial.key, value)
+    if shown.form != units.form:
+        _set(region, "form", str(shown.form))
+    after = [region.get(dial.key) for dial in units.dials]
+    if list(map(str, before)) == list(map(str, after)):
         return []
-    one, two = (f"kc {_text(kc)} tau_i_s {_text(ti)} tau_d_s {_text(td)}" for kc, ti, td in (before, after))
-    return [f"{region['name']}: {one} -> {two} ({form})"]
+    one, two = (
+        " ".join(f"{dial.key} {_text(value or 0.0)}" for dial, value in zip(units.dials, values, strict=True))
+        for values in (before, after)
+    )
+    return [f"{name}: {one} -> {two} ({region.get('form', 'series')})"]
 
 
-def _shown(gains: PidGains, form: str) -> tuple[str, dict[str, float | None]]:
-    """The set in the region's form, or in the ideal one."""
+def _shown(gains: PidGains, units: ControllerUnits) -> Dialled:
+    """The set in the region's units, or in the ideal form."""
     if gains.kp == 0:
         raise UserError("a region has no proportional gain, which [[schedule.region]] cannot say")
-    try:
-        return form, in_form(gains, form)
-    except ValueError:
-        return "ideal", in_form(gains, "ideal")
+    return units.numbers(gains)
 
 
 def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:

@@ -109,5 +109,6 @@ EVENTS: dict[str, Callable[[Document], str]] = {
     "lockout": _lockout,
     "unrestored": _regions("gains not known to be active"),
     "order": _request,
+    "nudge": lambda body: words(body, "reason"),
 }
 """Rows beside decisions that a person at the screen should see, and their words."""

@@ -106,7 +106,7 @@ class LoopSeen:
             "loop": self.loop,
             "t_s": self.sample.t_s,
             "region": self.region,
-            "running": settings_text(self.running) if self.running else None,
+            "running": settings_text(self.running, self.loop) if self.running else None,
             "recogniser": self.recogniser,
             "peaks": [[peak.t_s, peak.e] for peak in self.peaks],
             "band": self.band,

@@ -43,7 +43,7 @@ def what_next(
     told = []
     for one in found.open(approval_s):
         if not found.successor(one):
-            step = f"{short_settings(one.before)} -> {short_settings(one.after)}"
+            step = f"{short_settings(one.before, loop)} -> {short_settings(one.after, loop)}"
             why = f"{of}{one.region}: decision {one.number} proposes {step}"
             told.append(Next(why, f"retuner approve {place} {one.digest[:SHORT]}"))
     for region, digest in found.waiting.items():
@@ -70,6 +70,6 @@ def narrow_scores(scores: Iterable[RegionScore], unit: str, loop: str = "") -> l
         ms = "" if s.ms_after is None else f"; Ms {ms_words(s.ms_before)} -> {ms_words(s.ms_after)}"
         iae = f"IAE {s.iae:,.0f} {unit} s"
         iae += "" if s.iae_fixed is None else f" (fixed gains: {s.iae_fixed:,.0f})"
-        lines.append(f"{s.region}: {short_settings(s.before)} -> {short_settings(s.after)}{ms}")
+        lines.append(f"{s.region}: {short_settings(s.before, loop)} -> {short_settings(s.after, loop)}{ms}")
         lines.append(f"    {s.changes} writes; {iae}")
     return lines

@@ -23,6 +23,7 @@ from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.recorded.bus_log_samples import Overhearing
 from retuner.drivers.recorded.frame_log import read_parts
 from retuner.drivers.recorded.recording import RecordingError
+from retuner.drivers.recorded.sample_note import Notes
 from retuner.errors import UserError
 from retuner.ledger import Row
 from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
@@ -91,10 +92,7 @@ class Replayed:
         return self.agrees and not self.rounded
 
 
-FOREIGN = (
-    "its controller does not use the native protocol, and no log has its sample times to the last digit; "
-    "only native sessions are decided again"
-)
+NOTHING_ELSE = "only a log with notes can be decided again; run it with this release"
 
 
 class Replay:
@@ -107,12 +105,11 @@ class Replay:
         self._retuner = begun.retuner if begun is not None else make_retuner(session.config, session.mode)
         loop, bus = session.config.loop, session.config.bus
         gaps = [int(row.body["gap"]) for row in session.rows if row.kind == "restart"]
-        self._heard = Overhearing(
-            bus.node,
-            loop.sample_time_s,
-            schedule_inputs(session.config),
-            gaps=gaps,
-            after_s=begun.last_s if begun is not None else None,
+        after_s = begun.last_s if begun is not None else None
+        self._heard: Overhearing | Notes = (
+            Overhearing(bus.node, loop.sample_time_s, schedule_inputs(session.config), gaps=gaps, after_s=after_s)
+            if session.config.foreign_device is None
+            else Notes(loop.name)
         )
         not_of_samples = {"session", "end"} if session.name else {"session"}  # of several loops each has its "over"
         self._rows = [row for row in session.rows if row.kind not in not_of_samples]
@@ -132,9 +129,6 @@ class Replay:
         """
         result, known = self._result, self._session.bus_log_sha256
         log = self._session.bus_log
-        if self._session.config.foreign_device is not None:
-            result.stopped = f"{self._session.folder}: {FOREIGN}"
-            return result
         if not log.is_file():
             raise UserError(f"{log}: no such file; a session is decided again from its bus log")
         parts = log_parts(log)
@@ -152,7 +146,9 @@ class Replay:
             self._take_frames()
         except RecordingError as error:
             result.stopped = str(error)
-        if result.agrees and self._next < len(self._rows):
+        if result.agrees and isinstance(self._heard, Notes) and not result.samples:
+            result.stopped = f"{log}: no sample is noted in it, and of a controller that counts none {NOTHING_ELSE}"
+        elif result.agrees and self._next < len(self._rows):
             row = self._rows[self._next]
             result.stopped = (
                 f"{log}: ends after sample {result.samples}, and row {row.seq} of the ledger stands after sample "

@@ -12,6 +12,7 @@ from rich.table import Table
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision
 from retuner.decision_page.explain import cause_text, change_text, model_text, short_settings, stays, takes_back
+from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT
 from retuner.report.report import ms_text
 from retuner.report.scores import RegionScore
@@ -139,7 +140,7 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
     whose = f"{loop}: " if loop else ""
     over = any((s.ms_after or 0.0) > ms_limit for s in scores)
     limit = f" (!! over the limit of {ms_limit:g}: see the report)" if over else ""
-    title = f"\n{whose}Gains as Kc, tau_I in s; Ms on the simulated process{limit}; IAE in {unit} s{compared}"
+    title = f"\n{whose}Gains as {units_of(loop).heads}; Ms on the simulated process{limit}; IAE in {unit} s{compared}"
     table = Table(title=escape(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
     for name in ("region", "baseline", "final"):
         table.add_column(name, no_wrap=True)
@@ -152,8 +153,8 @@ def scores_table(scores: list[RegionScore], unit: str, loop: str = "", ms_limit:
         retuned = f"{s.iae:,.0f}" if same else f"[{colour}]{s.iae:,.0f}[/]"
         table.add_row(
             escape(s.region),
-            short_settings(s.before),
-            short_settings(s.after),
+            short_settings(s.before, loop),
+            short_settings(s.after, loop),
             str(s.changes),
             ms_text(s.ms_before),
             f"[bold red]{ms_text(s.ms_after)} !![/]" if (s.ms_after or 0.0) > ms_limit else ms_text(s.ms_after),

@@ -14,7 +14,8 @@ from retuner.ledger import Row
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
     "decision": RETUNER, "dropped": RETUNER, "trial": RETUNER, "judged": RETUNER, "restore": RETUNER,
-    "lockout": RETUNER, "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
+    "lockout": RETUNER, "nudge": RETUNER,
+    "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
     "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
     "restart": CONTROLLER,
     "reverted": CONTROLLER, "command": CONTROLLER, "foreign": "someone else", "foreign_host": "another host",

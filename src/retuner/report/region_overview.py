@@ -111,7 +111,7 @@ def _grid(table: GainTable) -> str:
         (
             down.text(i),
             *(
-                f"{regions.names[at]}: {settings_text(table.gains_of(at))}"
+                f"{regions.names[at]}: {settings_text(table.gains_of(at), table.loop)}"
                 for at in range(i * len(across), (i + 1) * len(across))
             ),
         )

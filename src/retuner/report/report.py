@@ -25,6 +25,7 @@ from retuner.decision_page.html import OPEN_TARGET, escaped, image, paragraph, t
 from retuner.decision_page.html import document as html_document
 from retuner.decision_page.page import article
 from retuner.decision_page.row_values import Document, number, part, words
+from retuner.decision_page.shown_units import units_of
 from retuner.decision_page.text import MS_LIMIT
 from retuner.report.plots import Mark, trend_png, twin_png
 from retuner.report.region_overview import overview
@@ -153,23 +154,17 @@ def ms_text(ms: float | None) -> str:
 def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
     """Each region before and after; Ms over the limit is red, with the reason."""
     unit = escaped(data.unit)
-    heads = (
-        "region",
-        "baseline gains",
-        "final gains",
-        "changes",
-        "Ms before",
-        "Ms after",
-        f"IAE fixed [{unit} s]",
-        f"IAE retuned [{unit} s]",
-    )
+    iae = (f"IAE fixed [{unit} s]", f"IAE retuned [{unit} s]")
+    heads = ("region", "baseline gains", "final gains", "changes", "Ms before", "Ms after", *iae)
     rows = []
     for s in data.scores:
         fixed = s.iae if s.iae_fixed is None else s.iae_fixed
         mark = "good" if s.iae < fixed else "bad" if s.iae > fixed else ""
         rows.append(
             (
-                *map(escaped, (s.region, settings_text(s.before), settings_text(s.after), s.changes)),
+                escaped(s.region),
+                *(escaped(settings_text(gains, data.loop)) for gains in (s.before, s.after)),
+                escaped(s.changes),
                 ms_text(s.ms_before),
                 _ms_cell(s, data.ms_limit, documents),
                 "-" if s.iae_fixed is None else f"{s.iae_fixed:,.0f}",
@@ -177,8 +172,8 @@ def _scores_table(data: ReportData, documents: Sequence[Document]) -> str:
             )
         )
     note = (
-        "Settings in series form unless marked. Ms is the peak of the sensitivity on the simulated process, the "
-        f"largest over the operating points visited; the limit is {data.ms_limit:g}."
+        f"Settings in {units_of(data.loop).form} form unless marked. Ms is the peak of the sensitivity on the "
+        f"simulated process, the largest over the operating points visited; the limit is {data.ms_limit:g}."
     )
     return table(heads, rows) + paragraph(note, "muted")
 

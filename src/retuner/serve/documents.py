@@ -84,7 +84,7 @@ def needs_a_person(session: WatchedSession, loop: WatchedLoop) -> list[Document]
             "region": one.region,
             "decision": one.number,
             "digest": one.digest,
-            "text": f"{settings_text(one.before)} -> {settings_text(one.after)}",
+            "text": f"{settings_text(one.before, loop.name)} -> {settings_text(one.after, loop.name)}",
         }
         for one in shown.open(approval_s)
         if not shown.successor(one) and one.region in regions

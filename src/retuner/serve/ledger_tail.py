@@ -4,6 +4,7 @@ from collections import deque
 from pathlib import Path
 
 from retuner.decision_page.row_values import part, parts, words
+from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import LedgerError
 from retuner.ledger import LedgerReader, Row
 from retuner.ledger.chain import GENESIS, next_row
@@ -101,6 +102,7 @@ class LedgerTail:
         body = row.body
         if row.kind == "session":
             config = part(body, "config")
+            show_units_told(config)
             self.names = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
             self.shown = {name: Shown() for name in self.names}
         for name in self._about(body):

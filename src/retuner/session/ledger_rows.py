@@ -1,11 +1,12 @@
 """What the ledger keeps of a controller's events, and which of them end a trial."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from retuner.adaptive.nudge.planner import NudgePhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
 from retuner.adaptive.supervision.operator_orders import accept, approve, revert, set_mode, unlock
@@ -31,10 +32,15 @@ from retuner.drivers.device import (
     VariableChanged,
     WriteUnknown,
 )
+from retuner.ledger import Row
 from retuner.schedule.gains import PidGains
 
 HELD_BY = (LinkChanged, DeviceRestarted, RunningChanged, Reverted, DeviceConflict, DeviceStopped, VariableChanged)
 """Events after which no decision is written for a while."""
+
+
+IN_PLACE = frozenset(phase.name.lower() for phase in (NudgePhase.WATCHING, NudgePhase.ANNOUNCED))
+"""Phases of a bump, as rows name them, in which the setpoint has not been moved."""
 
 
 def trouble(event: Event) -> tuple[str, dict[str, object]]:
@@ -84,6 +90,20 @@ def abort_cause(event: Event) -> TrialEvent | None:
             return None if event.known else TrialEvent.LOST_TELEMETRY
         case _:
             return None
+
+
+def bump_left(rows: Iterable[Row]) -> tuple[float, float] | None:
+    """Setpoints before and after a bump that the rows' last session left out; None where it took it back.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        The row is not what a session writes.
+    """
+    body = next((row.body for row in reversed(tuple(rows)) if row.kind == "nudge"), None)
+    if body is None or body["phase"] in IN_PLACE:
+        return None
+    return float(body["before"]), float(body["to"])
 
 
 # What enters the pure retuner beside samples, as the ledger keeps it: the rows from which a replay feeds it again.

@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from enum import Enum
 
+from retuner.adaptive.nudge.planner import NudgeNews, NudgePhase
+from retuner.adaptive.nudge.watching import Nudger
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
 from retuner.adaptive.supervision.retuner import Retuner
@@ -42,6 +44,9 @@ UNSEEN_SAMPLES = 30
 """Sample times without a sample after which nobody watches a trial any more, though the link may live."""
 END_PATIENCE_SAMPLES = 200
 """Sample times that the end of a session waits for an open write and for the verified set to run again."""
+
+GAINS_OPEN = "the controller has not reported that it runs the gains that are to run"
+SETPOINT_OPEN = "the setpoint has not come back from a bump"
 
 
 class SessionPhase(Enum):
@@ -117,6 +122,7 @@ class LoopSession:
         self._record = record
         self._on_sample = on_sample
         self.frozen = ""
+        self.nudger: Nudger | None = None  # bumps the setpoint, where that is allowed
         self.remember: Callable[[float], None] = no_memory
         self.orders: Callable[[float], Iterable[Decision]] = no_orders  # decisions on what people ordered by now
         self.samples = 0  # seen so far: the place of a row in the order of events, for replay
@@ -213,6 +219,7 @@ class LoopSession:
         self.writer.t_s = sample.t_s
         self.samples += 1
         if self.machine.phase is SessionPhase.FAILING:
+            self._nudge(sample, now_s)
             return
         for step in self.scenario.due(sample.t_s):
             if step.sp is not None:
@@ -230,6 +237,30 @@ class LoopSession:
         if self.writer.free:
             for ordered in self.orders(sample.t_s):
                 self._decided(ordered)
+        self._nudge(sample, now_s)
+
+    def _nudge(self, sample: LoopSample, now_s: float) -> None:
+        """Whether the setpoint is to be bumped, or goes back; what has not arrived is sent once more."""
+        if self.nudger is None:
+            return
+        free = self.writer.free and self.machine.phase is SessionPhase.WATCHING
+        news = self.nudger.look(sample, free=free)
+        again = self.nudger.planner.again(sample.t_s)
+        if news is not None:
+            self._nudged(news, now_s)
+        elif again is not None:
+            self.device.send_setpoint(again, now_s)
+
+    def _nudged(self, news: NudgeNews, now_s: float) -> None:
+        """Record what becomes of a bump, and send its setpoint; what cannot be recorded is not begun."""
+        self._record("nudge", self.writer.t_s, news.to_dict())
+        if news.setpoint is not None and not (self.frozen and news.phase is NudgePhase.GOING):
+            self.device.send_setpoint(news.setpoint, now_s)
+
+    @property
+    def _bumped(self) -> bool:
+        """Whether the setpoint may stand where a bump has put it."""
+        return self.nudger is not None and self.nudger.planner.out
 
     def _look(self, sample: LoopSample) -> Decision | None:
         """Have the retuner take a sample; a question that it raises is answered here and now, or goes on its way."""
@@ -259,6 +290,8 @@ class LoopSession:
     def _decided(self, decision: Decision) -> None:
         """Record a decision; what it wants written waits for the wire."""
         self.decisions.append(decision)
+        if self.nudger is not None:
+            self.nudger.decided(decision)
         self.remember(self.writer.t_s)  # before the row: what the ledger says was decided is never forgotten
         self._record("decision", decision.t_s, decision.to_dict())
         judged = decision.judgement
@@ -326,13 +359,16 @@ class LoopSession:
             return
         self.writer.frozen = True
         self._ends_at_s = min(self._ends_at_s, now_s + END_PATIENCE_SAMPLES * self.retuner.settings.sample_time_s)
+        home = self.nudger.planner.end(self.writer.t_s) if self.nudger is not None else None
+        if home is not None:
+            self._nudged(home, now_s)
         self._abort(TrialEvent.STOPPED)  # what is decided while the end waits is no exception
 
     def _close(self, now_s: float) -> None:
         """The end is reached when nothing is open; or patience is over, and what is left open is said."""
         if not self.ending:
             return
-        if not self.writer.open and not self.writer.restoring:
+        if not self.writer.open and not self.writer.restoring and not self._bumped:
             self.machine.take(SessionInput.CLOSED)
         elif now_s >= self._ends_at_s:
             self.machine.take(SessionInput.IMPATIENT)
@@ -341,13 +377,15 @@ class LoopSession:
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
         trials = self.retuner.trials
-        if not self.left_open and (self.writer.open or trials.left_open):
-            self.left_open = "the controller has not reported that it runs the gains that are to run"
+        gains_open = self.writer.open or bool(trials.left_open)
+        if not self.left_open and (gains_open or self._bumped):
+            self.left_open = GAINS_OPEN if gains_open else SETPOINT_OPEN
             running = self.device.running
             names = self.table.regions.names
             body = {
                 "regions": [names[region] for region in trials.left_open],
                 "write_open": self.writer.open,
+                "setpoint_bumped": self._bumped,
                 "running": gains_dict(running.gains) if running else None,
                 "reason": self.left_open,
             }

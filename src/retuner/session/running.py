@@ -7,11 +7,15 @@ bench.py says what the places are like; here the session is put together there, 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from retuner.adaptive.nudge.settings import NudgeSettings
+from retuner.adaptive.nudge.watching import Nudger, hour_of_samples
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
+from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
@@ -24,6 +28,7 @@ from retuner.errors import LedgerError, UserError
 from retuner.ledger import Recorder, Row
 from retuner.session.assembly import device_settings, make_device, make_retuner, prove_order, retuner_settings
 from retuner.session.bench import POLLS_PER_SAMPLE, HostBuses, VirtualBench, before, live_buses, virtual_bench
+from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
 from retuner.session.memory_file import MemoryFile, NoMemoryError, Remembered, recall
 from retuner.session.order_queue import OrderDesk, left_before
@@ -39,6 +44,13 @@ from retuner.stopping import unstoppable
 def nothing(kind: str, t_s: float, body: object) -> None:
     """A recorder that keeps nothing: for the comparison run."""
     del kind, t_s, body
+
+
+def local_hour(t_s: float) -> float:
+    """The hour of the day by this machine's clock."""
+    del t_s
+    now = datetime.now().astimezone()
+    return now.hour + now.minute / 60 + now.second / 3600
 
 
 def to_the_end(session: Session | LoopSession, once: Callable[[], None]) -> None:
@@ -116,6 +128,8 @@ class _Loop:
         session = LoopSession(device, retuner, player, self.record, self._sampled, decider)
         self.session = self.record.loop = session
         prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
+        hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
+        session.nudger = self._nudger(retuner, hour_of, self._rows_before if remember else tuple)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -125,6 +139,29 @@ class _Loop:
         if self.pretuning is not None:
             session.orders = self.pretuning.decisions(retuner, session.orders)
         return session
+
+    def _nudger(
+        self, retuner: Retuner, hour_of: Callable[[float], float], rows_before: Callable[[], Sequence[Row]]
+    ) -> Nudger | None:
+        """Who bumps the setpoint, where that is allowed; a bump that the session before left out goes back first."""
+        given = self.config.adaptation.nudge
+        if not given.allowed:
+            return None
+        nudger = Nudger(NudgeSettings(**given.model_dump()), retuner, hour_of)
+        try:
+            left = bump_left(rows_before())
+        except (LedgerError, KeyError, TypeError, ValueError) as error:
+            self._say(f"whether the session before left a setpoint bump is not known: {error}")
+            return nudger
+        if left is not None:
+            nudger.planner.left_out(*left)
+        return nudger
+
+    def _rows_before(self) -> Sequence[Row]:
+        """The rows of the session before, of this loop; none where there was none."""
+        if self._known is not None or self._before is None:
+            return self._known or ()
+        return believed_rows(self._before / LEDGER) if (self._before / LEDGER).exists() else ()
 
     def pretune(self, port: FramePort, clock: Clock, turn: Callable[[], None], speed: float = 1.0) -> None:
         """The commanded step before the session, on a link of its own."""

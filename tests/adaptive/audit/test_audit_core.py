@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
-from retuner.adaptive.audit.loop_screen import DAY_S, LoopScreen, harris_index, screen_loop
+from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
 from retuner.adaptive.audit.verdict import Action, StretchVerdict, joined_confidence, loop_verdict
 from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
@@ -96,7 +96,7 @@ def seen(cause: Cause, confidence: float, begin_s: float = 0.0) -> StretchVerdic
     return StretchVerdict(begin_s, begin_s + 100, cause, confidence, f"because of {cause}")
 
 
-CALM = LoopScreen(4000, 4e4, 0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.5, 0.1, 1.0, None, 0.0, 0.0, 0.0, Condition.NORMAL)
+CALM = screen_loop(record(np.convolve(RNG.normal(size=N + 99), np.ones(100) / 100, "valid")))
 
 
 @given(st.floats(0.5, 0.99), st.floats(0.5, 0.99))
@@ -129,7 +129,7 @@ def test_a_loop_in_order_is_not_visited_and_an_unknown_swing_is_looked_at() -> N
 
 
 def test_loops_of_one_period_swing_together_and_the_valve_is_the_root() -> None:
-    loops = [Swinging("A", 100.0, 0.1), Swinging("B", 102.0, 0.05, sticks=True), Swinging("C", 101.0, 0.02)]
+    loops = [Swinging("A", 100.0, 0.1), Swinging("B", 102.0, 0.05, sticks=0.8), Swinging("C", 101.0, 0.02)]
     groups = common_swings([*loops, Swinging("D", 300.0, 0.5)])
 
     assert [group.tags for group in groups] == [("B", "A", "C")]

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
 from retuner.audit.result_store import ResultStore, rows_of, signature
-from retuner.audit.results import write_results
+from retuner.audit.results import write_joined, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine, processes
 from retuner.commands.options import Json, signed_by
 from retuner.commands.recorded.record_form import FormOptions, record_form
@@ -22,6 +22,7 @@ from retuner.report.console import screen_console
 from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)
+JOINED = "names.toml"
 SHOWN = 10
 """Loops that are told on the screen; the page has all."""
 
@@ -37,7 +38,9 @@ class AuditOptions(FormOptions):
     tag_pattern: Annotated[
         str, typer.Option(help=r"Tag in the names of files without tags: ^([A-Z]+\d+)_", metavar="REGEX")
     ] = ""
-    stretches: Annotated[int, typer.Option(help="Stretches of each record that are diagnosed at most.")] = 4
+    stretches: Annotated[
+        int, typer.Option(help="Stretches of each record that are diagnosed at most; 0 screens only.")
+    ] = 4
     since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
     jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
@@ -59,6 +62,7 @@ def audit(options: AuditOptions) -> int:
     before = rows_of(options.since) if options.since is not None else []
     found = _catalogued(options, settings)
     with ResultStore(options.out) as store:
+        write_joined(options.out / JOINED, found)
         stopped = _work(found, settings, options, store)
         rows = write_results(options.out, store.rows(), before, found.refused)
     _tell(rows, found, options)
@@ -117,8 +121,19 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
         return
     for path, reason in found.refused[:SHOWN]:
         sys.stderr.write(f"left out: {reason if str(path) in reason else f'{path}: {reason}'}\n")
+    sys.stderr.write(
+        f"names: {_names_told(found)}; {options.out / JOINED} has all, to mend and give back by --record\n"
+    )
     worth = [row for row in rows if is_fault(row)]
     sys.stdout.write(f"{len(worth)} of {len(rows)} loops deserve a visit\n")
     for row in worth[:SHOWN]:
         sys.stdout.write(f"{row['place']:>4}  {row['tag']:<20}  {row['action']}: {row['reason']}\n")
     sys.stdout.write(f"the page: {options.out / 'index.html'}\n")
+
+
+def _names_told(found: Catalogue) -> str:
+    """How names were joined to loops, by its first."""
+    tag, roles = next(((tag, roles) for tag, roles in found.signals.items() if tag), ("", {}))
+    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) or "a loop for each file"
+    more = f"; {len(found.others)} names belong to no loop" if found.others else ""
+    return (f"{tag}: " if tag else "") + shown + more

@@ -24,9 +24,16 @@ from retuner.adaptive.signals.sample import Window
 from retuner.api import RecordDiagnosis
 from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
-from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.commands.recorded.recorded_loop import (
+    RecordOptions,
+    controller,
+    read_loop,
+    require_direction,
+    require_length,
+)
 from retuner.decision_page.evidence_words import REGULAR, evidence_lines
 from retuner.decision_page.explain import settings_text
+from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.recorded.recording import Recording
 from retuner.errors import user_input
 from retuner.files import write_whole
@@ -76,6 +83,7 @@ def diagnose(options: DiagnoseOptions) -> int:
     read = read_loop(options)
     recording = read.recording
     require_length(recording)
+    require_direction(recording, gains)
     with user_input(recording.source), busy(f"diagnosing {recording.source}"):
         found = _found(recording, gains, options)
     if options.plot is not None:
@@ -156,9 +164,9 @@ def described(found: DiagnosedRecord) -> list[str]:
     if told.retune and found.result.settings is not None:
         aim = found.result.aim
         title = "recommended settings:" if aim is None else "recommended first step:"
-        lines += [title, *tuning_lines(found.result.settings)]
+        lines += [title, *tuning_lines(found.result.settings, chosen_units())]
         if aim is not None:
-            lines += ["final settings, once the next record confirms:", *tuning_lines(aim)]
+            lines += ["final settings, once the next record confirms:", *tuning_lines(aim, chosen_units())]
     elif not told.retune:
         lines.append("no change of settings recommended")
     lines += [f"hint: {line}" for line in _by_eye(found)]

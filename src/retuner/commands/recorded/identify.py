@@ -20,7 +20,14 @@ from retuner.api import (
 )
 from retuner.commands.options import signed_by
 from retuner.commands.recorded.record_form import tell_assumed
-from retuner.commands.recorded.recorded_loop import RecordOptions, controller, read_loop, require_length
+from retuner.commands.recorded.recorded_loop import (
+    RecordOptions,
+    controller,
+    read_loop,
+    require_direction,
+    require_length,
+)
+from retuner.decision_page.shown_units import chosen_units
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import Recording, require_excitation
 from retuner.errors import UserError, user_input
@@ -56,6 +63,7 @@ def identify(options: IdentifyOptions) -> int:
     recording = read.recording
     require_excitation(recording)
     require_length(recording)
+    require_direction(recording, gains)
     if options.region_by or options.bounds:
         return _by_region(recording, read.assumed, gains, options)
     with user_input(recording.source), busy(f"identifying {recording.source}"):
@@ -145,9 +153,9 @@ def described(found: Identification) -> list[str]:
         lines.append("  load steps at " + ", ".join(f"{t:.4g} s" for t in estimate.load_times_s))
     if found.settings is not None:
         title = "recommended settings:" if found.aim is None else f"recommended first step ({found.step_reason}):"
-        lines += [title, *tuning_lines(found.settings)]
+        lines += [title, *tuning_lines(found.settings, chosen_units())]
     if found.aim is not None:
-        lines += ["final settings, once the next record confirms:", *tuning_lines(found.aim)]
+        lines += ["final settings, once the next record confirms:", *tuning_lines(found.aim, chosen_units())]
     if found.margins_in_force is not None:
         m = found.margins_in_force
         lines.append(

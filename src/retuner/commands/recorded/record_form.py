@@ -39,6 +39,9 @@ class FormOptions:
     decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
     good: Annotated[str, typer.Option(help="Quality code of a good value.", rich_help_panel=PANEL)] = ""
     bad: Annotated[str, typer.Option(help="Another code for a missing value.", rich_help_panel=PANEL)] = ""
+    scale: Annotated[
+        str, typer.Option(help="Raw signals: pv=4..20:0..200,co=mA:0..100 or counts.", rich_help_panel=PANEL)
+    ] = ""
     record: Annotated[
         Path | None,
         typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
@@ -62,7 +65,25 @@ def record_form(options: FormOptions) -> RecordForm:
     given |= {k: v for k, v in (("sp", options.sp), ("dt_s", options.dt)) if v is not None}
     given |= {"bad": (*form.bad, options.bad)} if options.bad else {}
     with user_input("the form of the record"):
-        return replace(form, columns={**form.columns, **renamed(options.columns)}, **given)
+        scale = {**form.scale, **_scales(options.scale)}
+        return replace(form, columns={**form.columns, **renamed(options.columns)}, scale=scale, **given)
+
+
+def _scales(text: str) -> dict[str, str]:
+    """--scale as signal to what it is recorded as and stands for.
+
+    Raises
+    ------
+    UserError
+        A part is not signal=range, or a signal is given twice.
+    """
+    found: dict[str, str] = {}
+    for part in (p.strip() for p in text.split(",") if p.strip()):
+        role, equals, scaling = part.partition("=")
+        if not equals or role in found:
+            raise UserError(f"--scale {part}: give signal=range, each signal once, as in pv=4..20:0..200")
+        found[role] = scaling
+    return found
 
 
 def renamed(text: str) -> dict[str, str]:

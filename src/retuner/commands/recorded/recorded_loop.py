@@ -7,11 +7,14 @@ from typing import Annotated
 
 import typer
 
-from retuner.commands.options import Json
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.commands.options import ActionOption, Controller, Json, PvSpan, controller_units
 from retuner.commands.recorded.record_form import FormOptions, read_record
+from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording, require_setpoint
 from retuner.errors import UserError, user_input
+from retuner.schedule.controller_units import Acting
 from retuner.schedule.forms import Form, from_form
 from retuner.schedule.gains import PidGains
 
@@ -34,6 +37,9 @@ class RecordOptions(FormOptions):
     tau_i: Annotated[float | None, typer.Option(help="Its integral time, s.")] = None
     tau_d: Annotated[float, typer.Option(help="Its derivative time, s.")] = 0.0
     form: Annotated[str, typer.Option(help="Form of these: series, ideal or parallel.")] = "series"
+    controller: Controller = None
+    action: ActionOption = None
+    pv_span: PvSpan = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
     plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the record and what was found.")] = None
@@ -96,6 +102,8 @@ def controller(options: RecordOptions) -> PidGains | None:
     """
     if options.form not in set(Form):
         raise UserError(f"--form {options.form}: give one of {', '.join(Form)}")
+    units = controller_units(options.controller, options.pv_span, options.action)
+    show_units(units)
     if options.kc is None:
         if options.tau_i is not None or options.tau_d:
             raise UserError("--tau-i and --tau-d need --kc: give the gain of the active controller, too")
@@ -103,7 +111,27 @@ def controller(options: RecordOptions) -> PidGains | None:
     if options.open_loop:
         raise UserError("--open-loop and --kc exclude each other: in manual there was no controller")
     with user_input("--kc, --tau-i, --tau-d"):
+        if units is not None:
+            return units.gains(options.kc, options.tau_i, options.tau_d)
         return from_form(options.form, options.kc, options.tau_i, options.tau_d)
+
+
+def require_direction(recording: Recording, gains: PidGains | None) -> None:
+    """Refuse gains that act against what the record shows of the controller that made it.
+
+    Raises
+    ------
+    UserError
+        The record shows the controller's law, and it acts the other way.
+    """
+    if gains is None:
+        return
+    found = settings_in_force(recording.window()).gains
+    if found is not None and found.direction != gains.direction:
+        raise UserError(
+            f"--kc: these gains are {Acting.of(gains)} acting; {recording.source} shows a {Acting.of(found)}-acting "
+            "controller: change the sign of --kc, or --action"
+        )
 
 
 def _check_limits(options: RecordOptions) -> None:

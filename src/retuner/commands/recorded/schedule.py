@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from retuner.adaptive.signals.sample import Window
 from retuner.commands.options import Json, signed_by
 from retuner.commands.recorded.record_form import FormOptions, read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
@@ -19,6 +20,7 @@ from retuner.drivers.recorded.recording import RecordingError, require_excitatio
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.document import to_toml
+from retuner.schedule_report.sentences import experiment_sentence, motion_sentences
 from retuner.scheduling import AUTO, ScheduleDesign, design_schedule, schedule_section
 
 app = typer.Typer(add_completion=False)
@@ -47,7 +49,9 @@ class ScheduleOptions(FormOptions):
     lookup: Annotated[str, typer.Option(help="hard, interpolated or auto.")] = AUTO
     name: Annotated[str, typer.Option(help="Name of the loop in the table; default: its tag, else the file's.")] = ""
     unit: Annotated[str, typer.Option(help="Unit of the variable.")] = ""
-    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write gains.toml and schedule.toml there.")] = None
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write gains.toml, schedule.toml and report.html there.")
+    ] = None
     as_json: Json = False
 
 
@@ -82,7 +86,7 @@ def schedule(options: ScheduleOptions) -> int:
             progress=told_when_slow(),
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
-    written = _written(found, options.out)
+    written = _written(found, [one.recording.window() for one in records], options)
     tell_assumed(assumed, options)
     _tell(found, assumed, written, options)
     return 0 if found.table is not None else 1
@@ -112,15 +116,25 @@ def told_when_slow() -> Callable[[str, float], None]:
     return tell
 
 
-def _written(found: ScheduleDesign, folder: Path | None) -> list[Path]:
+def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOptions) -> list[Path]:
     """Files that were written."""
-    if folder is None or found.table is None:
+    folder = options.out
+    if folder is None:
         return []
+    from retuner.schedule_report.drawing import schedule_png  # noqa: PLC0415  matplotlib only when it is wanted
+    from retuner.schedule_report.page import page  # noqa: PLC0415
+
+    name = found.table.loop if found.table is not None else options.files[0].stem
+    files: dict[Path, str | bytes] = {
+        folder / "report.html": page(found, windows, name),
+        folder / "schedule.png": schedule_png(found, windows),
+    }
+    if found.table is not None:
+        files |= {folder / "gains.toml": to_toml(found.table), folder / "schedule.toml": schedule_section(found.table)}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files = {folder / "gains.toml": to_toml(found.table), folder / "schedule.toml": schedule_section(found.table)}
-        for path, text in files.items():
-            write_whole(path, text)
+        for path, content in files.items():
+            write_whole(path, content)
     except OSError as error:
         raise UserError(f"--out {folder}: cannot be written: {error.strerror}") from None
     return list(files)
@@ -137,6 +151,7 @@ def _tell(
     lines = [f"{found.variable}: {found.reason}", *_place_lines(found)]
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
+    lines += ["", *motion_sentences(found), experiment_sentence(found)]
     lines += [f"{path} written" for path in written]
     sys.stdout.write("\n".join(lines) + "\n")
 

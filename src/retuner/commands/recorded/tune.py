@@ -11,9 +11,10 @@ import typer
 from retuner.adaptive.loop.performance import performance
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.explanation import Explanation
-from retuner.commands.options import Json, signed_by
+from retuner.commands.options import ActionOption, Controller, Json, controller_units, signed_by
 from retuner.errors import UserError, user_input
 from retuner.report.rule_comparison import Comparison, RuleRow, compare_rules
+from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.forms import proportional_band_pct, repeats_per_min
 from retuner.tuning import TuneResult, tuning_lines
 from retuner.tuning import tune as tune_model
@@ -49,6 +50,8 @@ class TuneOptions:
     pu: Annotated[float | None, typer.Option(help="Ultimate period, s.")] = None
     kq: Annotated[float | None, typer.Option(help="Gain at quarter decay.")] = None
     pq: Annotated[float | None, typer.Option(help="Period at quarter decay, s.")] = None
+    controller: Controller = None
+    action: ActionOption = None
     pv_span: Annotated[
         float | None, typer.Option(help="Span of pv: also as proportional band, percent, and repeats per minute.")
     ] = None
@@ -106,7 +109,9 @@ def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
         result = tune_model(model, options.rule, kind=options.kind, form=options.form, **options.wishes)
     if options.plot is not None:
         _draw_one(model, result, options.plot)
-    dial = dialled(result, options.pv_span) if options.pv_span is not None else {}
+    units = controller_units(options.controller, options.pv_span, options.action)
+    dial = dialled(result, options.pv_span) if options.pv_span is not None and units is None else {}
+    dial |= dialled_in(result, units) if units is not None else {}
     why = result.explanation if options.explain else None
     if options.as_json:
         shown = {"model": model.to_dict() if model else None, **result.to_dict()}
@@ -114,7 +119,7 @@ def _by_one_rule(model: ProcessModel | None, options: TuneOptions) -> int:
         sys.stdout.write(json.dumps(shown, indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.write(
-            "\n".join([*tuning_lines(result), *_dial_lines(dial), *(explained(why) if why else [])]) + "\n"
+            "\n".join([*tuning_lines(result, units), *_dial_lines(dial), *(explained(why) if why else [])]) + "\n"
         )
     return 0 if result.margins is None or result.margins.stable else 1
 
@@ -161,7 +166,7 @@ def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
     path.write_bytes(picture)
 
 
-def dialled(result: TuneResult, pv_span: float) -> dict[str, float]:
+def dialled(result: TuneResult, pv_span: float) -> dict[str, object]:
     """The settings in vendors' units: proportional band in percent of the span of pv, and repeats per minute."""
     gains = result.tuning.to_dict(result.form)["gains"]
     assert isinstance(gains, dict)
@@ -172,9 +177,17 @@ def dialled(result: TuneResult, pv_span: float) -> dict[str, float]:
         }
 
 
-def _dial_lines(dial: dict[str, float]) -> list[str]:
-    """Vendors' units in a line, if they are wanted."""
-    if not dial:
+def dialled_in(result: TuneResult, units: ControllerUnits) -> dict[str, object]:
+    """The settings in the units of a controller, by the keys of the configuration, and the form that they are of."""
+    with user_input("--controller"):
+        shown = units.numbers(result.gains)
+    numbers = {dial.key: value for dial, value in zip(units.dials, shown[:3], strict=True)}
+    return {"controller": units.name, "form": str(shown.form), **numbers}
+
+
+def _dial_lines(dial: dict[str, object]) -> list[str]:
+    """Proportional band and repeats per minute in a line, where no controller is named."""
+    if "band_pct" not in dial:
         return []
     return [f"  set as    proportional band {dial['band_pct']:.4g} %  {dial['repeats_per_min']:.4g} repeats/min"]
 

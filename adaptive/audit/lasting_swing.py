@@ -1,0 +1,111 @@
+"""A swing that lasts, looked for at several paces of a long record, dear work only where the spectrum shows a peak.
+
+At the pace of 1, STEP, STEP^2 ... samples the record's means are cut into windows of WINDOW points, at most PARTS of
+them, spread over the record. A window is asked for the regularity of its auto-covariance (indexes/autocovariance.py)
+only where a band of BAND either side of a frequency stands out of the power above it and beside it: a swing of the
+strength that counts has that share of the power (Wiener & Khinchin: the auto-covariance is the spectrum's transform).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGTH, Regularity, regularity
+from retuner.adaptive.signals.sample import FloatArray
+
+WINDOW = 2_048
+"""Points of a window: some ten cycles of a period of two hundred, and fifty of one of forty."""
+PARTS = 8
+"""Windows at one pace."""
+STEP = 8
+"""Ratio of two paces: a window shows periods of 6 to 400 points."""
+BAND = 1.2
+"""Ratio of the edges of a band to its middle."""
+FEWEST_CYCLES = 8.0
+"""Periods in a window: drift makes a few by chance."""
+FASTEST = 6.0
+"""Shortest period that is looked for, in points."""
+STANDS_OUT = LEAST_STRENGTH
+"""Share of the power above its lower edge from which a band is looked into."""
+PEAK = 2.0
+"""Ratio to the bands beside it from which that is done: drift has no peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class LastingSwing:
+    """The strongest lasting swing, its period in samples; in which share of the windows one lasts."""
+
+    wave: Regularity
+    share: float
+
+
+def lasting_swing(error: FloatArray, co: FloatArray) -> LastingSwing | None:
+    """The strongest lasting swing of the error, else of co; None where there is none. Shapes (n,), n at least 3."""
+    found = [swing for pace in _paces(len(error)) if (swing := _at_pace(error, co, pace)) is not None]
+    return max(found, key=lambda swing: swing.wave.strength * swing.share, default=None)
+
+
+def _paces(samples: int) -> Iterator[int]:
+    """1, STEP, ... until a window holds the record."""
+    pace = 1
+    yield pace
+    while samples / pace > WINDOW:
+        pace *= STEP
+        yield pace
+
+
+def _at_pace(error: FloatArray, co: FloatArray, pace: int) -> LastingSwing | None:
+    """The strongest lasting swing at one pace."""
+    rows = _windows(error, pace), _windows(co, pace)
+    parts = len(rows[0])
+    likely = _stand_out(np.concatenate(rows))
+    waves = []
+    for i in range(parts):
+        signals = (rows[j][i] for j in range(2) if likely[j * parts + i])
+        wave = next((w for w in map(regularity, signals) if w is not None and w.lasting), None)
+        if wave is not None and wave.cycles >= FEWEST_CYCLES:
+            waves.append(replace(wave, period=wave.period * pace))
+    best = max(waves, key=lambda w: w.strength, default=None)
+    return LastingSwing(best, len(waves) / parts) if best is not None else None
+
+
+def _windows(x: FloatArray, pace: int) -> FloatArray:
+    """Windows of the means of `pace` samples, shape (parts, points)."""
+    points = len(x) // pace
+    means = x[: points * pace].reshape(points, pace).mean(axis=1) if pace > 1 else x
+    length = min(points, WINDOW)
+    parts = min(PARTS, points // length)
+    begins = np.linspace(0, points - length, parts).astype(int)
+    return np.stack([means[begin : begin + length] for begin in begins])
+
+
+def _stand_out(rows: FloatArray) -> npt.NDArray[np.bool_]:
+    """Rows with a band that stands out, shape (rows,)."""
+    length = rows.shape[1]
+    edges, cuts = _edges(length)
+    if len(edges) < 5:
+        return np.asarray(np.ptp(rows, axis=1) > 0)
+    i = np.arange(length) - (length - 1) / 2
+    level = rows - rows.mean(axis=1, keepdims=True)
+    flat = level - np.outer(level @ i / float(i @ i), i)
+    power = np.abs(np.fft.rfft(flat.astype(np.float32), 2 * length)) ** 2  # for the eye of a first look
+    sums = np.cumsum(power, axis=1, dtype=np.float64)
+    bands = sums[:, edges[2:]] - sums[:, edges[:-2]]
+    beside = np.maximum(bands[:, :-4], bands[:, 4:])
+    peak = bands[:, 2:-2] > PEAK * beside
+    left = sums[:, -1:] - sums[:, cuts]
+    share = bands[:, 2:-2, None] >= STANDS_OUT * left[:, None, :]
+    above = edges[2:-4][None, :, None] >= cuts[None, None, :]
+    return np.asarray(np.any(peak & np.any(share & above, axis=2), axis=1) & (np.ptp(rows, axis=1) > 0))
+
+
+@cache
+def _edges(length: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Bins of the bands' edges, and those below which a slow drift is taken off, of a window twice as long."""
+    last = 2 * length / FASTEST
+    count = max(int(np.log(last / 4) / np.log(BAND)), 0) if last > 4 else 0
+    edges = np.unique((4 * BAND ** np.arange(count + 1)).astype(np.intp))
+    return edges, np.array([0, *(int(2 / share) for share in DRIFT_WINDOWS)])

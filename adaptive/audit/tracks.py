@@ -1,0 +1,174 @@
+"""What of a loop's record is kept to compare it with other loops: a few numbers at moments that all loops share.
+
+A swing's track is its complex amplitude at a frequency f of a grid that all loops share, over segments of CYCLES / f
+that begin at the same moments for all:
+
+    X_s = mean over segment s of (e - its mean) exp(-i 2 pi f t)
+    coherence of two loops = |sum X_s conj(Y_s)|^2 / (sum |X_s|^2  sum |Y_s|^2)
+
+Loops that swing together keep their phase over the segments, those that have the same period by chance lose it. The
+angle of the sum tells which is later (up to a period). A trend's track are its values at common moments: the setpoint
+of a cascade's slave goes with the output of its master.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray
+
+OCTAVE = 16
+"""Frequencies of the grid an octave: 4.4 % apart."""
+BESIDE = 1
+"""Frequencies either side of its own at which a loop's track is kept, so that like periods share one."""
+CYCLES = 8.0
+"""Periods of a segment."""
+MOST_SEGMENTS = 96
+"""Segments that are kept, the newest."""
+FEWEST_SEGMENTS = 6
+"""Common segments from which a coherence says anything."""
+POINTS = 96
+"""Moments of a trend's track at most."""
+FEWEST_POINTS = 24
+"""Common moments from which two trends are compared."""
+STILL = 0.5
+"""Share of moments with a change from which a signal moves."""
+DIGITS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class SwingTrack:
+    """A swing over time: by number of the frequency the first segment and the amplitudes from it on, nan for none."""
+
+    parts: dict[int, tuple[int, np.ndarray]]
+
+    def to_dict(self) -> dict[str, object]:
+        """As plain JSON: segments without amplitude are null."""
+        return {
+            str(k): {"first": first, "re": _plain(x.real), "im": _plain(x.imag)} for k, (first, x) in self.parts.items()
+        }
+
+    @classmethod
+    def of_dict(cls, told: dict[str, Any]) -> "SwingTrack":
+        """Of the plain form."""
+        return cls({int(k): (int(v["first"]), _array(v["re"]) + 1j * _array(v["im"])) for k, v in told.items()})
+
+
+def _plain(x: FloatArray) -> list[float | None]:
+    """Numbers with as many digits as a comparison needs."""
+    return [float(f"{v:.{DIGITS}g}") if math.isfinite(v) else None for v in x.tolist()]
+
+
+def _array(values: list[float | None]) -> FloatArray:
+    return np.array([math.nan if v is None else v for v in values], dtype=np.float64)
+
+
+def swing_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTrack:
+    """The track of a swing of this period.
+
+    Parameters
+    ----------
+    t_s : moments of a clock that the loops share, s, shape (n,). error : sp - pv.
+    """
+    own = round(-OCTAVE * math.log2(period_s))
+    return SwingTrack({k: _amplitudes(t_s, error, 2 ** (k / OCTAVE)) for k in range(own - BESIDE, own + BESIDE + 1)})
+
+
+def _amplitudes(t_s: FloatArray, error: FloatArray, f_hz: float) -> tuple[int, np.ndarray]:
+    """Number of the first segment, and the amplitudes of the newest ones; nan where less than half is on record."""
+    segment_s = CYCLES / f_hz
+    number = np.floor(t_s / segment_s).astype(np.int64)
+    begin = int(np.searchsorted(number, number[-1] - MOST_SEGMENTS + 1))
+    number, t, e = number[begin:], t_s[begin:], error[begin:]
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
+    counts = np.diff(np.append(edges, len(number)))
+    level = e - np.repeat(np.add.reduceat(e, edges) / counts, counts)
+    turned = level * np.exp(-2j * math.pi * f_hz * t)
+    found = np.full(int(number[-1] - number[0]) + 1, complex(math.nan, math.nan))
+    full = counts >= 0.5 * np.max(counts)
+    found[(number[edges] - number[0])[full]] = (np.add.reduceat(turned, edges) / counts)[full]
+    return int(number[0]), found
+
+
+def coherence(a: SwingTrack, b: SwingTrack) -> tuple[float, float] | None:
+    """Coherence, 0 to 1, and by which part of a period b is later than a, -0.5 to 0.5; None: too little in common."""
+    best: tuple[float, float, float] | None = None
+    for k in a.parts.keys() & b.parts.keys():
+        first = max(a.parts[k][0], b.parts[k][0])
+        x, y = (values[first - begin :] for begin, values in (a.parts[k], b.parts[k]))
+        many = min(len(x), len(y))
+        x, y = x[: max(many, 0)], y[: max(many, 0)]
+        both = np.isfinite(x) & np.isfinite(y)
+        power = float(np.sum(np.abs(x[both]) ** 2)), float(np.sum(np.abs(y[both]) ** 2))
+        if np.count_nonzero(both) < FEWEST_SEGMENTS or min(power) <= 0:
+            continue
+        cross = complex(np.sum(x[both] * y[both].conj()))
+        found = (power[0] * power[1], abs(cross) ** 2 / (power[0] * power[1]), math.atan2(cross.imag, cross.real))
+        best = found if best is None or found[0] > best[0] else best
+    return (best[1], best[2] / (2 * math.pi)) if best is not None else None
+
+
+@dataclass(frozen=True, slots=True)
+class TrendTrack:
+    """Setpoint and output at common moments: every `every_s` seconds, from moment number `first` on."""
+
+    every_s: float
+    first: int
+    sp: FloatArray
+    co: FloatArray
+
+    def to_dict(self) -> dict[str, object]:
+        """As plain JSON."""
+        return {"every_s": self.every_s, "first": self.first, "sp": _plain(self.sp), "co": _plain(self.co)}
+
+    @classmethod
+    def of_dict(cls, told: dict[str, Any]) -> "TrendTrack":
+        """Of the plain form."""
+        return cls(float(told["every_s"]), int(told["first"]), _array(told["sp"]), _array(told["co"]))
+
+
+def trend_track(t_s: FloatArray, sp: FloatArray, co: FloatArray) -> TrendTrack:
+    """Values at moments of a grid of 2^j seconds that is the same for loops of the same length of record."""
+    every_s = 2.0 ** math.ceil(math.log2(max(float(t_s[-1] - t_s[0]) / POINTS, 1e-6)))
+    first = math.ceil(t_s[0] / every_s)
+    moments = np.arange(first, math.floor(t_s[-1] / every_s) + 1) * every_s
+    at = np.clip(np.searchsorted(t_s, moments, side="right") - 1, 0, len(t_s) - 1)
+    return TrendTrack(every_s, first, sp[at], co[at])
+
+
+def follows(slave: TrendTrack, master: TrendTrack) -> float:
+    """How far the setpoint of one loop goes with the output of another: their correlation, 0 where it says nothing."""
+    if slave.every_s != master.every_s:
+        return 0.0
+    first = max(slave.first, master.first)
+    x, y = slave.sp[first - slave.first :], master.co[first - master.first :]
+    many = min(len(x), len(y))
+    if many < FEWEST_POINTS:
+        return 0.0
+    x, y = x[:many] - np.mean(x[:many]), y[:many] - np.mean(y[:many])
+    size = float(x @ x) * float(y @ y)
+    return abs(float(x @ y)) / math.sqrt(size) if size > 0 else 0.0
+
+
+FOLLOWS = 0.99
+"""Correlation from which a setpoint is another loop's output."""
+
+
+def cascades(tracks: Mapping[str, TrendTrack]) -> dict[str, str]:
+    """The master of each slave among loops, by tag."""
+    found = {}
+    masters = {tag: track for tag, track in tracks.items() if _moves(track.co)}
+    for tag, track in tracks.items():
+        if _moves(track.sp):
+            likely = max((t for t in masters if t != tag), key=lambda t: follows(track, masters[t]), default=None)
+            if likely is not None and follows(track, masters[likely]) >= FOLLOWS:
+                found[tag] = likely
+    return found
+
+
+def _moves(x: FloatArray) -> bool:
+    """Whether a signal changes from moment to moment."""
+    return len(x) >= FEWEST_POINTS and float(np.mean(np.diff(x) != 0)) > STILL

@@ -1,0 +1,1 @@
+"""Small setpoint bumps where days pass without evidence: off until somebody allows them."""

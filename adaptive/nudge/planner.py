@@ -1,0 +1,278 @@
+"""When to bump the setpoint, by how much, and when it goes back: one enum of phases, one of inputs, one table.
+
+    WATCHING -> ANNOUNCED -> GOING -> HOLDING -> RETURNING -> WATCHING
+
+A bump is a step of the setpoint and, once the loop has come to rest, the step back: two ordinary responses, which go
+the ordinary way through admission, proof and trial. A record of loads alone leaves open what is load and what is
+process (docs/online.md has the Cramer-Rao bounds); a step whose cause is known does not.
+
+The planner moves nothing itself: it hands out the setpoint that is to be sent. It believes only what comes back in
+the samples. A setpoint that is neither the old one nor the bump's is a person's or another loop's: it stays, and the
+bump is over. Whatever else ends a bump puts the old setpoint back.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+
+SECONDS_PER_HOUR = 3600.0
+SAME = 0.05
+"""Share of a bump within which a setpoint is the one that was asked for: devices round."""
+SENT_AGAIN_SAMPLES = 10
+"""Samples after which a setpoint that has not come back is sent once more."""
+NOT_TAKEN_SAMPLES = 40
+"""Samples after which a bump that was not taken is given up."""
+SHORTEST_SAMPLES = 20
+"""Samples for which a bump is held at least, or its response would not have begun."""
+CALM = 0.5
+"""Share of a bump by which pv may be off the setpoint when it begins."""
+
+
+class NudgePhase(StrEnum):
+    """Phases; the value is what people read."""
+
+    WATCHING = "no bump"
+    ANNOUNCED = "a setpoint bump is announced"
+    GOING = "the setpoint bump was sent"
+    HOLDING = "the setpoint is bumped"
+    RETURNING = "the setpoint goes back"
+
+
+class NudgeInput(StrEnum):
+    """Everything that can happen; the value is the clause that people read."""
+
+    DUE = "nothing has shown the process for a while"
+    PUT_OFF = "the loop is not at rest or not free for it any more"
+    BEGUN = "it was announced, and nobody said no"
+    TAKEN = "the controller has taken it"
+    NOT_TAKEN = "the controller has not taken it"
+    AT_REST = "the loop has come to rest"
+    TOO_LONG = "it has lasted as long as it may"
+    EXCURSION = "the control error is larger than a bump should make it"
+    LIMITED = "the output stands at a limit"
+    NOT_IN_AUTO = "the loop is not in automatic"
+    ENDED = "the session ends"
+    OTHERS = "someone else has moved the setpoint: it stays as it is"
+    BACK = "the setpoint is back"
+
+
+P, E = NudgePhase, NudgeInput
+TROUBLE = (E.NOT_TAKEN, E.AT_REST, E.TOO_LONG, E.EXCURSION, E.LIMITED, E.NOT_IN_AUTO, E.ENDED)
+COURSE: dict[tuple[NudgePhase, NudgeInput], NudgePhase] = {
+    (P.WATCHING, E.DUE): P.ANNOUNCED,
+    (P.ANNOUNCED, E.PUT_OFF): P.WATCHING,
+    (P.ANNOUNCED, E.OTHERS): P.WATCHING,
+    (P.ANNOUNCED, E.ENDED): P.WATCHING,
+    (P.ANNOUNCED, E.BEGUN): P.GOING,
+    (P.GOING, E.TAKEN): P.HOLDING,
+    **{(P.GOING, cause): P.RETURNING for cause in TROUBLE if cause is not E.AT_REST},
+    (P.GOING, E.OTHERS): P.WATCHING,
+    **{(P.HOLDING, cause): P.RETURNING for cause in TROUBLE if cause is not E.NOT_TAKEN},
+    (P.HOLDING, E.OTHERS): P.WATCHING,
+    (P.RETURNING, E.OTHERS): P.WATCHING,
+    (P.RETURNING, E.BACK): P.WATCHING,
+}
+"""Everything that is not here leaves the phase as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopAround:
+    """What a planner cannot see in a sample.
+
+    at_rest : no response is under way. wanted : why a bump would teach something, empty where it would not or must not
+    be made. hour : of the day, 0 to 24. band : noise band, pv units. low, high : setpoints that keep the loop inside
+    its region and pv inside its range.
+    """
+
+    at_rest: bool
+    wanted: str
+    hour: float
+    band: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class NudgeNews:
+    """What is to be recorded, and done. cause : what happened. phase : where that led to.
+
+    setpoint : what is to be sent now, None for nothing. before, to : the setpoint and what it is bumped to, pv units.
+    """
+
+    cause: NudgeInput
+    phase: NudgePhase
+    setpoint: float | None
+    before: float
+    to: float
+    reason: str
+
+    def to_dict(self) -> dict[str, object]:
+        """Keys cause, phase, setpoint, before, to, reason."""
+        return {
+            "cause": self.cause.name.lower(),
+            "phase": self.phase.name.lower(),
+            "setpoint": self.setpoint,
+            "before": self.before,
+            "to": self.to,
+            "reason": self.reason,
+        }
+
+
+class NudgePlanner:
+    """The bumps of one loop.
+
+    Parameters
+    ----------
+    settings : see NudgeSettings. pv_span : range of pv. sample_time_s : of the controller.
+
+    Its attribute `size` is that of a bump, pv units.
+    """
+
+    def __init__(self, settings: NudgeSettings, pv_span: float, sample_time_s: float) -> None:
+        self.settings = settings
+        self.phase = NudgePhase.WATCHING
+        self.made: list[float] = []
+        """When the setpoint was bumped, sample times."""
+        self.size, self._dt_s = settings.percent / 100 * pv_span, sample_time_s
+        self._quiet_since_s: float | None = None
+        self._sp = self._before = self._to = self._since_s = self._sent_s = 0.0
+        self._up = True
+
+    @property
+    def out(self) -> bool:
+        """Whether the setpoint may stand where the bump has put it."""
+        return self.phase in {NudgePhase.GOING, NudgePhase.HOLDING, NudgePhase.RETURNING}
+
+    def evidence(self, t_s: float) -> None:
+        """Something has shown the process: the waiting begins anew."""
+        self._quiet_since_s = t_s
+
+    def look(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
+        """Take a sample; what it leads to, if anything."""
+        if not self.settings.allowed:
+            return None
+        if self._quiet_since_s is None:
+            self._quiet_since_s, self._sp = sample.t_s, sample.sp
+        self._since_s = min(self._since_s, sample.t_s)
+        moved = sample.sp != self._sp
+        self._sp = sample.sp
+        if self.phase is NudgePhase.WATCHING:
+            if moved:
+                self.evidence(sample.t_s)
+            return self._announced(sample, around) if self._is_due(sample, around) else None
+        cause = self._cause(sample, around)
+        return None if cause is None else self._taken(cause, sample.t_s)
+
+    def left_out(self, before: float, to: float) -> None:
+        """A session before this one ended without putting its setpoint back: that is what comes first."""
+        self._before, self._to = before, to
+        self.phase, self._since_s, self._sent_s = NudgePhase.RETURNING, math.inf, -math.inf
+
+    def end(self, t_s: float) -> NudgeNews | None:
+        """The session ends: the setpoint goes back, if it is out."""
+        return self._taken(NudgeInput.ENDED, t_s)
+
+    def again(self, t_s: float) -> float | None:
+        """The setpoint to be sent once more because it has not come back yet; None for nothing."""
+        asked = {NudgePhase.GOING: self._to, NudgePhase.RETURNING: self._before}.get(self.phase)
+        if asked is None or t_s - self._sent_s < (SENT_AGAIN_SAMPLES - 0.5) * self._dt_s:
+            return None
+        self._sent_s = t_s
+        return asked
+
+    def _is_due(self, sample: LoopSample, around: LoopAround) -> bool:
+        """Whether a bump may be announced now."""
+        s, t_s = self.settings, sample.t_s
+        assert self._quiet_since_s is not None
+        if t_s - self._quiet_since_s < s.after_h * SECONDS_PER_HOUR or len(self.made) >= s.most:
+            return False
+        lately = sum(1 for made in self.made if t_s - made < HOURS * SECONDS_PER_HOUR)
+        return lately < s.most_per_day and self._is_free(sample, around) and self._aim(sample.sp, around) is not None
+
+    def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
+        """Whether the loop is fit for a bump."""
+        large = self.size >= self.settings.least_bands * around.band
+        calm = around.at_rest and abs(sample.sp - sample.pv) <= max(CALM * self.size, around.band)
+        ready = sample.mode == LoopMode.AUTO and not sample.limited and self.settings.is_time(around.hour)
+        return bool(around.wanted) and large and calm and ready
+
+    def _aim(self, sp: float, around: LoopAround) -> float | None:
+        """Where the setpoint would go: up and down in turn, as far as there is room."""
+        sides = (sp + self.size, sp - self.size) if self._up else (sp - self.size, sp + self.size)
+        return next((to for to in sides if around.low <= to <= around.high), None)
+
+    def _announced(self, sample: LoopSample, around: LoopAround) -> NudgeNews:
+        """Tell of a bump to come."""
+        to = self._aim(sample.sp, around)
+        assert to is not None
+        self._before, self._to = sample.sp, to
+        reason = (
+            f"{around.wanted}: in {self.settings.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
+            "until the loop is at rest, and back; move the setpoint, or take the loop to manual, to put it off"
+        )
+        return self._enter(NudgeInput.DUE, NudgePhase.ANNOUNCED, sample.t_s, reason)
+
+    def _cause(self, sample: LoopSample, around: LoopAround) -> NudgeInput | None:
+        """What a sample says while a bump is announced or out."""
+        here, there = (abs(sample.sp - x) <= SAME * self.size for x in (self._before, self._to))
+        since = sample.t_s - self._since_s
+        match self.phase:
+            case NudgePhase.ANNOUNCED if not here:
+                return NudgeInput.OTHERS
+            case NudgePhase.ANNOUNCED:
+                return self._still_to_come(sample, around, since)
+            case NudgePhase.RETURNING if here and since > SENT_AGAIN_SAMPLES * self._dt_s:
+                return NudgeInput.BACK
+            case NudgePhase.RETURNING if here or there:
+                return None
+            case NudgePhase.GOING if here:
+                return NudgeInput.NOT_TAKEN if since > NOT_TAKEN_SAMPLES * self._dt_s else None
+            case NudgePhase.GOING if there:
+                return NudgeInput.TAKEN
+            case NudgePhase.HOLDING if there:
+                return self._enough(sample, around, since)
+            case _:
+                return NudgeInput.OTHERS
+
+    def _still_to_come(self, sample: LoopSample, around: LoopAround, since: float) -> NudgeInput | None:
+        """Of a bump that was announced."""
+        if not around.wanted or sample.mode != LoopMode.AUTO or not self.settings.is_time(around.hour):
+            return NudgeInput.PUT_OFF
+        if since < self.settings.announce_s:
+            return None
+        if self._is_free(sample, around):
+            return NudgeInput.BEGUN
+        return NudgeInput.PUT_OFF if since > self.settings.announce_s + self.settings.longest_s else None
+
+    def _enough(self, sample: LoopSample, around: LoopAround, since: float) -> NudgeInput | None:
+        """Why a bump that is out is to end now, if it is."""
+        if sample.mode != LoopMode.AUTO:
+            return NudgeInput.NOT_IN_AUTO
+        if sample.limited:
+            return NudgeInput.LIMITED
+        if abs(sample.sp - sample.pv) > self.settings.excursion * self.size:
+            return NudgeInput.EXCURSION
+        if since > self.settings.longest_s:
+            return NudgeInput.TOO_LONG
+        return NudgeInput.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
+
+    def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
+        """The table's answer."""
+        new = COURSE.get((self.phase, cause))
+        return None if new is None else self._enter(cause, new, t_s, f"setpoint bump: {cause}")
+
+    def _enter(self, cause: NudgeInput, new: NudgePhase, t_s: float, reason: str) -> NudgeNews:
+        """What entering a phase brings with it."""
+        self.phase, self._since_s = new, t_s
+        setpoint = {NudgePhase.GOING: self._to, NudgePhase.RETURNING: self._before}.get(new)
+        if setpoint is not None:
+            self._sent_s = t_s
+        if new is NudgePhase.GOING:
+            self.made.append(t_s)
+            self._up = self._to < self._before
+        if new is NudgePhase.WATCHING:
+            self.evidence(t_s)
+        return NudgeNews(cause, new, setpoint, self._before, self._to, reason)

@@ -1,0 +1,86 @@
+"""What a bump would teach, and where there is room for it: the planner's eyes on a retuner."""
+
+from collections.abc import Callable
+
+from retuner.adaptive.nudge.planner import SECONDS_PER_HOUR, LoopAround, NudgeNews, NudgePlanner
+from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
+from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.supervision.decision import Decision, Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.trial.phase import TrialPhase
+
+ROOM = 2.0
+"""Bumps between the setpoint and a border of the region or the end of pv's range: it overshoots."""
+WRITES = frozenset({Mode.TRIAL, Mode.AUTO})
+"""Modes in which retuner may write by itself, so a setpoint as well."""
+TO_THE_SETPOINT = frozenset({"sp", "pv"})
+"""Scheduling variables that a bump moves."""
+
+
+def hour_of_samples(t_s: float) -> float:
+    """The hour of the day where time is simulated: it begins at midnight."""
+    return t_s / SECONDS_PER_HOUR % HOURS
+
+
+class Nudger:
+    """Watches over one loop's bumps.
+
+    Parameters
+    ----------
+    settings : see NudgeSettings. retuner : of the loop. hour_of : the hour of the day at a sample's time.
+    """
+
+    def __init__(
+        self, settings: NudgeSettings, retuner: Retuner, hour_of: Callable[[float], float] = hour_of_samples
+    ) -> None:
+        self._retuner, self._hour_of = retuner, hour_of
+        self.planner = NudgePlanner(settings, retuner.settings.pv_span, retuner.settings.sample_time_s)
+
+    def look(self, sample: LoopSample, *, free: bool = True) -> NudgeNews | None:
+        """Take a sample that the retuner has seen. free : nothing is being written to the controller."""
+        if not self.planner.settings.allowed:
+            return None
+        return self.planner.look(sample, self._around(sample, free=free))
+
+    def decided(self, decision: Decision) -> None:
+        """A decision that taught something is evidence."""
+        if decision.agreement is not None and decision.agreement is not Agreement.SILENT and decision.records:
+            self.planner.evidence(decision.t_s)
+
+    def _around(self, sample: LoopSample, *, free: bool) -> LoopAround:
+        retuner = self._retuner
+        wanted = self._wanted() if free and retuner.open_question is None else ""
+        low, high = self._room()
+        return LoopAround(retuner.at_rest, wanted, self._hour_of(sample.t_s), retuner.band, low, high)
+
+    def _wanted(self) -> str:
+        """Why a bump would teach something here, in words; empty where it would not, or must not be made."""
+        retuner, region = self._retuner, self._retuner.region
+        if region is None or retuner.settings.mode_of(region) not in WRITES:
+            return ""
+        name, phase = retuner.table.regions.names[region], retuner.trials.phase(region)
+        if phase is TrialPhase.TRIAL:
+            return f'the gains on trial in region "{name}" have not been judged'
+        if phase is not TrialPhase.IDLE:
+            return ""
+        model = retuner.region_models.get(region)
+        if model is None:
+            return f'nothing is known of the process in region "{name}"'
+        if not model.identifiable:
+            return f'what is known of the process in region "{name}" does not carry settings'
+        if model.records < retuner.settings.behaving_records:
+            return f'region "{name}" has shown its process once only'
+        return ""
+
+    def _room(self) -> tuple[float, float]:
+        """Setpoints to which a bump may go: inside the range of pv, and inside the region by a bump more."""
+        retuner, region = self._retuner, self._retuner.region
+        settings, size = retuner.settings, self.planner.size
+        low, high = settings.pv_range
+        regions = retuner.table.regions
+        for axis, part in zip(regions.axes, regions.cell(region) if region is not None else (), strict=False):
+            if axis.variable in TO_THE_SETPOINT:
+                edges = (low, *axis.bounds, high)
+                low, high = max(low, edges[part]), min(high, edges[part + 1])
+        return low + (ROOM - 1) * size, high - (ROOM - 1) * size

@@ -1,0 +1,55 @@
+"""The page of a schedule: what was found, the picture, the sets, the proofs in motion, what to record next."""
+
+from collections.abc import Sequence
+
+from retuner.adaptive.signals.sample import Window
+from retuner.decision_page.html import document, escaped, image, paragraph, text_table
+from retuner.schedule.table import GainTable
+from retuner.schedule_report.drawing import schedule_png
+from retuner.schedule_report.sentences import experiment_sentence, motion_sentences, why_sentence
+from retuner.scheduling import ScheduleDesign, schedule_section
+
+
+def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
+    """The page as text."""
+    body = [
+        f"<h1>{escaped(name)}: gain schedule over {escaped(found.variable)}</h1>",
+        paragraph(why_sentence(found), "lead"),
+        image(schedule_png(found, windows), "records, process, gains, Ms and J over the variable"),
+        paragraph(
+            "Bands are two standard deviations; ticks at the foot show where the records were; grey is not accurate "
+            "enough. Dashed lines are boundaries, dotted ones knots.",
+            "muted",
+        ),
+        *([] if found.table is None else [_sets(found.table)]),
+        "<h2>In motion</h2>",
+        *(paragraph(sentence) for sentence in motion_sentences(found)),
+        "<h2>What to record next</h2>",
+        paragraph(experiment_sentence(found)),
+        "<h2>Which variable</h2>",
+        text_table(
+            ("variable", "evidence over a constant process [nats]", "changes with it", "ln likelihood"),
+            [
+                (e.variable, f"{e.ln_evidence:.0f}", "yes" if e.changes else "no", f"{e.log_likelihood:.0f}")
+                for e in found.design.candidates
+            ],
+        ),
+    ]
+    return document(f"{name}: gain schedule", "\n".join(body))
+
+
+def _sets(table: GainTable) -> str:
+    """The sets, and the section for the configuration."""
+    rows = [
+        (
+            name,
+            table.regions.text(i),
+            f"{gains.kp:.4g}",
+            f"{gains.kp / gains.ki:.4g}" if gains.ki else "none",
+            f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}",
+        )
+        for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True))
+    ]
+    heads = ("region", "range", "Kc", "tau_I [s]", "kp, ki, kd (parallel)")
+    section = f"<pre>{escaped(schedule_section(table))}</pre>"
+    return "<h2>The sets</h2>" + text_table(heads, rows) + "<h2>For the configuration</h2>" + section

@@ -1,0 +1,52 @@
+"""What a schedule rests on, in sentences for page and screen."""
+
+import math
+
+from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.scheduling import ScheduleDesign
+
+PARAMETERS = ("slope gain k/tau", "dead time", "lag", "second lag")
+
+
+def why_sentence(found: ScheduleDesign) -> str:
+    """What changes along the variable, and how many sets follow."""
+    form, places = found.design.curves.form, found.places
+    changing = [
+        f"{name} (from {math.exp(a):.3g} to {math.exp(b):.3g})"
+        for name, shape, a, b in zip(
+            PARAMETERS, form.shapes, *found.design.curves.ln(form.axis.grid(2)).tolist(), strict=False
+        )
+        if shape > Shape.CONSTANT
+    ]
+    known = sum(place.known for place in places)
+    what = f"With {found.variable} change: {', '.join(changing)}." if changing else "Nothing changes with it."
+    where = (
+        "" if known == len(places) else f" At {len(places) - known} of {len(places)} places the records say too little."
+    )
+    return f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}"
+
+
+def motion_sentences(found: ScheduleDesign) -> list[str]:
+    """What a step over the whole range does with the schedule."""
+    if not found.design.crossings:
+        return ["One set, or too little known: there is nothing to cross."]
+    told = []
+    for crossing in found.design.crossings:
+        way = "up" if crossing.up else "down"
+        ratio = f"{crossing.iae_ratio:.2f} times" if math.isfinite(crossing.iae_ratio) else "without end"
+        told.append(
+            f"A setpoint step {way} over nine tenths of the range, gains looked up by {crossing.variable}; IAE {ratio} "
+            f"that with each place's own gains, overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})"
+            + (": as good." if crossing.proper else ": WORSE in motion than at rest; ramp such steps.")
+        )
+    return told
+
+
+def experiment_sentence(found: ScheduleDesign) -> str:
+    """Where to make which experiment next."""
+    wanted = found.next_experiment
+    return (
+        f"Least is known at {found.variable} {wanted.x:.4g} (Kc to {wanted.gain_std:.0%}). There, a step of "
+        f"{wanted.co_step:.3g} in co (manual) or of {wanted.sp_step:.3g} in the setpoint, held {wanted.hold_s:.3g} s, "
+        "tells most."
+    )

@@ -1,0 +1,103 @@
+"""What loops have in common: swings that keep their phase, setpoints that are another loop's output."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retuner.adaptive.audit.common_swing import Swinging, common_swings
+from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades, coherence, swing_track, trend_track
+
+T = np.arange(30_000) * 10.0
+RNG = np.random.default_rng(8)
+
+
+def swing(period_s: float, later_s: float = 0.0, wander: float = 0.0, t_s: np.ndarray = T) -> np.ndarray:
+    """A swing whose phase may wander on its own."""
+    walk = np.cumsum(RNG.normal(size=len(t_s))) * wander
+    return np.sin(2 * np.pi * (t_s - later_s) / period_s + walk) + 0.3 * RNG.normal(size=len(t_s))
+
+
+def track(error: np.ndarray, period_s: float, t_s: np.ndarray = T) -> SwingTrack:
+    return swing_track(t_s, error, period_s)
+
+
+@given(st.floats(150, 900), st.floats(0.05, 0.45), st.floats(0.97, 1.03))
+def test_one_swing_is_coherent_and_tells_which_is_later(period_s: float, part: float, mistaken: float) -> None:
+    a, b = swing(period_s), swing(period_s, part * period_s)
+    told = coherence(track(a, period_s), track(b, period_s * mistaken))
+
+    assert told is not None
+    assert told[0] > 0.9
+    assert told[1] == pytest.approx(part, abs=0.03)
+
+
+def test_swings_of_one_period_by_chance_are_not_coherent() -> None:
+    told = coherence(track(swing(400.0, wander=0.02), 400.0), track(swing(400.0, wander=0.02), 400.0))
+
+    assert told is not None
+    assert told[0] < 0.5
+
+
+def test_records_of_other_times_say_nothing() -> None:
+    a = track(swing(400.0), 400.0)
+    b = track(swing(400.0, t_s=T + 1e7), 400.0, T + 1e7)
+
+    assert coherence(a, b) is None
+
+
+def test_gaps_are_left_out_and_tracks_survive_their_plain_form() -> None:
+    kept = (np.arange(len(T)) < 9_000) | (np.arange(len(T)) > 21_000)
+    a, b = swing(400.0), swing(400.0, 80.0)
+    plain = [SwingTrack.of_dict(track(x[kept], 400.0, T[kept]).to_dict()) for x in (a, b)]
+    told = coherence(*plain)
+
+    assert told is not None
+    assert told[0] > 0.9
+    assert told[1] == pytest.approx(0.2, abs=0.03)
+
+
+def test_the_setpoint_of_a_slave_is_its_masters_output() -> None:
+    def walk() -> np.ndarray:
+        return np.cumsum(RNG.normal(size=len(T)))
+
+    still, output = np.full(len(T), 5.0), walk()
+    loops = {"master": (still, output), "slave": (3 - 0.2 * output, walk()), "other": (still, walk())}
+    tracks = {tag: trend_track(T, sp, co) for tag, (sp, co) in loops.items()}
+    tracks["elsewhere"] = trend_track(T + 1e6, walk(), walk())
+    again = {tag: TrendTrack.of_dict(one.to_dict()) for tag, one in tracks.items()}
+
+    assert cascades(tracks) == {"slave": "master"} == cascades(again)
+
+
+def test_groups_are_made_by_phase_and_not_by_period() -> None:
+    valve, upset = swing(400.0, wander=0.01), swing(405.0, wander=0.02)
+    walk = np.roll(valve, 5)
+    loops = [
+        Swinging("valve", 400.0, 0.02, sticks=0.8, track=track(valve, 400.0)),
+        Swinging("follower", 404.0, 0.2, track=track(walk, 404.0)),
+        Swinging("stranger", 405.0, 0.3, track=track(upset, 405.0)),
+    ]
+    groups = common_swings(loops)
+
+    assert [group.tags for group in groups] == [("valve", "follower")]
+    assert groups[0].coherence is not None
+
+
+def test_two_tunings_or_two_straight_loops_swing_against_each_other() -> None:
+    a, b = swing(300.0), swing(300.0, 70.0)
+    both = [Swinging(tag, 300.0, 0.01, track=track(x, 300.0)) for tag, x in (("A", a), ("B", b))]
+    (group,) = common_swings(both)
+
+    assert (group.root, group.interaction) == (None, True)
+    own = [Swinging(one.tag, 300.0, 0.01, own=True, track=one.track) for one in both]
+    assert common_swings(own)[0].interaction
+
+
+def test_of_three_the_earliest_is_the_root() -> None:
+    loops = [
+        Swinging(tag, 300.0, 0.01, track=track(swing(300.0, later_s), 300.0))
+        for tag, later_s in (("second", 40.0), ("first", 0.0), ("third", 90.0))
+    ]
+
+    assert common_swings(loops)[0].root == "first"

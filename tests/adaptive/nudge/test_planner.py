@@ -1,0 +1,235 @@
+"""Setpoint bumps: when they begin, what ends them, and that the old setpoint always comes back."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retuner.adaptive.nudge.planner import (
+    COURSE,
+    SENT_AGAIN_SAMPLES,
+    LoopAround,
+    NudgeInput,
+    NudgeNews,
+    NudgePhase,
+    NudgePlanner,
+)
+from retuner.adaptive.nudge.settings import NudgeSettings
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+
+ALLOWED = NudgeSettings(allowed=True, after_h=1.0, announce_s=60.0, longest_s=600.0)
+CALM = LoopAround(at_rest=True, wanted="nothing is known", hour=12.0, band=0.1, low=0.0, high=100.0)
+
+
+class Bench:
+    """A loop whose controller takes every setpoint; pv follows at once."""
+
+    def __init__(self, wanted: NudgeSettings = ALLOWED, dt: float = 1.0) -> None:
+        self.planner, self.dt = NudgePlanner(wanted, 100.0, dt), dt
+        self.t, self.sp, self.news = 0.0, 50.0, list[NudgeNews]()
+
+    def run(self, samples: int, around: LoopAround = CALM, *, deaf: bool = False, **sample: object) -> None:
+        for _ in range(samples):
+            self.t += self.dt
+            seen = LoopSample(self.t, self.sp, self.sp, 30.0, LoopMode.AUTO, False, self.sp)._replace(**sample)
+            news = self.planner.look(seen, around)
+            if news is not None:
+                self.news.append(news)
+            asked = news.setpoint if news is not None else self.planner.again(self.t)
+            if asked is not None and not deaf:
+                self.sp = asked
+
+    @property
+    def causes(self) -> list[NudgeInput]:
+        return [news.cause for news in self.news]
+
+    def out(self) -> None:
+        """A bump is out."""
+        self.run(3600 + 62)
+        assert self.planner.phase is NudgePhase.HOLDING
+        assert self.sp == 51.0
+
+
+def around(**changes: object) -> LoopAround:
+    return LoopAround(**{name: getattr(CALM, name) for name in LoopAround.__slots__} | changes)
+
+
+def test_nothing_happens_unless_it_is_allowed() -> None:
+    bench = Bench(NudgeSettings(after_h=0.001, announce_s=0.0))
+    bench.run(5000)
+    assert (bench.news, bench.sp) == ([], 50.0)
+
+
+def test_a_bump_is_announced_made_and_taken_back_when_the_loop_is_at_rest() -> None:
+    bench = Bench()
+    bench.run(3600)
+    assert bench.news == []
+    bench.run(1)
+    assert bench.causes == [NudgeInput.DUE]
+    assert "in 60 s the setpoint goes from 50 to 51" in bench.news[0].reason
+    bench.run(60)
+    assert (bench.causes[-1], bench.sp) == (NudgeInput.BEGUN, 51.0)
+    bench.run(30, around(at_rest=False))
+    assert (bench.planner.phase, bench.sp) == (NudgePhase.HOLDING, 51.0)
+    bench.run(1)
+    assert (bench.causes[-1], bench.sp) == (NudgeInput.AT_REST, 50.0)
+    bench.run(SENT_AGAIN_SAMPLES + 1)
+    assert bench.causes == [NudgeInput.DUE, NudgeInput.BEGUN, NudgeInput.TAKEN, NudgeInput.AT_REST, NudgeInput.BACK]
+
+
+def test_bumps_go_up_and_down_in_turn_and_keep_to_their_budgets() -> None:
+    bench = Bench(NudgeSettings(allowed=True, after_h=1.0, announce_s=0.0, most_per_day=2, most=3), dt=60.0)
+    bench.run(1440)
+    assert len(bench.planner.made) == 2
+    assert [news.to for news in bench.news if news.cause is NudgeInput.DUE] == [51.0, 49.0]
+    bench.run(3 * 1440)
+    assert len(bench.planner.made) == 3
+
+
+@pytest.mark.parametrize(
+    "unfit",
+    [
+        {"wanted": ""},
+        {"at_rest": False},
+        {"band": 0.3},
+        {"low": 49.5, "high": 50.5},
+    ],
+)
+def test_no_bump_is_announced_to_a_loop_that_is_not_fit_for_it(unfit: dict[str, object]) -> None:
+    bench = Bench()
+    bench.run(5000, around(**unfit))
+    assert bench.news == []
+
+
+@pytest.mark.parametrize("sample", [{"mode": LoopMode.MANUAL}, {"limited": True}, {"pv": 51.0}])
+def test_no_bump_is_announced_while_the_loop_does_not_regulate(sample: dict[str, object]) -> None:
+    bench = Bench()
+    bench.run(5000, **sample)
+    assert bench.news == []
+
+
+def test_the_other_side_is_taken_where_one_has_no_room() -> None:
+    bench = Bench()
+    bench.run(3601, around(high=50.5))
+    assert bench.news[0].to == 49.0
+
+
+@pytest.mark.parametrize(("hour", "due"), [(21.9, False), (22.0, True), (3.0, True), (5.0, False), (12.0, False)])
+def test_hours_may_go_over_midnight(hour: float, due: bool) -> None:
+    bench = Bench(NudgeSettings(allowed=True, after_h=0.1, from_h=22.0, to_h=5.0))
+    bench.run(400, around(hour=hour))
+    assert bool(bench.news) is due
+
+
+def test_whoever_moves_the_setpoint_puts_an_announced_bump_off() -> None:
+    bench = Bench()
+    bench.run(3610)
+    bench.sp = 55.0
+    bench.run(200)
+    assert (bench.causes, bench.sp) == ([NudgeInput.DUE, NudgeInput.OTHERS], 55.0)
+
+
+def test_a_setpoint_that_somebody_else_sets_during_a_bump_stays() -> None:
+    bench = Bench()
+    bench.out()
+    bench.sp = 55.0
+    bench.run(100)
+    assert (bench.causes[-1], bench.sp, bench.planner.phase) == (NudgeInput.OTHERS, 55.0, NudgePhase.WATCHING)
+
+
+@pytest.mark.parametrize(
+    ("sample", "cause"),
+    [
+        ({"pv": 46.0}, NudgeInput.EXCURSION),
+        ({"limited": True}, NudgeInput.LIMITED),
+        ({"mode": LoopMode.MANUAL}, NudgeInput.NOT_IN_AUTO),
+    ],
+)
+def test_trouble_takes_a_bump_back_at_once(sample: dict[str, object], cause: NudgeInput) -> None:
+    bench = Bench()
+    bench.out()
+    bench.run(1, **sample)
+    assert (bench.causes[-1], bench.sp) == (cause, 50.0)
+
+
+def test_a_loop_that_does_not_come_to_rest_gets_its_setpoint_back_in_time() -> None:
+    bench = Bench()
+    bench.out()
+    bench.run(602, around(at_rest=False))
+    assert (bench.causes[-1], bench.sp) == (NudgeInput.TOO_LONG, 50.0)
+
+
+def test_the_end_of_a_session_takes_a_bump_back() -> None:
+    bench = Bench()
+    bench.out()
+    news = bench.planner.end(bench.t)
+    assert news is not None
+    assert (news.cause, news.setpoint) == (NudgeInput.ENDED, 50.0)
+    assert bench.planner.end(bench.t) is None
+
+
+def test_a_setpoint_that_is_not_taken_is_sent_again_and_then_given_up() -> None:
+    bench = Bench()
+    bench.run(3600)
+    bench.run(61 + 45, deaf=True)
+    assert bench.causes[-1] is NudgeInput.NOT_TAKEN
+    bench.run(60)
+    assert (bench.causes[-1], bench.sp) == (NudgeInput.BACK, 50.0)
+
+
+def test_what_a_session_before_left_out_goes_back_first() -> None:
+    bench = Bench()
+    bench.sp = 51.0
+    bench.planner.left_out(50.0, 51.0)
+    bench.run(3)
+    assert (bench.sp, bench.planner.out) == (50.0, True)
+    bench.run(SENT_AGAIN_SAMPLES + 2)
+    assert not bench.planner.out
+
+
+def test_evidence_begins_the_waiting_anew() -> None:
+    bench = Bench()
+    bench.run(3000)
+    bench.planner.evidence(bench.t)
+    bench.run(3000)
+    assert bench.news == []
+
+
+@pytest.mark.parametrize(("name", "value"), [("percent", 6.0), ("percent", math.nan), ("from_h", 25.0), ("most", 0)])
+def test_settings_outside_their_range_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"nudge: {name}"):
+        NudgeSettings(**{name: value})
+
+
+def test_every_phase_in_which_the_setpoint_is_out_ends_with_the_session() -> None:
+    for phase in NudgePhase:
+        after = COURSE.get((phase, NudgeInput.ENDED), phase)
+        assert after in {NudgePhase.WATCHING, NudgePhase.RETURNING}
+
+
+Doing = st.tuples(
+    st.integers(1, 80),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from([LoopMode.AUTO, LoopMode.AUTO, LoopMode.AUTO, LoopMode.MANUAL]),
+    st.sampled_from([None, None, None, 55.0]),
+    st.booleans(),
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(Doing, max_size=12))
+def test_whatever_happens_only_two_setpoints_are_ever_asked_for_and_the_old_one_comes_back(doings) -> None:
+    bench = Bench(NudgeSettings(allowed=True, after_h=0.001, announce_s=5.0, longest_s=40.0, most_per_day=100))
+    theirs = 50.0
+    for samples, at_rest, limited, mode, moved, deaf in doings:
+        if moved is not None:
+            bench.sp = theirs = moved
+        bench.run(samples, around(at_rest=at_rest), deaf=deaf, mode=mode, limited=limited)
+        assert abs(bench.sp - theirs) <= 1.0
+    news = bench.planner.end(bench.t)
+    if news is not None and news.setpoint is not None:
+        bench.sp = news.setpoint
+    bench.run(60, around(wanted=""))
+    assert bench.sp == theirs

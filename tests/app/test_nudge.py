@@ -1,0 +1,170 @@
+"""Setpoint bumps through the whole stack: a quiet loop learns by them, and no end of a session leaves one out."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from retuner.adaptive.nudge.planner import NudgePhase
+from retuner.adaptive.nudge.settings import NudgeSettings
+from retuner.adaptive.nudge.watching import Nudger
+from retuner.adaptive.supervision.decision import Mode
+from retuner.cli import main
+from retuner.ledger.chain import Row
+from retuner.session.ledger_rows import bump_left
+from retuner.session.loop_session import LoopSession
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import bodies
+from wire import Wire
+
+LOOP = """
+schema = 1
+[loop]
+name = "tank"
+pv_unit = "degC"
+pv_min = 0.0
+pv_max = 100.0
+sample_time_s = 1.0
+[schedule]
+variable = "sp"
+[[schedule.region]]
+name = "all"
+kc = 1.0
+tau_i_s = 120.0
+[adaptation]
+mode = "auto"
+[adaptation.nudge]
+allowed = {allowed}
+percent = 2.0
+after_h = 0.1
+announce_s = 30.0
+most_per_day = 4
+[device]
+seed = 1
+[device.plant]
+kind = "linear"
+k = 1.0
+lags_s = [40.0]
+theta_s = 4.0
+start_pv = 50.0
+start_co_pct = 50.0
+noise = 0.05
+[scenario]
+duration_s = 1300.0
+steps = [{{ at_s = 0.0, sp = 50.0 }}]
+"""
+SOON = NudgeSettings(allowed=True, percent=2.0, after_h=0.0, announce_s=0.0)
+
+
+def ran(folder: Path, allowed: str) -> Path:
+    (folder / "tank.toml").write_text(LOOP.format(allowed=allowed))
+    run = folder / "run"
+    assert main(["run", str(folder / "tank.toml"), "--no-compare", "--out", str(run), "--json"]) == 0
+    return run
+
+
+def test_a_quiet_loop_learns_by_bumps_and_a_replay_decides_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = ran(tmp_path, "true")
+    decisions = json.loads(capsys.readouterr().out)["decisions"]
+    assert "commit" in [decision["action"] for decision in decisions]
+    rows = bodies(run, "nudge")
+    assert [row["cause"] for row in rows[:5]] == ["due", "begun", "taken", "at_rest", "back"]
+    assert (rows[1]["setpoint"], rows[3]["setpoint"], rows[-1]["phase"]) == (52.0, 50.0, "watching")
+    assert main(["replay", str(run), "--json"]) == 0
+
+
+def test_without_leave_the_setpoint_is_never_moved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = ran(tmp_path, "false")
+    assert json.loads(capsys.readouterr().out)["decisions"] == []
+    assert bodies(run, "nudge") == []
+
+
+@pytest.fixture
+def wire():
+    wire = Wire()
+    yield wire
+    wire.close()
+
+
+def bumped(wire: Wire) -> LoopSession:
+    """The setpoint is out."""
+    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    for _ in range(200):
+        wire.run(1)
+        if wire.session.nudger.planner.phase is NudgePhase.HOLDING:
+            assert wire.device.sp == 52.0
+            return wire.session
+    raise AssertionError("no bump was made")
+
+
+def test_a_session_that_ends_puts_the_setpoint_back_first(wire: Wire) -> None:
+    session = bumped(wire)
+    wire.end()
+    assert (wire.device.sp, session.left_open) == (50.0, "")
+    assert [body["cause"] for kind, body in wire.rows if kind == "nudge"][-2:] == ["ended", "back"]
+
+
+def test_a_defect_puts_it_back_as_well(wire: Wire) -> None:
+    session = bumped(wire)
+    session.fail("a defect")
+    wire.run(60)
+    assert (wire.device.sp, session.finished) == (50.0, True)
+
+
+def test_a_ledger_that_fails_begins_no_bump(wire: Wire) -> None:
+    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    keep = wire.session._record
+
+    def full(kind: str, t_s: float, body: object) -> None:
+        if kind == "nudge":
+            wire.session.freeze("the disk is full")
+        keep(kind, t_s, body)
+
+    wire.session._record = full
+    wire.run(100)
+    assert wire.device.sp == 50.0
+
+
+def test_a_session_that_cannot_bring_it_back_says_so(wire: Wire) -> None:
+    session = bumped(wire)
+    wire.heard = lambda message: message is None
+    session.stop("the test is over")
+    wire.run(300)
+    assert session.left_open == "the setpoint has not come back from a bump"
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.ADVISE])
+def test_where_nothing_may_be_written_nothing_is_bumped(mode: Mode) -> None:
+    wire = Wire(mode=mode)
+    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    wire.run(200)
+    assert (wire.device.sp, "nudge" in wire.kinds) == (50.0, False)
+    wire.close()
+
+
+def test_no_bump_crosses_a_border_of_its_region(wire: Wire) -> None:
+    wire.session.nudger = Nudger(SOON, wire.session.retuner)
+    wire.device.sp = 57.0
+    wire.run(400)
+    made = [body["to"] for kind, body in wire.rows if kind == "nudge"]
+    assert made
+    assert made[0] == 55.0
+
+
+def row(kind: str, body: dict[str, object]) -> Row:
+    return Row(1, 0.0, kind, json.dumps(body), "", "")
+
+
+def test_rows_tell_what_a_session_left_out() -> None:
+    out = row("nudge", {"phase": "holding", "before": 50.0, "to": 52.0})
+    back = row("nudge", {"phase": "watching", "before": 50.0, "to": 52.0})
+    assert bump_left([out, row("decision", {})]) == (50.0, 52.0)
+    assert bump_left([out, back]) is None
+    assert bump_left([]) is None
+    with pytest.raises(KeyError):
+        bump_left([row("nudge", {})])
