@@ -56,7 +56,7 @@ class NudgeInput(StrEnum):
     LIMITED = "the output stands at a limit"
     NOT_IN_AUTO = "the loop is not in automatic"
     ENDED = "the session ends"
-    OTHERS = "somebody else has moved the setpoint: it stays as it is"
+    OTHERS = "someone else has moved the setpoint: it stays as it is"
     BACK = "the setpoint is back"
 
 
