@@ -99,13 +99,15 @@ def _write_reference(_app: Sphinx) -> None:
             page.write_text(text, encoding="utf-8")
 
 
-def _link_to_repository(_app: Sphinx, _name: str, source: list[str]) -> None:
+def _link_to_repository(_app: Sphinx, name: str, source: list[str]) -> None:
     """Pages of the repository that are no pages of the site are linked where they stand."""
 
     def told(link: re.Match[str]) -> str:
-        path = (HERE / link[1]).resolve()
+        path = (HERE / name).parent.joinpath(link[1]).resolve()
+        if path.is_relative_to(HERE):
+            return link[0]
         if not path.is_file():
-            raise FileNotFoundError(f"{_name}: no file {link[1]}")
+            raise FileNotFoundError(f"{name}: no file {link[1]}")
         return f"]({REPOSITORY}/blob/main/{path.relative_to(ROOT).as_posix()}"
 
     source[0] = re.sub(r"\]\((\.\./[^)#]+\.md)(?=[)#])", told, source[0])

@@ -17,6 +17,7 @@ A command with a <placeholder> is not run.
 """
 
 import argparse
+import fcntl
 import os
 import re
 import shutil
@@ -24,8 +25,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -40,6 +41,7 @@ NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 TOLERANCE = 0.01
 LONGEST_S = 300
 WIDTH = "100"
+DEMO = "runs/demo"
 
 
 @dataclass(frozen=True)
@@ -79,13 +81,16 @@ def pages() -> list[Path]:
     return [page for page in every if any(block.to_run for block in blocks(page.read_text(encoding="utf-8")))]
 
 
-def run_page(page: Path, folder: Path) -> Iterator[tuple[Block, str, int]]:
-    """Each block that can be run with what it printed and its exit status, in a fresh folder."""
+def run_page(page: Path, folder: Path, demo: Callable[[], Path]) -> Iterator[tuple[Block, str, int]]:
+    """Each block that can be run with what it printed and its exit status, in a fresh folder.
+
+    demo : where the session of `make demo` lies; asked when a page needs it.
+    """
     shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     text = page.read_text(encoding="utf-8")
-    if "<!-- with runs/demo -->" in text:
-        shutil.copytree(demo(), folder / "runs" / "demo")
-    with background() as started:
+    if f"<!-- with {DEMO} -->" in text:
+        shutil.copytree(demo(), folder / DEMO)
+    with alone() if "<!-- in the background -->" in text else nullcontext(), background() as started:
         for block in blocks(text):
             if block.to_run and block.note == "in the background":
                 started.append(_start(block, folder))
@@ -94,24 +99,37 @@ def run_page(page: Path, folder: Path) -> Iterator[tuple[Block, str, int]]:
 
 
 @cache
-def demo() -> Path:
-    """The session that `make demo` leaves, run once."""
+def demo_here() -> Path:
+    """The session of `make demo`, run once."""
     folder = Path(tempfile.mkdtemp(prefix="retuner-pages-"))
+    make_demo(folder)
+    return folder / DEMO
+
+
+def make_demo(folder: Path) -> None:
+    """Run the oven in a folder, as `make demo` does, without its comparison."""
     shutil.copytree(ROOT / "examples", folder / "examples")
-    command = "retuner run examples/oven.toml --out runs/demo --no-compare"
+    command = f"retuner run examples/oven.toml --out {DEMO} --no-compare"
     subprocess.run(["bash", "-c", command], cwd=folder, env=_environment(), check=True, capture_output=True)
-    return folder / "runs" / "demo"
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """One at a time: sessions over udp_multicast on one machine hear one another."""
+    with (Path(tempfile.gettempdir()) / "retuner-pages.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager
 def background() -> Iterator[list[subprocess.Popen[bytes]]]:
-    """What goes on beside the blocks is stopped at the end, as Ctrl-C does it."""
+    """What goes on beside the blocks is stopped at the end."""
     started: list[subprocess.Popen[bytes]] = []
     try:
         yield started
     finally:
         for process in started:
-            os.killpg(process.pid, signal.SIGINT)
+            os.killpg(process.pid, signal.SIGTERM)
             process.wait()
 
 
@@ -207,7 +225,7 @@ def _tell(page: Path, *, write: bool) -> int:
     """Run one page and say what differs; how many blocks did."""
     text, wrong = page.read_text(encoding="utf-8"), 0
     with tempfile.TemporaryDirectory(prefix="retuner-page-") as folder:
-        for block, came, status in run_page(page, Path(folder)):
+        for block, came, status in run_page(page, Path(folder), demo_here):
             differs = block.printed is not None and not agrees(block.printed, came)
             if status != block.status or differs:
                 wrong += 1

@@ -3,11 +3,15 @@
 import re
 import runpy
 import shlex
+import subprocess
 import sys
+import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from once import once
+from readme_renderer import markdown
 from typer.main import get_command
 
 from retuner.cli import COMMANDS, ON_RECORDS
@@ -23,13 +27,23 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", run_pages.pages(), ids=lambda page: page.stem)
-def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path) -> None:
-    for block, came, status in run_pages.run_page(page, tmp_path):
+def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    def demo() -> Path:
+        return once(tmp_path_factory, "pages-demo", run_pages.make_demo) / run_pages.DEMO
+
+    for block, came, status in run_pages.run_page(page, tmp_path, demo):
         said = f"{page.name}:{block.line}: {block.code}\n--- came, status {status}:\n{came}"
         assert status == block.status, said
         assert block.printed is None or agrees(block.printed, came), (
             f"{said}\n(scripts/run_pages.py --write puts it in)"
         )
+
+
+@pytest.mark.slow
+def test_notebooks_show_what_comes() -> None:
+    script = ROOT / "scripts" / "run_notebooks.py"
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}\n(scripts/run_notebooks.py --write takes it)"
 
 
 def commands(code: str) -> list[list[str]]:
@@ -50,7 +64,7 @@ def unknown(words: list[str]) -> list[str]:
             return [rest[0]]
         command = inside[rest[0]] if rest else command
     known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)} | {"--help", "-h"}
-    return [word for word in rest if word.startswith("-") and word != "-" and word.partition("=")[0] not in known]
+    return [word for word in rest if re.match(r"--?[a-z]", word) and word.partition("=")[0] not in known]
 
 
 def test_every_command_of_a_page_is_there_with_its_options() -> None:
@@ -127,3 +141,17 @@ def test_docstrings_become_items_and_formulas() -> None:
         ".. rubric:: Raises",
         "- ``ValueError``: Bad.",
     ]
+
+
+def test_the_package_index_shows_readme_with_every_link_and_picture() -> None:
+    shown = markdown.render((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert shown is not None
+    links = re.findall(r'(?:href|src)="([^"#]+)"', shown)
+    assert len(links) > 10
+    repository = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["urls"]["Source"]
+    raw = repository.replace("https://github.com/", "https://raw.githubusercontent.com/")
+    homes = (repository, f"{repository}/blob/main/", f"{raw}/main/")
+    for link in links:
+        home = next((home for home in reversed(homes) if link.startswith(home)), None)
+        assert home is not None, link
+        assert (ROOT / link.removeprefix(home)).exists(), link
