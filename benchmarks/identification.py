@@ -39,6 +39,8 @@ from retuner.schedule.gains import PidGains
 
 MS_LIMIT, MS_OVER_BEST, J_LIMIT = 1.8, 1.03, 1.25
 TWO_SIGMA = 2.0
+KNOWN = 0.25
+"""Standard deviation of ln Kc with which settings may come out in spec."""
 STRUCTURES = {
     "first": "fopdt",
     "second": "sopdt",
@@ -223,6 +225,9 @@ def summary(scores: list[Score]) -> list[str]:
     lines.append(
         f"structure as the truth's     {share(sum(STRUCTURES[s.family] == s.structure for s in right), len(right))}"
     )
+    bounds = [s.bound for s in scores if not math.isnan(s.bound)]
+    if bounds:
+        lines.append(f"Cramer-Rao sigma of ln Kc under {KNOWN:g}  {share(sum(b < KNOWN for b in bounds), len(bounds))}")
     if ratios:
         middle = statistics.median(ratios)
         lines.append(f"|ln Kc error| over Cramer-Rao sigma: median {middle:.2f} of {len(ratios)} (efficient: 0.67)")

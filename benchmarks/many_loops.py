@@ -152,6 +152,7 @@ def told(folder: Path) -> dict[str, Any]:
         "entered after samples, most": max(late, default=None),
         "writes": sum(body["why"] != "schedule" for body in bodies["committed"]),
         "refused": len(bodies["refused"]),
+        "refused, why": dict(collections.Counter(str(body["reason"]) for body in bodies["refused"])),
         "out of reach": sum(body["state"] != "up" for body in bodies["link"]),
     }
 

@@ -24,7 +24,7 @@ from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
 from bus_simulation.world import BOX, FIRST, World
 from cases.counting import share
-from source_mutants import EQUAL, ROOT, Kept, draw, make_copy
+from source_mutants import ROOT, Kept, draw, make_copy
 
 from retuner.drivers.conformance.chapters import chapters
 from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
@@ -108,7 +108,7 @@ def python(count: int, seed: int, copy: Path) -> float:
     kept = Kept(copy.with_suffix(".jsonl"))
     dead = equal = 0
     for number, change in enumerate(drawn, 1):
-        if change.name in EQUAL:
+        if change.is_equal:
             equal += 1
             continue
         is_dead = kept.look(change, copy)

@@ -6,11 +6,13 @@
     python benchmarks/simulation.py --device firmware                 drivers/firmware, compiled here, is the device
     python benchmarks/simulation.py --device both                     and must answer as the virtual one does
 
-With --state FILE a campaign that was stopped goes on where it was, as long as the code is the same. Exit status 1 when
+With --state FILE a campaign that was stopped goes on where it was; when the code has changed, behind the seeds that
+others have had, and their steps are told beside its own. Exit status 1 when
 a promise was broken, or when a naive protocol over the same bus was not seen to fail.
 """
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -29,6 +31,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--steps", type=int, default=1000, help="controller samples per seed")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--hours", type=float, default=math.inf, help="begin no seed after so many")
     parser.add_argument("--state", type=Path, default=None, help="file that keeps what is done")
     parser.add_argument("--device", choices=DEVICES, default="virtual", help="the firmware in C, or both side by side")
     options = parser.parse_args()
@@ -40,7 +43,9 @@ def main() -> int:
 
 def _real(options: argparse.Namespace) -> bool:
     """The protocol itself; whether a promise was broken."""
-    campaign = Campaign(options.first_seed, options.seeds, options.steps, options.state, device=options.device)
+    campaign = Campaign(
+        options.first_seed, options.seeds, options.steps, options.state, device=options.device, hours=options.hours
+    )
     done_before = len(campaign.done)
     try:
         for outcome in campaign.run(options.processes):
@@ -62,6 +67,8 @@ def _real(options: argparse.Namespace) -> bool:
         if name not in {"steps", "faults"}:
             print(f"    {counts[name]:>12,}  {name}")
     print(f"promises broken in {len(campaign.broken)} of {seeds} seeds")
+    if campaign.before:
+        print(f"{campaign.steps_of_all():,} steps with those of {len(campaign.before)} codes before this one")
     return bool(campaign.broken)
 
 

@@ -17,12 +17,17 @@ from pathlib import Path
 
 BASE, NUMPY = "python -c pass", "import numpy"
 IMPORTED = "from retuner import Retuner, identify"
+LOOP = "a loop's first step"
+FIRST_STEP = """if True:
+    from retuner import PidController, PidGains
+    PidController(PidGains(2.0, 0.1), dt_s=1.0, pv_range=(0, 100)).step(50.0, 20.0)"""
 IDENTIFY = "retuner identify FILE"
 LIMITS = {
     "retuner --help": (15.0, BASE),  # within 0.3 s where the base takes 20 ms
     "retuner check --help": (15.0, BASE),
     "retuner device --help": (15.0, BASE),
     IMPORTED: (3.5, NUMPY),  # a hundred frozen dataclasses, made anew at each start
+    LOOP: (4.5, NUMPY),  # within 0.5 s where numpy takes 0.11 s
     IDENTIFY: (5.8, NUMPY),  # within 0.7 s where numpy takes 0.12 s
 }
 ROUNDS = 9
@@ -37,6 +42,7 @@ def cases(record: Path) -> dict[str, list[str]]:
         BASE: ["-c", "pass"],
         NUMPY: ["-c", "import numpy"],
         IMPORTED: ["-c", IMPORTED],
+        LOOP: ["-c", FIRST_STEP],
         "retuner --help": ["-c", RUN.format(["--help"])],
         "retuner --version": ["-c", RUN.format(["--version"])],
         "retuner check --help": ["-c", RUN.format(["check", "--help"])],

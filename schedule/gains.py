@@ -100,7 +100,7 @@ class PidGains:
         PidGains(kp=2.0, ki=0.1, kd=3.0)
         """
         check_form("ideal", kc, tau_i_s, tau_d_s)
-        return cls(kc, _integral_gain("ideal", kc, tau_i_s), kc * tau_d_s)
+        return cls(kc, _integral_gain("ideal", kc, tau_i_s), kc * tau_d_s + 0.0)  # not -0.0
 
     @classmethod
     def from_series(cls, kc: float, tau_i_s: float | None = None, tau_d_s: float = 0.0) -> "PidGains":
@@ -126,7 +126,7 @@ class PidGains:
         """
         check_form("series", kc, tau_i_s, tau_d_s)
         ratio = 0.0 if tau_i_s is None else tau_d_s / tau_i_s
-        return cls(kc * (1.0 + ratio), _integral_gain("series", kc, tau_i_s), kc * tau_d_s)
+        return cls(kc * (1.0 + ratio), _integral_gain("series", kc, tau_i_s), kc * tau_d_s + 0.0)
 
     @property
     def direction(self) -> int:

@@ -78,7 +78,7 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
     ),
     lambda: Machine(
         "A setpoint bump",
-        "Announced, sent, held until the loop is at rest, and taken back; off until somebody allows it.",
+        "Announced, sent, held until the loop is at rest, and removed; off until someone allows it.",
         "adaptive/nudge/planner.py",
         nudge.NudgePhase.WATCHING,
         ways(nudge.COURSE),

@@ -6,9 +6,9 @@ nothing in common but their periods, periods within SAME_PERIOD must do. The lik
     the valve that sticks most surely         a valve makes a swing out of nothing; two in step would be a wonder
     the one loop whose own tuning swings
     the strongest third harmonic              what is passed on is filtered (Thornhill, Cox & Paulonis 2003)
-    the loop that is before all others        by the phases, less than half a period
 
 Where several loops' tuning swings, or of two loops nothing is bent, they swing against each other: an interaction.
+Which is earlier is not asked: feedback turns the phase of the error; roots came a fifth of a period before or after.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,8 +28,6 @@ STICKS = 0.2
 """What its stretches must say of a valve for it to be the root."""
 BENT = 0.05
 """Third harmonic over the first, from which something in a loop is not linear."""
-EARLIER = 0.03
-"""Part of a period by which a loop must be earlier than all others to be named for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,24 +126,10 @@ def _root(loops: Sequence[Swinging]) -> tuple[str | None, str, bool]:
     loudest, second = sorted(loops, key=lambda one: -one.harmonic)[:2]
     if loudest.harmonic > max(LOUDER * second.harmonic, BENT):
         return loudest.tag, "its harmonics are the strongest: what is passed on is filtered", False
-    early = _earliest(loops)
-    if early is not None:
-        return early.tag, "it swings before all the others", False
     if loudest.harmonic < BENT:
-        why = "nothing in them is bent and none is first: they swing against each other, or come from no loop here"
+        why = "nothing in them is bent: they oscillate against each other, or it comes from no loop here"
         return None, why, len(loops) == 2
     return None, "none stands out", False
-
-
-def _earliest(loops: Sequence[Swinging]) -> Swinging | None:
-    """The loop that is earlier than all others; of two nobody knows, as each is half a period before the other."""
-    if len(loops) < 3:
-        return None
-    for loop in loops:
-        told = [_told(loop, other) for other in loops if other is not loop]
-        if all(t is not None and EARLIER < t[1] < 0.5 - EARLIER for t in told):
-            return loop
-    return None
 
 
 def grouped(groups: Sequence[CommonSwing]) -> Mapping[str, CommonSwing]:

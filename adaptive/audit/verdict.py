@@ -208,8 +208,9 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
 def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
     """Nothing can be named; a loop that swings is worth a look all the same."""
     newest = stretches[-1] if stretches else None
-    reason = newest.reason if newest is not None else "no part of its record is usable"
     swings = screen.swinging >= SWINGS
+    period = f"oscillates with a period of {screen.period_s:.4g} s" if screen.period_s else "nothing stands out"
+    reason = newest.reason if newest is not None else f"screened only: {period}"
     action = Action.LOOK if swings else Action.RECORD
     rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0
     avoidable = screen.harris * screen.strength if swings else 0.0

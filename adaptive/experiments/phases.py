@@ -17,13 +17,13 @@ class Phase(Enum):
     """How far an experiment is."""
 
     CONNECTING = "waiting for the controller"
-    RESTING = "watching it at rest"
-    PREPARING = "taking over"
-    EXCITING = "experiment"
-    PARKING = "output back"
-    RESTORING = "restoring"
-    RESTORED = "the old state is restored and read back"
-    STRANDED = "the old state could not be verified"
+    RESTING = "checking that the loop is at rest"
+    PREPARING = "taking control"
+    EXCITING = "test running"
+    PARKING = "returning the output"
+    RESTORING = "restoring the initial state"
+    RESTORED = "initial state restored and read back"
+    STRANDED = "initial state not verified"
 
     @property
     def over(self) -> bool:

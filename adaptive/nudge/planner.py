@@ -44,6 +44,7 @@ class NudgePhase(StrEnum):
 class NudgeInput(StrEnum):
     """Everything that can happen; the value is the clause that people read."""
 
+    TOO_SMALL = "a bump of the size that is allowed would not be seen in the noise"
     DUE = "nothing has shown the process for a while"
     PUT_OFF = "the loop is not at rest or not free for it any more"
     BEGUN = "it was announced, and nobody said no"
@@ -55,7 +56,7 @@ class NudgeInput(StrEnum):
     LIMITED = "the output stands at a limit"
     NOT_IN_AUTO = "the loop is not in automatic"
     ENDED = "the session ends"
-    OTHERS = "somebody else has moved the setpoint: it stays as it is"
+    OTHERS = "someone else has moved the setpoint: it stays as it is"
     BACK = "the setpoint is back"
 
 
@@ -139,7 +140,7 @@ class NudgePlanner:
         self.size, self._dt_s = settings.percent / 100 * pv_span, sample_time_s
         self._quiet_since_s: float | None = None
         self._sp = self._before = self._to = self._since_s = self._sent_s = 0.0
-        self._up = True
+        self._up, self._told_small = True, False
 
     @property
     def out(self) -> bool:
@@ -162,7 +163,9 @@ class NudgePlanner:
         if self.phase is NudgePhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
-            return self._announced(sample, around) if self._is_due(sample, around) else None
+            if not self._has_waited(sample.t_s):
+                return None
+            return self._announced(sample, around) if self._is_due(sample, around) else self._too_small(sample, around)
         cause = self._cause(sample, around)
         return None if cause is None else self._taken(cause, sample.t_s)
 
@@ -183,14 +186,30 @@ class NudgePlanner:
         self._sent_s = t_s
         return asked
 
-    def _is_due(self, sample: LoopSample, around: LoopAround) -> bool:
-        """Whether a bump may be announced now."""
-        s, t_s = self.settings, sample.t_s
+    def _has_waited(self, t_s: float) -> bool:
+        """Whether nothing has shown the process for long enough."""
         assert self._quiet_since_s is not None
-        if t_s - self._quiet_since_s < s.after_h * SECONDS_PER_HOUR or len(self.made) >= s.most:
-            return False
+        return t_s - self._quiet_since_s >= self.settings.after_h * SECONDS_PER_HOUR
+
+    def _is_due(self, sample: LoopSample, around: LoopAround) -> bool:
+        """Whether a bump may be announced now, by its budgets and by how the loop stands."""
+        s, t_s = self.settings, sample.t_s
         lately = sum(1 for made in self.made if t_s - made < HOURS * SECONDS_PER_HOUR)
-        return lately < s.most_per_day and self._is_free(sample, around) and self._aim(sample.sp, around) is not None
+        left = len(self.made) < s.most and lately < s.most_per_day
+        return left and self._is_free(sample, around) and self._aim(sample.sp, around) is not None
+
+    def _too_small(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
+        """Tell once that a bump of the size that is allowed would teach nothing."""
+        bands, least = self.size / around.band, self.settings.least_bands
+        if self._told_small or not around.wanted or bands >= least:
+            return None
+        self._told_small = True
+        enough = math.ceil(10 * self.settings.percent * least / bands) / 10
+        reason = (
+            f"a setpoint bump of {self.settings.percent:g} % is {bands:.1f} noise bands, and {least:g} are needed: "
+            f"none is made; adaptation.nudge.percent = {enough:.1f} would do"
+        )
+        return NudgeNews(NudgeInput.TOO_SMALL, self.phase, None, sample.sp, sample.sp, reason)
 
     def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
         """Whether the loop is fit for a bump."""

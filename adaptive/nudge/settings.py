@@ -56,7 +56,7 @@ class NudgeSettings:
         ),
     ] = 600.0
     longest_s: Annotated[
-        float, Setting("A bump is taken back after so long at the latest", 0.01, 1e6, "s", source="half a shift")
+        float, Setting("A bump is removed after so long at the latest", 0.01, 1e6, "s", source="half a shift")
     ] = 14400.0
     least_bands: Annotated[
         float, Setting("Noise bands that a bump must have, or nothing would be learned by it", 2, 100)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import multiprocessing
 import sys
 import time
@@ -70,16 +71,29 @@ class Campaign:
     Parameters
     ----------
     first, seeds, steps : seeds first .. first + seeds - 1, each so many steps.
-    state : file that keeps what is done; None for none. device : which of DEVICES.
+    state : file that keeps what is done; None for none. What other code has done is kept beside it and its seeds are
+        passed over, so that every night looks at new ones. device : which of DEVICES. hours : after which no seed is
+        begun.
     """
 
-    def __init__(self, first: int, seeds: int, steps: int, state: Path | None, *, device: str = "virtual") -> None:
+    def __init__(
+        self,
+        first: int,
+        seeds: int,
+        steps: int,
+        state: Path | None,
+        *,
+        device: str = "virtual",
+        hours: float = math.inf,
+    ) -> None:
         self.first, self.seeds, self.steps, self._device = first, seeds, steps, device
         self._state = state
         self.done: set[int] = set()
         self.counts: Counter[str] = Counter()
         self.broken: dict[int, str] = {}
         self.busy_s = 0.0
+        self.before: list[dict[str, object]] = []
+        self._hours = hours
         self._key = f"{fingerprint()} {steps} {device}"
         if state is not None and state.exists():
             self._load(json.loads(state.read_text(encoding="utf-8")))
@@ -105,7 +119,14 @@ class Campaign:
                     last_saved = now
                     self.save()
                 yield outcome
+                if now - began > 3600.0 * self._hours:
+                    pool.terminate()
+                    break
         self.save()
+
+    def steps_of_all(self) -> int:
+        """Fault-injected steps of this code and all before it."""
+        return self.counts["steps"] + sum(int(dict(one["counts"]).get("steps", 0)) for one in self.before)
 
     def save(self) -> None:
         """Keep what is done."""
@@ -118,13 +139,19 @@ class Campaign:
             "counts": self.counts,
             "broken": self.broken,
             "busy_s": self.busy_s,
+            "before": self.before,
         }
         fresh = self._state.with_suffix(".new")
         fresh.write_text(json.dumps(whole), encoding="utf-8")
         fresh.replace(self._state)
 
     def _load(self, kept: dict[str, object]) -> None:
-        """Go on from what was kept, if it is of this very code."""
+        """Go on from what was kept, if it is of this very code; else behind its seeds."""
+        self.before = list(kept.get("before", ()))
+        if kept.get("key") != self._key:
+            told = {name: kept[name] for name in ("key", "done", "counts", "broken")}
+            self.before.append({**told, "done": [min(told["done"], default=0), max(told["done"], default=-1)]})
+        self.first = max([self.first, *(one["done"][1] + 1 for one in self.before)])
         if kept.get("key") != self._key:
             return
         self.done = set(kept["done"])

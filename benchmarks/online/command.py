@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from online import batch, changes, harm, injected, loads, own_fault, telemetry, walks
+from online import batch, changes, harm, injected, loads, oracle, own_fault, telemetry, walks
 from online.runner import collect, rows_of
 
 
@@ -96,6 +96,14 @@ def _loads(options: argparse.Namespace) -> tuple[list[loads.Row], bool]:
     return rows, whole
 
 
+def _oracle(options: argparse.Namespace) -> tuple[list[oracle.Row], bool]:
+    tasks = oracle.tasks(options.seed, options.loops, options.nudge)[options.offset :: options.every]
+    rows, whole = collect(oracle.run, tasks, options.jobs, options.out, oracle.line if options.verbose else None)
+    bumps = f", a setpoint bump of {options.nudge:g} % a period" if options.nudge else ""
+    _say([f"what loads alone could tell, seed {options.seed}{bumps}", *oracle.table(rows)])
+    return rows, whole
+
+
 def _own(options: argparse.Namespace) -> tuple[list[own_fault.Row], bool]:
     kinds = own_fault.KINDS if options.kind == "all" else (options.kind,)
     tasks = [
@@ -157,6 +165,7 @@ PARTS = {
     "harm": _harm,
     "injected": _injected,
     "loads": _loads,
+    "oracle": _oracle,
     "own": _own,
     "telemetry": _telemetry,
     "tables": _tables,
@@ -200,6 +209,9 @@ def _parser() -> argparse.ArgumentParser:
     eight.add_argument("--loops", type=int, default=20, help="loops of each kind")
     eight.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
     eight.add_argument("--nudge", type=float, default=0.0, help="percent of pv's range of a bump of the setpoint")
+    eleven = parts.add_parser("oracle", parents=[common], help="Cramer-Rao bounds of what loads alone could tell")
+    eleven.add_argument("--loops", type=int, default=60, help="loops of each kind")
+    eleven.add_argument("--nudge", type=float, default=0.0, help="percent of pv's range of a bump once a period")
     nine = parts.add_parser("own", parents=[common], help="loops that swing by their own fault, Ms over 3")
     nine.add_argument("--kind", choices=("all", *own_fault.KINDS), default="all")
     nine.add_argument("--loops", type=int, default=20, help="loops of each kind")

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive import shown
 from retuner.adaptive.signals.sample import FloatArray
-from retuner.drivers.historian.assumption import Assumption, quoted
+from retuner.drivers.historian.assumption import Assumption, in_a_line, quoted
 from retuner.drivers.historian.frames import is_frame, table_of_frame
 from retuner.drivers.historian.parquet_tables import tables_of_parquet
 from retuner.drivers.historian.raw_table import RawTable, decoded, text_table
@@ -42,6 +43,13 @@ class LoopRecord:
     assumed: tuple[Assumption, ...]
     tag: str = ""
     begin_s: float | None = None
+
+    def __repr__(self) -> str:
+        assumed = f"; assumed: {in_a_line(self.assumed)}" if self.assumed else ""
+        return f"LoopRecord({f'{self.tag}, ' * bool(self.tag)}{self.recording.summary}{assumed})"
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
 
 
 class _Loop(NamedTuple):

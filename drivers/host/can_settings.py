@@ -52,7 +52,7 @@ class CanDeviceSettings:
     sample_time_s: float = 2.0
     variable: str | ScheduleInputs = "sp"
     reply_samples: float = 3.0
-    reply_floor_s: float = 0.1
+    reply_floor_s: float = 0.25
     silent_samples: float = 6.0
     connect_samples: float = 20.0
     connect_floor_s: float = 5.0
@@ -87,7 +87,7 @@ class CanDeviceSettings:
     @property
     def silent_s(self) -> float:
         """Age of the last frame at which the node counts as silent, s."""
-        return max(self.silent_samples * self.sample_time_s, 3 * self.reply_floor_s)
+        return max(self.silent_samples * self.sample_time_s, 4 * self.reply_floor_s)
 
     @property
     def connect_s(self) -> float:

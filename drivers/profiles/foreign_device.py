@@ -330,7 +330,7 @@ class ForeignDevice:
     def _ask(self, now_s: float) -> None:
         """Ask for the gains: at first, and now and then; and for the loop's numbers that come on request only."""
         access = self._access
-        if "pv" in access.on_request and self._grid.due(now_s) and not self._fresh:
+        if "pv" in access.on_request and self._grid.due(now_s) and not self._has_recent(now_s):
             access.ask(access.on_request)
         if not access.reads_back or self._course.busy or now_s < self._ask_s:
             return
@@ -338,6 +338,15 @@ class ForeignDevice:
         self._ask_s = now_s + pause
         self._read.clear()
         access.ask(access.units.names)
+
+    def _has_recent(self, now_s: float) -> bool:
+        """Whether half a sample is there that its other half may still come to; an older one (of before the gains were
+        known, or whose other half was lost) is given up, or nothing would ever be asked for again.
+        """
+        recent = any(now_s - value.at_s < self.settings.sample_time_s for value in self._fresh.values())
+        if not recent:
+            self._fresh.clear()
+        return recent
 
     def _feed(self, now_s: float) -> None:
         """Send the setpoint again, for a watchdog."""

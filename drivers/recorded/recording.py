@@ -58,6 +58,19 @@ class Recording:
     co: FloatArray
     sp: FloatArray | None = None
 
+    @property
+    def summary(self) -> str:
+        """Where it comes from, how long it is, and between what pv and co move."""
+        n, span_s = len(self.t_s), float(self.t_s[-1] - self.t_s[0])
+        ends = (
+            f"{name} {values.min():.4g} to {values.max():.4g}" for name, values in (("pv", self.pv), ("co", self.co))
+        )
+        setpoint = "no setpoint" if self.sp is None else f"sp {self.sp.min():.4g} to {self.sp.max():.4g}"
+        return f"{self.source}: {n} samples over {span_s:.6g} s, {setpoint}, {', '.join(ends)}"
+
+    def __repr__(self) -> str:
+        return f"Recording({self.summary})"
+
     def __post_init__(self) -> None:
         try:
             self.window()

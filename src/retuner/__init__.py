@@ -11,7 +11,6 @@ Names are loaded when they are first used, so that importing the package costs n
 "retuner", and nothing is shown unless a handler is added: logging.basicConfig(level="INFO") shows it.
 """
 
-import logging
 import os
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -46,6 +45,8 @@ if TYPE_CHECKING:
     from retuner.decisions.background import BackgroundRetuner as BackgroundRetuner
     from retuner.pid_controller import PidController as PidController
     from retuner.schedule.axis import Axis as Axis
+    from retuner.schedule.controller_units import Acting as Acting
+    from retuner.schedule.controller_units import ControllerUnits as ControllerUnits
     from retuner.schedule.forms import to_ideal as to_ideal
     from retuner.schedule.forms import to_series as to_series
     from retuner.schedule.gains import PidGains as PidGains
@@ -59,9 +60,11 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Acting",
     "Action",
     "Axis",
     "BackgroundRetuner",
+    "ControllerUnits",
     "Decision",
     "GainTable",
     "Identification",
@@ -112,6 +115,7 @@ _HOMES = {
     "decisions.background": ("BackgroundRetuner",),
     "pid_controller": ("PidController",),
     "schedule.axis": ("Axis",),
+    "schedule.controller_units": ("Acting", "ControllerUnits"),
     "schedule.forms": ("to_ideal", "to_series"),
     "schedule.gains": ("PidGains",),
     "schedule.regions": ("Regions",),
@@ -121,7 +125,6 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-logging.getLogger("retuner").addHandler(logging.NullHandler())
 engine.prefer(os.environ.get(engine.VARIABLE, "auto"))
 shown.shown_by("retuner.notebook", import_module)
 

@@ -18,6 +18,7 @@ from retuner.decision_page.explain import document_of, one_line
 from retuner.decision_page.html import escaped
 from retuner.decision_page.page import article
 from retuner.decision_page.shown_units import chosen_units
+from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_png
@@ -90,6 +91,18 @@ def _(result: RecordDiagnosis) -> str:
     curves = [ExplainedCurve.of(NAMED[name], window, result.fits[name]) for name in names]
     loads_s = result.estimate.load_times_s if result.estimate is not None else ()
     return _shown(result, _picture(window, _cause(result, reason=False), told.reason, _cure(result), curves, loads_s))
+
+
+@text.register
+def _(result: LoopRecord) -> str:
+    return repr(result)
+
+
+@html.register
+def _(result: LoopRecord) -> str:
+    window = result.recording.window()
+    assumed = [one.what for one in result.assumed]
+    return _shown(result, _picture(window, result.tag or "record", result.recording.source, assumed, (), ()))
 
 
 @html.register

@@ -10,8 +10,10 @@ of that is left to the caller. `close` decides what runs on when nobody watches 
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision import operator_orders
@@ -19,25 +21,32 @@ from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.background import BackgroundRetuner
 from retuner.schedule.axis import CAN
 from retuner.schedule.gains import PidGains
-from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, step, track
+from retuner.schedule.pid import LIMITED, PidLaw, PidState, StateTuple, change, law, start, step, track
 from retuner.schedule.regions import Regions, RegionState, choose, enter, values
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 LOG = logging.getLogger("retuner")
+LOG.addHandler(logging.NullHandler())
+MEMORY = 1
+"""Version of what `memory` gives."""
+HARD = Lookup.HARD
 PROPOSAL_S = 86400.0
 """How long a proposal may be approved: a day, as in the configuration."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where the loop stood after a sample."""
+    """Where the loop stood after a sample. xs : values of the scheduling variables. table : that was in force."""
 
     t_s: float
+    xs: tuple[float, float]
     region: RegionState
+    table: GainTable
     pid: StateTuple
     sp: float
     pv: float
@@ -58,11 +67,13 @@ class PidController:
     background : decisions are made in another process, so that no step takes long; close the controller then.
     settings : all settings of the retuner; in place of mode, and of what follows from dt_s, pv_range, b and tau_f_s.
     name : of the loop, in decisions and in the log.
+    memory : what `memory` gave before a restart: gains and all that is known go on, and the output as it was. A change
+        that was on trial then is decided at once: the more robust set runs.
 
     Raises
     ------
     ValueError
-        A number is not finite or outside what is said here, or there is no such mode.
+        A number is not finite or outside what is said here, there is no such mode, or the memory cannot be used.
 
     Examples
     --------
@@ -89,6 +100,7 @@ class PidController:
         background: bool = False,
         settings: RetunerSettings | None = None,
         name: str = "loop",
+        memory: Mapping[str, Any] | None = None,
     ) -> None:
         low, high = pv_range
         if not (0.0 < dt_s < math.inf):
@@ -99,7 +111,7 @@ class PidController:
         watched = settings or RetunerSettings(
             dt_s, high - low, _mode(mode), setpoint_weight=b, filter_s=tau_f_s, pv_range=(low, high)
         )
-        self._retuner = Retuner(table, watched)
+        self._retuner = Retuner(table, watched) if memory is None else _remembered(memory, table, watched)
         self._dt_s = dt_s
         self._law = law(
             table.gains[0], b=b, tau_f_s=tau_f_s, co_min=co_range[0], co_max=co_range[1], co_rate_per_s=co_rate_per_s
@@ -110,6 +122,10 @@ class PidController:
         self._decision: Decision | None = None
         self._last: Decision | None = None
         self._proposed: Decision | None = None
+        self._held_co: float | None = None
+        self._begin_s = 0.0
+        if memory is not None:
+            self._go_on(memory)
 
     def step(
         self,
@@ -146,7 +162,7 @@ class PidController:
         place = self._advanced(sp, pv, elapsed_s, (x, x2), manual_co)
         co, limited = place.pid[3], int(place.pid[LIMITED])
         mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
-        xs = self._scheduled(sp, pv, (x, x2))
+        xs = place.xs
         sample = LoopSample(place.t_s, sp, pv, co, mode, limited, xs[0], self._retuner.table.revision, xs[1])
         self._decision = (self._background or self._retuner).observe(sample)
         self._place = place
@@ -173,7 +189,7 @@ class PidController:
     def gains(self) -> PidGains:
         """The gains that the next step works with, unless it enters another region."""
         if self._place is None or self._retuner.region is None:
-            return self._law.gains
+            return self._retuner.table.gains[0]
         return self._retuner.table.at(self._retuner.region, *self._retuner.scheduled)
 
     @property
@@ -244,6 +260,25 @@ class PidController:
             self._background.close()
         return last
 
+    def memory(self) -> dict[str, object]:
+        """What must not be lost over a restart, as plain JSON values; see the parameter of that name."""
+        place = self._place
+        return {
+            "version": MEMORY,
+            "retuner": remember(self._retuner),
+            "t_s": self._begin_s if place is None else place.t_s,
+            "co": self._held_co if place is None else place.pid[3],
+        }
+
+    def _go_on(self, memory: Mapping[str, Any]) -> None:
+        """Go on after a restart: time with a gap that nothing is learned over, and the output where it stood."""
+        watched = self._retuner.settings
+        self._begin_s = float(memory["t_s"]) + (watched.gap_samples + 2) * watched.sample_time_s
+        self._held_co = None if memory["co"] is None else float(memory["co"])
+        last = self._retuner.abort(TrialEvent.RESTARTED)
+        if last is not None:
+            self._obey(last)
+
     def __enter__(self) -> "PidController":
         return self
 
@@ -265,9 +300,10 @@ class PidController:
         """Where the loop stands after this sample; nothing is changed here but the law in force."""
         xs, last = self._scheduled(sp, pv, x), self._place
         if last is None:
-            region = enter(self._regions, xs[0], 0.0, xs[1])
-            t_s, now = 0.0, self._law_at(region, xs)
-            state: StateTuple = _begin(now, sp, pv)
+            t_s = self._begin_s
+            region = enter(self._regions, xs[0], t_s, xs[1])
+            now = self._law_at(region, xs)
+            state: StateTuple = _begin(now, sp, pv) if self._held_co is None else start(now, sp, pv, self._held_co)
         else:
             t_s = last.t_s + dt_s
             region = choose(self._regions, last.region, xs[0], t_s, xs[1])
@@ -279,14 +315,17 @@ class PidController:
         else:
             state, _ = track(now, state, sp, pv, manual_co, dt_s)
         self._law = now
-        return _Place(t_s, region, state, sp, pv)
+        return _Place(t_s, xs, region, self._retuner.table, state, sp, pv)
 
     def _law_at(self, region: RegionState, xs: tuple[float, float]) -> PidLaw:
         """The law with the gains of this place; the same object as long as they do not change."""
-        now, at = self._law, values(self._regions, region, *xs)
-        if self._place is not None and not all(map(math.isfinite, at)):
+        now, last, table = self._law, self._place, self._retuner.table
+        if last is not None and table is last.table and region.region == last.region.region and table.lookup == HARD:
             return now
-        gains = self._retuner.table.at(region.region, *at)
+        at = values(self._regions, region, *xs)
+        if last is not None and not all(map(math.isfinite, at)):
+            return now
+        gains = table.at(region.region, *at)
         same = (gains.kp, gains.ki, gains.kd) == (now.kp, now.ki, now.kd)
         return now if same else now.with_gains(gains)
 
@@ -319,6 +358,22 @@ class PidController:
             self._proposed = decision
         LOG.info("%s, region %s, %.0f s: %s", decision.loop, decision.region, decision.t_s, decision.reason)
         return decision
+
+
+def _remembered(memory: Mapping[str, Any], table: GainTable, settings: RetunerSettings) -> Retuner:
+    """The retuner of a controller before its restart.
+
+    Raises
+    ------
+    ValueError
+        The memory is of another version, damaged, or of another loop.
+    """
+    if memory.get("version") != MEMORY or not {"retuner", "t_s", "co"} <= memory.keys():
+        raise ValueError("memory: it is damaged, or of another release; leave it out to begin anew")
+    found = restore(memory["retuner"], settings)
+    if (found.table.loop, found.table.regions) != (table.loop, table.regions):
+        raise ValueError(f"memory: it is of loop {found.table.loop!r} with other regions; leave it out to begin anew")
+    return found
 
 
 def _one_region(name: str, gains: PidGains, low: float, high: float) -> GainTable:

@@ -89,7 +89,7 @@ def test_an_approved_proposal_is_written_by_the_running_session_and_replayed(
 ) -> None:
     folder, person = with_person([("approve", advised)])
     assert person.statuses == [0]
-    assert "the running session takes it" in capsys.readouterr().out
+    assert "the running session acts on it" in capsys.readouterr().out
     (order,) = bodies(folder, "order")
     assert (order["by"], order["note"], order["accepted"], order["due"]) == ("Ada", "as discussed", True, True)
     decisions = bodies(folder, "decision")

@@ -1,6 +1,9 @@
 """retuner audit: what a plant's files hold, rows that are kept, the ranked page, and what breaks on the way."""
 
 import json
+import os
+import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -191,6 +194,26 @@ def test_a_process_that_dies_costs_its_own_loop_only() -> None:
     assert set(rows) == {"a", "killer", "b", "c"}
     assert "died twice" in str(rows["killer"]["failed"])
     assert all("failed" not in rows[name] for name in "abc")
+
+
+@pytest.mark.slow
+def test_a_cluster_whose_worker_is_killed_does_all_the_work(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+    copies = [Path(shutil.copy(VALVE, tmp_path / f"loop{i}.csv")) for i in range(6)]
+    tasks = [Task((path.stem,), (path,), separate=True) for path in copies]
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    rows: list[Row] = []
+    with distributed.LocalCluster(processes=True, **options) as cluster:
+        before = {worker.pid for worker in cluster.workers.values()}
+        for _, some in on_a_cluster(tasks, AuditSettings(1), cluster.scheduler_address):
+            if not rows:
+                os.kill(next(iter(before)), signal.SIGKILL)
+            rows += some
+        after = {worker.pid for worker in cluster.workers.values()}
+
+    assert sorted(str(row["tag"]) for row in rows) == sorted(task.tags[0] for task in tasks)
+    assert not [row["failed"] for row in rows if "failed" in row]
+    assert after != before
 
 
 def test_a_cluster_does_the_same_work() -> None:

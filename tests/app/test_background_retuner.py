@@ -8,6 +8,7 @@ import pytest
 from retuner import BackgroundRetuner, GainTable, LoopSample, PidGains, Retuner, RetunerSettings
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.pipeline_types import Question
+from retuner.decisions import background
 from retuner.decisions.decider import LOST, Answer, DecideHere, without_decision
 from retuner.schedule.regions import Regions
 
@@ -44,6 +45,15 @@ def test_the_same_decisions_come_later() -> None:
     assert [d.reason for d in later] == [d.reason for d in at_once]
     assert [d.t_s for d in later] == [d.t_s + 20 for d in at_once]
     assert all(d.delay is not None for d in later)
+
+
+def test_what_a_sample_would_wait_for_is_loaded_before_the_first_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(background, "warm_up", lambda: done.append("warm"))
+    with BackgroundRetuner(made()):
+        assert done == ["warm"]
+    BackgroundRetuner(made(), decider=DecideHere(20))
+    assert done == ["warm"]
 
 
 def test_nothing_is_decided_while_a_question_is_open() -> None:

@@ -92,7 +92,7 @@ def test_the_starter_is_accepted_and_its_comments_show_the_true_defaults() -> No
     config = parse_config(text)
     commented = [line.lstrip("# ") for line in text.splitlines() if line.startswith("# ") and " = " in line]
     shown = tomllib.loads("\n".join(line for line in commented if line.split(" = ")[0].isidentifier()))
-    optional = {"co_rate_pct_per_s", "kc_min", "kc_max", "noise_band", "wait_s"}
+    optional = {"co_rate_pct_per_s", "controller", "action", "kc_min", "kc_max", "noise_band", "wait_s"}
     sections = (config.loop, config.schedule, config.schedule.regions[0], config.adaptation, config.bus)
     for key, value in shown.items():
         owners = [section for section in sections if key in type(section).model_fields]

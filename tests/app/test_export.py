@@ -305,7 +305,9 @@ def test_a_table_of_other_regions_changes_nothing(tmp_path: Path, capsys: pytest
     assert path.read_text() == CONFIG
 
 
-def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path: Path) -> None:
+def test_of_several_loops_the_one_that_the_table_names_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     schedule = CONFIG[CONFIG.index("[schedule]") :].replace("schedule", "loop.schedule")
     one = CONFIG[CONFIG.index("[loop]") : CONFIG.index("[schedule]")].replace("[loop]", "[[loop]]") + schedule
     path, gains = tmp_path / "loops.toml", tmp_path / "gains.toml"
@@ -320,3 +322,8 @@ def test_of_several_loops_the_one_that_the_table_names_is_written(tmp_path: Path
     ]
     assert len(changed) == 2
     assert min(changed) > len(one.splitlines())
+    gains.write_text(to_toml(TABLES["hard"]))  # of a loop that is none of these
+    assert main(["export", str(gains), "--into", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "has the loops oven, kiln, the table is of" in line
+    assert "--loop" not in line

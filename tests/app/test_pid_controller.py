@@ -1,5 +1,6 @@
 """`retuner.PidController`: a loop in ten lines, whose gains change and come back without the caller's help."""
 
+import json
 import logging
 import math
 from typing import Any
@@ -86,7 +87,7 @@ def test_a_proposal_waits_for_approval_and_can_be_taken_back() -> None:
     assert (advised.action, pid.gains) == (Action.ADVISE, WEAK)
     assert pid.approve().action is Action.COMMIT
     assert pid.gains == advised.gains_after
-    with pytest.raises(ValueError, match="other gains"):
+    with pytest.raises(ValueError, match="not those it was proved from"):
         pid.approve()
     back = pid.take_back()
     assert back is not None
@@ -196,3 +197,31 @@ def test_decisions_are_logged_and_nothing_is_shown_by_itself(
     assert "loop, region all" in caplog.text
     assert capsys.readouterr() == ("", "")
     assert any(isinstance(one, logging.NullHandler) for one in logging.getLogger("retuner").handlers)
+
+
+def test_a_restart_loses_nothing() -> None:
+    pid, tank = controller("advise"), Tank()
+    run(pid, tank, 100, sp=0.0)
+    advised = run(pid, tank, 600)[0]
+    pid.approve(advised)
+    co = pid.step(1.0, tank.pv())
+    saved = json.loads(json.dumps(pid.memory()))
+    again = PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), mode="advise", memory=saved)
+    assert again.gains == pid.gains == advised.gains_after
+    assert again.last_decision is not None
+    assert again.last_decision.code == "kept_restarted"  # it was on trial
+    assert again.step(1.0, tank.pv()) == pytest.approx(co)
+    assert len(again.retuner.region_models) == 1
+    tank.take(co)
+    assert run(again, tank, 300, sp=1.5)
+
+
+def test_a_memory_of_something_else_is_refused() -> None:
+    pid = controller()
+    pid.step(1.0, 1.0)
+    saved = pid.memory()
+    for wrong in ({}, {**saved, "version": 0}, {**saved, "retuner": {}}):
+        with pytest.raises(ValueError, match="memory"):
+            PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), memory=wrong)
+    with pytest.raises(ValueError, match="of loop 'loop'"):
+        PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), memory=saved, name="other")

@@ -108,7 +108,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 
 def test_a_sluggish_loop_is_cured_over_can_and_everything_is_left_behind(finished: Finished) -> None:
     assert "sluggish" in finished.shown
-    assert "write Kc 5" in finished.shown
+    assert "written: Kc 5" in finished.shown
     out = finished.out
     summary = json.loads((out / "summary.json").read_text())
     assert summary["interrupted"] is False
@@ -303,7 +303,7 @@ def test_ctrl_c_leaves_a_whole_report_and_a_whole_ledger(quick: Path) -> None:
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
     )
     assert process.stdout is not None
-    assert any(b"write Kc" in line for line in process.stdout)
+    assert any(b"written: Kc" in line for line in process.stdout)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=600)
     assert process.returncode == 130, errors

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import polars as pl
+import pyarrow as pa
 import pytest
 
 import retuner
@@ -33,6 +35,25 @@ def test_a_frame_a_path_and_arrays_are_the_same_record() -> None:
     assert all(np.array_equal(window.pv, windows[0].pv) for window in windows)
     with pytest.raises(ValueError, match="has sp, pv and co of its own"):
         retuner.identify(frame, arrays["sp"], arrays["pv"], arrays["co"])
+
+
+def test_frames_of_every_library_and_their_columns_are_records() -> None:
+    arrays = step_test()
+    one, two, three = pd.DataFrame(arrays), pl.DataFrame(arrays), pa.table(arrays)
+    expected = retuner.identify(one, open_loop=True).model
+    assert expected is not None
+    for frame in (two, three):
+        assert retuner.identify(frame, open_loop=True).model == expected
+    for frame in (one, two, three):
+        columns = (frame[name] for name in ("t", "sp", "pv", "co"))
+        assert retuner.identify(*columns, open_loop=True).model == expected
+
+
+def test_a_record_says_what_it_is_in_a_line() -> None:
+    found = retuner.read(EXPORT)
+    assert len(repr(found)) < 400
+    assert f"{len(found.recording.t_s)} samples over" in repr(found)
+    assert found._repr_html_().count("<img") == 1
 
 
 def test_an_identification_shows_the_process_and_the_settings() -> None:

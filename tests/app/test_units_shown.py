@@ -155,5 +155,5 @@ def test_check_tells_of_limits_in_the_way(tmp_path: Path, capsys: pytest.Capture
     assert "kc = 2 (parallel form) is above the limit of [adaptation], 1" in said
     status, said = checked(path, text() + PLANT.format(k=0.5) + STEPS, capsys)
     assert (status, said.count("warning")) == (0, 1)
-    assert "from 20 to 120 at 50 s asks for 200 % of output at once" in said
+    assert "from 20 to 120 at 50 s moves the output by 200 % at once" in said
     assert "warning" not in checked(path, text() + STEPS.replace("120.0", "60.0"), capsys)[1]

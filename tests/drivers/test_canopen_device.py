@@ -2,6 +2,8 @@
 
 import struct
 from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import can
@@ -282,3 +284,15 @@ def test_a_drive_of_cia_402_in_its_makers_integers() -> None:
     assert stage.node.numbers == {"kp": 5123.0, "ki": 71.0, "kd": 0.0}
     assert done.gains == PidGains(5123.0 * 0.0001, 71.0 * 0.0001)
     assert stage.of(stage.run(5), LoopSample)[-1].co == pytest.approx(40.0, abs=0.06)  # torque in 0.1 %
+
+
+def test_a_node_without_pdos_is_asked_sample_by_sample(tmp_path: Path) -> None:
+    text = files("retuner.drivers.profiles").joinpath("cia404.eds").read_text()
+    (tmp_path / "mute.eds").write_text(text.replace("DefaultValue=$NODEID+0x180", "DefaultValue=0x80000180"))
+    stage = Stage(CIA404.replace('profile = "cia404"', f'profile = "cia404"\neds = "{tmp_path}/mute.eds"'))
+    samples = stage.of(stage.run(20), LoopSample)
+    assert len(samples) >= 17  # pv and co of the first question came before the gains were known
+    stage.wire.lost = lambda message: message.arbitration_id == 0x585 and message.data[1:3] == b"\x10\x64"  # co
+    stage.run(3)
+    stage.wire.lost = nothing
+    assert len(stage.of(stage.run(20), LoopSample)) >= 15

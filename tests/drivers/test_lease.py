@@ -16,6 +16,7 @@ from retuner.drivers.device import (
 )
 from retuner.drivers.host.can_settings import CanDeviceSettings, fresh_owner
 from retuner.drivers.host.connection import CanDevice
+from retuner.drivers.host.lease_client import UNATTENDED
 from retuner.drivers.protocol.checksum import lease_stamp
 from retuner.drivers.protocol.frames import (
     Confirm,
@@ -148,7 +149,7 @@ def test_of_two_hosts_one_watches_and_gets_the_lease_when_the_other_gives_it_bac
     run(8)
     assert any(isinstance(e, WriteDone) for e in bench.events)
     assert any(isinstance(e, RunningChanged) and e.running.gains == SECOND for e in events)
-    assert any(isinstance(e, ForeignHost) for e in events)
+    assert next(e for e in events if isinstance(e, ForeignHost)) == ForeignHost(1)  # the first is told at once
 
     bench.host.release(bench.now_s)
     run(30)
@@ -211,3 +212,7 @@ def test_owners_are_numbers_of_16_bits() -> None:
         CanDeviceSettings(key=b"short")
     with pytest.raises(ValueError, match="probation_samples = -1"):
         CanDeviceSettings(probation_samples=-1)
+
+
+def test_an_unattended_lease_is_kept_for_four_times_its_length() -> None:
+    assert UNATTENDED == 4.0  # docs/safety.md promises it

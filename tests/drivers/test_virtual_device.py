@@ -241,6 +241,10 @@ def test_the_box_is_checked(limits: dict[str, float], message: str) -> None:
         GainBox(**limits)
 
 
+def test_a_box_may_be_small_and_hold_gains_as_they_are() -> None:
+    assert GainBox(kp_max=0.5, ki_max=1e-3, kd_max=0.1, ratio_max=1.0).ratio_max == 1.0
+
+
 def test_a_machine_that_falls_behind_skips_samples_and_says_so(make_bench) -> None:
     class Slow(SimulatedClock):
         """Every sample costs five sample times."""

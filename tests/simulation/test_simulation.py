@@ -167,4 +167,9 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path) -> None:
     assert again.counts["steps"] == 150
     kept = json.loads(state.read_text())
     state.write_text(json.dumps({**kept, "key": "of other code"}))
-    assert Campaign(0, 3, 50, state).done == set()
+    newer = Campaign(0, 1, 50, state)
+    assert (newer.done, newer.first) == (set(), 3)
+    assert [o.seed for o in newer.run(1)] == [3]
+    assert newer.steps_of_all() == 200
+    assert Campaign(0, 2, 50, state).done == {3}
+    assert [o.seed for o in Campaign(10, 4, 50, None, hours=0.0).run(1)] == [10]

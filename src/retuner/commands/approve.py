@@ -102,7 +102,7 @@ class LoopPlace:
     def running(self) -> bool:
         """Whether a session fills the folder right now."""
         if not os.access(self.session, os.W_OK):
-            raise UserError(f"{self.session}: cannot be written to; orders are files in it")
+            raise UserError(f"{self.session}: cannot be written to; requests are files in it")
         try:
             WriterLock(self._ledger).close()
         except LedgerError:
@@ -119,8 +119,8 @@ class LoopPlace:
     def who_acts(self) -> str:
         """What happens to an order."""
         if self.running():
-            return "the running session takes it at its next sample"
-        return f"no session is running here; the next run with --out {self.session} takes it at its start"
+            return "the running session acts on it at its next sample"
+        return f"no session is running here; the next run with --out {self.session} acts on it at its start"
 
 
 @app.command(epilog="Example: retuner approve runs/demo; retuner approve runs/demo 4bebeed6 --note 'as discussed'")

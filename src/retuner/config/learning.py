@@ -56,7 +56,7 @@ class NudgeConfig(Section):
         "Whether retuner may move the setpoint a little, for a while, where nothing else shows the process",
         unit="-",
         default=False,
-        source="no test signal unless somebody says so",
+        source="no test signal unless someone asks for it",
     )
 
     def problems(self) -> Iterator[Problem]:

@@ -5,7 +5,8 @@
 
 `Retuner.observe` fits models when a response completes: a tenth of a second to a second. Here the question goes to a
 worker of low priority, and its answer comes out of `observe` at a later sample, when the loop may have gone on: then
-the retuner itself refuses what came too late. A trial that must end is ended at its own sample, as ever.
+the retuner itself refuses what came too late. A trial that must end is ended at its own sample, as ever. Making one
+takes some seconds instead: everything that a later sample would have to wait for is loaded then.
 """
 
 from collections import deque
@@ -15,6 +16,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.decisions.decider import Decider
+from retuner.decisions.warm_up import warm_up
 from retuner.decisions.worker import DecideInWorker
 
 DEADLINE_S = 30.0
@@ -41,6 +43,8 @@ class BackgroundRetuner:
             raise ValueError(f"deadline_s = {deadline_s}; give more than 0 s")
         self.retuner = retuner
         self._decider = decider or DecideInWorker(deadline_s)
+        if decider is None:
+            warm_up()  # entering a decision imports what making one does, and by then there are samples to take
         self._made: deque[Decision] = deque()
         self.trouble = ""
         """Why the last question has no decision (the worker died, or took too long); empty when it has one."""

@@ -7,6 +7,7 @@ record allows; another method's model or another rule is taken only when it is a
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import starmap
 
 from retuner.adaptive.experiments import relay, setpoint, step
 from retuner.adaptive.experiments.plan import Kind
@@ -270,6 +271,34 @@ def model_text(model: ProcessModel) -> str:
     return f"{model.type}  k {model.k:.4g}{shown}  theta {model.theta_s:.4g} s"
 
 
+TITLES = {"ultimate": "limit cycle", "swing": "oscillation"}
+LABELS = {
+    "ku": "Ku",
+    "pu": "Pu, s",
+    "ku_std": "std of Ku",
+    "pu_std": "std of Pu, s",
+    "waves": "full waves",
+    "amplitude": "amplitude of pv",
+    "co_amplitude": "amplitude of co",
+    "high": "time at the upper level, s",
+    "low": "time at the lower level, s",
+    "gain": "gain at Pu",
+    "phase_deg": "phase at Pu, deg",
+    "period": "period, s",
+    "period_std": "std of the period, s",
+    "decay": "decay ratio",
+    "quarter_decay": "quarter decay",
+}
+"""Readings of a test in words; what is not here has the name of its method's paper."""
+
+
+def _reading(name: str, value: float) -> str:
+    """One reading with its label."""
+    if isinstance(value, bool):
+        return f"{LABELS.get(name, name)} {'yes' if value else 'no'}"
+    return f"{LABELS.get(name, name)} {value:.4g}"
+
+
 def described(found: Findings, *, settings: bool = True) -> list[str]:
     """Models by method, readings, and settings (unless they are not wanted) in lines."""
     width = max((len(name) for name in (*found.models, *found.refused)), default=0)
@@ -279,13 +308,12 @@ def described(found: Findings, *, settings: bool = True) -> list[str]:
         std = ", ".join(f"{name} {value:.2g}" for name, value in found.fit.estimate.log.std().items())
         lines.append(f"{'':<{width}}  {found.fit.estimate.reason}; standard deviations: {std}")
     for name, values in found.measured.items():
-        text = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
-        lines.append(f"{name}: {text}")
+        lines.append(f"{TITLES.get(name, name)}: {', '.join(starmap(_reading, values.items()))}")
     if not settings:
         return lines
     if found.chosen is None:
         return [*lines, f"no settings: {found.reason}"]
     for name, offer in found.offers.items():
-        head = "settings" if offer is found.chosen else "beside them"
+        head = "settings" if offer is found.chosen else "for comparison"
         lines += [f"{head}, {name}:", *(f"  {line}" for line in tuning_lines(offer))]
     return lines

@@ -114,7 +114,7 @@ class OnDemandExperiment:
                     runner.poll(now_s)
             except KeyboardInterrupt:
                 if runner.phase.touched:
-                    self._screen.say("stopping: the old state is being restored")
+                    self._screen.say("stopping: the initial state is being restored")
                 runner.abort(AbortCause.INTERRUPTED)
 
     def _record(self, kind: str, t_s: float, body: Mapping[str, object]) -> None:
@@ -156,7 +156,7 @@ class OnDemandExperiment:
             self._screen.say(line)
         if runner.phase is Phase.STRANDED:
             sys.stderr.write(
-                f"{self._config.loop.name}: NOT RESTORED, the controller does not show its old state; "
+                f"{self._config.loop.name}: NOT RESTORED, the controller does not show its initial state; "
                 f"bring back by hand: {self._before_text()}\n"
             )
 
@@ -183,7 +183,7 @@ class OnDemandExperiment:
             self._screen.pause()
             if typer.confirm("write these settings to the controller?", default=False):
                 return True
-        self._screen.say("nothing was written: the settings are not confirmed (--yes, or y at the question)")
+        self._screen.say("nothing was written; confirm the settings with --yes, or y when asked")
         return False
 
     def _write(self) -> None:
@@ -204,4 +204,4 @@ class OnDemandExperiment:
     def _before_text(self) -> str:
         """The old state in words."""
         before = self._runner.before
-        return before.words if before else "the state of before"
+        return before.words if before else "the initial state"

@@ -35,6 +35,11 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         in; nothing was changed.
     """
     session, text = load_session(path)
+    if session.several and table.loop not in session.names:
+        raise UserError(
+            f"{path}: has the loops {', '.join(session.names)}, the table is of {table.loop!r}; "
+            "gains go back only where they came from"
+        )
     place = session.place(table.loop if session.several else None)
     config, several = session.loops[place], session.several
     names = [region.name for region in config.schedule.regions]

@@ -6,7 +6,7 @@ Works on the documents that rows hold, whatever release wrote them: what a row l
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-from retuner.decision_page.explain import cause_text, model_text, ms_words, response_text, settings_text
+from retuner.decision_page.explain import cause_text, model_text, ms_words, response_text, settings_text, stays
 from retuner.decision_page.row_values import Document, gains_of, number, numbers, part, parts, words
 from retuner.errors import one_line
 from retuner.ledger import Row
@@ -86,6 +86,8 @@ def _who(kind: str, body: Document) -> str:
 
 
 Words = tuple[str, str, str, str, str]
+ACTIONS = {"commit": "to be written", "advise": "proposed", "restore": "rolled back", "none": "no change"}
+"""What a decision does."""
 
 
 def _decision(body: Document) -> Words:
@@ -99,7 +101,8 @@ def _decision(body: Document) -> Words:
         proof = f"{proof}: Ms {before} -> {nominal}, worst case {worst}"
     judgement = words(part(body, "judgement"), "reason")
     evidence = " | ".join(text for text in (response_text(body), cause_text(body), model_text(body)) if text)
-    title = f"{words(body, 'action')} {int(number(body, 'number') or 0)}: {words(body, 'reason')}"
+    done = "kept" if stays(body) else ACTIONS.get(words(body, "action"), words(body, "action"))
+    title = f"decision {int(number(body, 'number') or 0)}, {done}: {words(body, 'reason')}"
     return (
         title,
         _settings(body, "gains_before"),
@@ -136,7 +139,7 @@ def _trial(body: Document) -> Words:
         for upset in ("setpoint", "load")
     ]
     told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
-    verdict = f"predicted IAE per unit step:  {', '.join(told)}" if told else ""
+    verdict = f"predicted IAE per unit step: {', '.join(told)}" if told else ""
     return (
         words(body, "reason") or "on trial",
         _settings(body, "verified"),
@@ -148,7 +151,7 @@ def _trial(body: Document) -> Words:
 
 def _judged(body: Document) -> Words:
     """A response that was judged against the promise."""
-    return f"judged: {words(body, 'trial')}", "", "", "", words(body, "reason")
+    return f"response judged, region then: {words(body, 'trial')}", "", "", "", words(body, "reason")
 
 
 def _restore(body: Document) -> Words:

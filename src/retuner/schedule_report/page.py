@@ -17,8 +17,8 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
         paragraph(why_sentence(found), "lead"),
         image(schedule_png(found, windows), "records, process, gains, Ms and J over the variable"),
         paragraph(
-            "Bands are two standard deviations; ticks at the foot show where the records were; grey is not known well "
-            "enough. Dashed lines are borders, dotted ones knots.",
+            "Bands are two standard deviations; ticks at the foot show where the records were; grey is not accurate "
+            "enough. Dashed lines are boundaries, dotted ones knots.",
             "muted",
         ),
         *([] if found.table is None else [_sets(found.table)]),

@@ -49,5 +49,5 @@ def experiment_sentence(found: ScheduleDesign) -> str:
     return (
         f"Least is known at {found.variable} {wanted.x:.4g} (Kc to {wanted.gain_std:.0%}). There, a step of "
         f"{wanted.co_step:.3g} in co (manual) or of {wanted.sp_step:.3g} in the setpoint, held {wanted.hold_s:.3g} s, "
-        "teaches most."
+        "tells most."
     )

@@ -100,8 +100,8 @@ class Pretuning:
         if conductor.phase is Phase.STRANDED:
             before = conductor.before
             raise UserError(
-                f"pretune: NOT RESTORED ({conductor.text}), the run does not begin; bring back by hand: "
-                f"{before.words if before else 'the state of before'}"
+                f"pretune: NOT RESTORED ({conductor.text}), the run does not begin; restore by hand: "
+                f"{before.words if before else 'the initial state'}"
             )
         if conductor.cause is AbortCause.INTERRUPTED:
             raise KeyboardInterrupt

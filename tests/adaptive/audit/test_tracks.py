@@ -92,12 +92,3 @@ def test_two_tunings_or_two_straight_loops_swing_against_each_other() -> None:
     assert (group.root, group.interaction) == (None, True)
     own = [Swinging(one.tag, 300.0, 0.01, own=True, track=one.track) for one in both]
     assert common_swings(own)[0].interaction
-
-
-def test_of_three_the_earliest_is_the_root() -> None:
-    loops = [
-        Swinging(tag, 300.0, 0.01, track=track(swing(300.0, later_s), 300.0))
-        for tag, later_s in (("second", 40.0), ("first", 0.0), ("third", 90.0))
-    ]
-
-    assert common_swings(loops)[0].root == "first"

@@ -92,7 +92,6 @@ def test_bumps_go_up_and_down_in_turn_and_keep_to_their_budgets() -> None:
     [
         {"wanted": ""},
         {"at_rest": False},
-        {"band": 0.3},
         {"low": 49.5, "high": 50.5},
     ],
 )
@@ -100,6 +99,14 @@ def test_no_bump_is_announced_to_a_loop_that_is_not_fit_for_it(unfit: dict[str, 
     bench = Bench()
     bench.run(5000, around(**unfit))
     assert bench.news == []
+
+
+def test_a_bump_that_would_drown_in_the_noise_is_not_made_and_that_is_told_once() -> None:
+    bench = Bench()
+    bench.run(5000, around(band=0.4))
+    assert (bench.causes, bench.sp) == ([NudgeInput.TOO_SMALL], 50.0)
+    assert "is 2.5 noise bands, and 4 are needed" in bench.news[0].reason
+    assert bench.news[0].reason.endswith("adaptation.nudge.percent = 1.6 would do")
 
 
 @pytest.mark.parametrize("sample", [{"mode": LoopMode.MANUAL}, {"limited": True}, {"pv": 51.0}])

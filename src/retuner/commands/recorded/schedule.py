@@ -46,7 +46,7 @@ class ScheduleOptions(FormOptions):
     high: Annotated[float | None, typer.Option(help="Upper end of the variable.")] = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
-    ms: Annotated[float, typer.Option(help="Largest Ms anywhere, on all that the records allow; 1.5 to 2.5.")] = 1.8
+    ms: Annotated[float, typer.Option(help="Largest Ms anywhere, over the plausible models; 1.5 to 2.5.")] = 1.8
     j: Annotated[float, typer.Option("--j", help="Largest J over that of a place's own settings; 1.05 to 2.")] = 1.25
     lookup: Annotated[str, typer.Option(help="hard, interpolated or auto.")] = AUTO
     gains: Annotated[
@@ -54,7 +54,7 @@ class ScheduleOptions(FormOptions):
         typer.Option(metavar="TOML", help="Gain table in force then, to compare; else read off."),
     ] = None
     name: Annotated[str, typer.Option(help="Name of the loop in the table; default: its tag, else the file's.")] = ""
-    unit: Annotated[str, typer.Option(help="Unit of the variable, for people.")] = ""
+    unit: Annotated[str, typer.Option(help="Unit of the variable.")] = ""
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Write gains.toml, schedule.toml and report.html there.")
     ] = None
