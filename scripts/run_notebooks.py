@@ -1,7 +1,7 @@
 """Run the notebooks of docs/notebooks as they stand, and compare what they print with what they show.
 
-    python scripts/run_notebooks.py            # 1 when one fails or prints something else
-    python scripts/run_notebooks.py --write    # put what comes now in place of what stood there
+python scripts/run_notebooks.py            # 1 when one fails or prints something else
+python scripts/run_notebooks.py --write    # put what comes now in place of what stood there
 """
 
 import argparse

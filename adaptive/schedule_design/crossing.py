@@ -1,8 +1,9 @@
-"""Fast crossings: the loop in motion, from one end of the range to the other, with gains that change on the way.
+"""Fast crossings: the loop in motion, with gains that change on the way.
 
 Margins at rest say nothing of a loop whose gains follow its own pv: that is a nonlinear controller. So the setpoint
-steps from one end to the other and back, on the process as the curves have it (motion.py), with the gains looked up as
-the table looks them up, and with every place's own gains, looked up without delay, for comparison. The controller is
+steps as far as it ever did in the records, a quarter of the range at the least, from the ends and the middle, on the
+process as the curves have it (motion.py), with the gains looked up as the table looks them up, and with every place's
+own gains, looked up without delay, for comparison. The controller is
 the parallel PI in increments, co' = kp e' + ki e: what a bumpless change of gains does.
 """
 
@@ -23,8 +24,10 @@ STEPS_IN_THETA = 6
 MOST_STEPS = 6000
 SETTLING = 8.0
 """Length of a crossing in the longest tau_I + theta."""
-INSIDE = 0.9
-"""Share of the range that is crossed: the ends of the records are where the curves end."""
+LEAST_SHARE, MOST_SHARE = 0.25, 0.9
+"""Shares of the range that are stepped over, at the least and at the most."""
+STARTS = 3
+"""Places from which it is stepped, each way."""
 WORSE = 1.25
 """IAE of a crossing over that with every place's own gains, from which the schedule is told to be worse in motion."""
 GRID = 201
@@ -35,22 +38,24 @@ Lookup = Callable[[float, float], PidGains]
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """A step over the range with a lookup variable. up : its direction. iae_ratio : over that with own gains.
+    """The worst of the steps one way. up : which. share : of the range that is stepped over.
 
-    overshoot : beyond the end, as a share of the step; own_overshoot : the same with own gains.
+    variable : that looks the gains up. iae_ratio : over that with own gains. overshoot : beyond the end, as a share of
+    the step; own_overshoot : the same with own gains.
     """
 
     variable: str
     up: bool
+    share: float
     iae_ratio: float
     overshoot: float
     own_overshoot: float
 
     def to_dict(self) -> dict[str, object]:
-        """Keys variable, up, iae_ratio (null where it does not end), overshoot, own_overshoot, proper."""
+        """Keys variable, up, share, iae_ratio (null where it does not end), overshoot, own_overshoot, proper."""
         numbers = {name: getattr(self, name) for name in ("iae_ratio", "overshoot", "own_overshoot")}
         told = {name: value if math.isfinite(value) else None for name, value in numbers.items()}
-        return {"variable": self.variable, "up": self.up, **told, "proper": self.proper}
+        return {"variable": self.variable, "up": self.up, "share": self.share, **told, "proper": self.proper}
 
     @property
     def proper(self) -> bool:
@@ -58,21 +63,30 @@ class Crossing:
         return self.iae_ratio <= WORSE and self.overshoot <= max(self.own_overshoot + 0.1, 0.25)
 
 
-def crossings(curves: Curves, places: Sequence[Place], layout: Layout, variables: Sequence[str]) -> list[Crossing]:
-    """Both ways over the range, for each lookup variable of "sp" and "pv"."""
+def crossings(
+    curves: Curves, places: Sequence[Place], layout: Layout, variables: Sequence[str], largest: float
+) -> list[Crossing]:
+    """Both ways, for each lookup variable of "sp" and "pv". largest : step of the setpoint in the records."""
     known = [place for place in places if place.known]
     low, high = known[0].x, known[-1].x
-    edge = 0.5 * (1 - INSIDE) * (high - low)
-    if len(known) < 2 or not high > low:
+    if not high > low:
         return []
+    share = min(max(largest / (high - low), LEAST_SHARE), MOST_SHARE)
     process = _Process.of(curves, known)
     own = _own(known)
     found = []
-    for start, end in ((low + edge, high - edge), (high - edge, low + edge)):
-        best = _run(process, start, end, lambda _, pv: own(pv))
+    size = share * (high - low)
+    for up in (True, False):
+        edges = [(x, x + size) for x in np.linspace(low, high - size, STARTS).tolist()]
+        ways = edges if up else [(end, start) for start, end in edges]
+        best = [_run(process, start, end, lambda _, pv: own(pv)) for start, end in ways]
         for variable in variables:
-            run = _run(process, start, end, _lookup(layout, variable))
-            found.append(Crossing(variable, end > start, run[0] / best[0], run[1], best[1]))
+            runs = [_run(process, start, end, _lookup(layout, variable)) for start, end in ways]
+            each = [
+                Crossing(variable, up, share, run[0] / ideal[0], run[1], ideal[1])
+                for run, ideal in zip(runs, best, strict=True)
+            ]
+            found.append(min(each, key=lambda one: (one.proper, -one.iae_ratio)))
     return found
 
 
@@ -128,7 +142,7 @@ def _run(process: _Process, start: float, end: float, lookup: Lookup) -> tuple[f
     """IAE and overshoot of one crossing; infinite where it does not end."""
     dt, size = process.dt_s, abs(end - start)
     past = [0.0]
-    y, w, v, iae, peak, last = start, 0.0, 0.0, 0.0, 0.0, 0.0
+    y, away, v, iae, peak, last = start, 0.0, 0.0, 0.0, 0.0, 0.0
     for _ in range(process.steps):
         b, theta, tau, tau2 = process.at(y).tolist()
         error = end - y
@@ -138,8 +152,8 @@ def _run(process: _Process, start: float, end: float, lookup: Lookup) -> tuple[f
         u = past[max(len(past) - 1 - round(theta / dt), 0)]
         before = v
         v += (1 - math.exp(-dt / tau2)) * (u - v) if tau2 > 0 else u - v
-        w = w * math.exp(-dt / tau) + b * (v - before)
-        y += w * dt
+        away = away * math.exp(-dt / tau) + v - before
+        y += b * away * dt
         iae += abs(error) * dt
         peak = max(peak, (y - end) * math.copysign(1.0, end - start))
         if abs(y - end) > 10 * size:

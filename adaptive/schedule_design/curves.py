@@ -17,6 +17,7 @@ from itertools import product
 
 import numpy as np
 
+from retuner.adaptive.schedule_design.agreement import agreement
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined
 from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Shape
 from retuner.adaptive.schedule_design.start import starts, with_loads
@@ -94,7 +95,7 @@ def _weighed(level: Sequence["Fit"], others: Sequence["Fit"], c: float) -> Curve
     constant = max(evidence_of(fit, c) for fit in level)
     best = max([*level, *others], key=lambda fit: evidence_of(fit, c))
     joint, form, noise, now = best
-    covariance = _covariance(form, now, c)
+    covariance = agreement(form, now, [len(left) for left in now.left], c).covariance
     return Curves(form, now.z, covariance, joint, noise, now, _innovations(best), evidence_of(best, c) - constant)
 
 
@@ -172,12 +173,6 @@ def inflation(now: At) -> float:
     r = now.r
     rho = min(max(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0), 0.98)
     return max(float(r @ r) / max(len(r), 1), 0.2) * (1 + rho) / (1 - rho)
-
-
-def _covariance(form: Form, now: At, c: float) -> FloatArray:
-    """Of z."""
-    assert now.jacobian is not None
-    return np.asarray(np.linalg.inv(now.jacobian.T @ now.jacobian / c + np.eye(form.size)), dtype=np.float64)
 
 
 def chosen_shapes(form: Form, now: At) -> tuple[Shape, ...]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from retuner.schedule.table import Lookup
 PLACES = 25
 """Places along the variable that are looked at."""
 MOST_SETS = 8
+SLOWER = (1.4, 1.6, 2.0)
+"""Limits of J that are tried in turn where more than MOST_SETS would be needed."""
+LOADS_A_STRETCH = 1.5
+"""Load steps that a stretch may have in the mean; right fits of benchmarks/schedules need up to 0.8, wrong ones 2."""
 ROWS = 400
 """Rows wanted in a typical stretch."""
 LEAST_TRAVEL = 6.0
@@ -171,13 +175,10 @@ def _designed(
     dt = float(np.median([w.sample_time_s for w in windows]))
     grid = found.form.axis.grid(PLACES)
     places = tuple(place_at(found, float(x), dt, limits) for x in grid)
-    known = sum(place.known for place in places)
-    if not known:
-        least = min(places, key=lambda p: p.gain_std)
-        factor = math.exp(least.gain_std)
-        reason = f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
+    reason = _unexplained(found) or _nowhere_known(places)
+    if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
-    layout = _layout(places, limits, lookup)
+    layout, j_limit = _affordable(places, limits, lookup)
     border = _hysteresis(chosen, layout)
     stay = max(p.model.theta_s for p in places if p.known) if layout is not None and len(layout.sets) > 1 else 0.0
     if layout is None:
@@ -186,9 +187,46 @@ def _designed(
         )
     sets = len(layout.sets)
     how = "one set serves every place" if sets == 1 else f"{sets} sets, {layout.lookup}"
+    how += f"; within J {limits.j:g} it would need more than {MOST_SETS}, within {j_limit:g} not" * (j_limit > limits.j)
     moving_by = (chosen.name,) if chosen.name in {"sp", "pv"} else ()
-    moved = tuple(crossings(found, places, layout, moving_by)) if sets > 1 else ()
+    moved = tuple(crossings(found, places, layout, moving_by, _largest_step(windows))) if sets > 1 else ()
     return Design(chosen.name, found, places, layout, border, stay, evidence, how, moved)
+
+
+def _unexplained(found: Curves) -> str:
+    """Why the curves explain the records only with the help of loads that no plant has; empty where they do."""
+    loads, stretches = sum(map(len, found.joint.loads)) // 2, len(found.joint.stretches)
+    if loads <= LOADS_A_STRETCH * stretches:
+        return ""
+    return (
+        f"not explained: {loads} load steps would have to have happened in {stretches} stretches of the records; "
+        "something else moves pv"
+    )
+
+
+def _nowhere_known(places: Sequence[Place]) -> str:
+    """Why no place is known well enough; empty where one is."""
+    if any(place.known for place in places):
+        return ""
+    factor = math.exp(min(place.gain_std for place in places))
+    return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
+
+
+def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | None, float]:
+    """The fewest sets, at most MOST_SETS, for the smallest limit of J with which that is possible, and that limit.
+
+    The limit of Ms is never given up.
+    """
+    for j in (limits.j, *(j for j in SLOWER if j > limits.j)):
+        layout = _layout(places, replace(limits, j=j), lookup)
+        if layout is not None:
+            return layout, j
+    return None, limits.j
+
+
+def _largest_step(windows: Sequence[Window]) -> float:
+    """Of the setpoint from one sample to the next."""
+    return max(float(np.max(np.abs(np.diff(window.sp)))) for window in windows)
 
 
 def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:

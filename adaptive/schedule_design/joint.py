@@ -218,11 +218,13 @@ def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local) -> list
 
 
 def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
-    """Values along the first axis through the whitening filter, without its first rows."""
-    p = len(ar)
-    found = values[p:].copy()
+    """Values along the first axis through the whitening filter, which is at rest before them.
+
+    The first rows are kept: without them a start that dies out within them would cost nothing, and grow without end.
+    """
+    found = values.copy()
     for k, coefficient in enumerate(ar, 1):
-        found -= coefficient * values[p - k : len(values) - k]
+        found[k:] -= coefficient * values[:-k]
     return found
 
 

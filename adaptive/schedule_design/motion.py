@@ -107,10 +107,9 @@ def _between(rows: FloatArray) -> FloatArray:
 
 def _run(kick: FloatArray, decay: FloatArray, gain: FloatArray, start: FloatArray | None) -> FloatArray:
     """The two recursions of q and y."""
-    w0 = kick[0] if start is None else kick[0] + start
-    w = recursion(decay[:-1], kick[1:], w0)
+    q = recursion(decay[:-1], kick[1:], kick[0] if start is None else kick[0] + start)
     y = np.zeros((len(kick) + 1, *kick.shape[1:]))
-    np.cumsum(w * gain, axis=0, out=y[1:])
+    np.cumsum(q * gain, axis=0, out=y[1:])
     return y
 
 

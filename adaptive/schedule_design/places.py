@@ -22,6 +22,8 @@ OUT = 2.0
 """Standard deviations out at which a model is still allowed."""
 LEAST_STD = 0.02
 """Of every ln p: no curve is known better than that."""
+MOST_MS = 2.2
+"""Of a place's own settings on any allowed model: above it they are no settings to be had, whatever the spread says."""
 LONGEST_LAG = 30.0
 """A lag of so many dead times and more is as good as an integrator; longer ones are cut there, the slope gain kept."""
 
@@ -138,8 +140,8 @@ def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimit
     own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
     spread = _gain_spread(ln, covariance)
     std = tuple(float(s) for s in np.sqrt(np.diag(covariance)))
-    known = spread <= limits.std
     seen = tuple(m.seen_by_controller(sample_time_s).linear() for m in (model, *allowed))
+    known = spread <= limits.std and all(sensitivity_peak(m, own) <= MOST_MS for m in seen)
     return Place(x, model, allowed, seen, std, spread, known, own, iae(model, own, sample_time_s), sample_time_s)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from retuner.adaptive.schedule_design.joint import white
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
 from retuner.adaptive.schedule_design.stretches import Stretch, signals_of
 from retuner.adaptive.signals.sample import Window
@@ -42,3 +43,10 @@ def test_far_travel_is_that_of_the_equation(slowness):
 
     assert np.ptp(pv) > 40
     assert 20.0 + moved == pytest.approx(pv, abs=0.005 * np.ptp(pv))
+
+
+def test_the_first_rows_of_a_stretch_count():
+    values = np.array([5.0, 0.0, 0.0, 0.0, 0.0])
+
+    assert white(values, (0.5, 0.25)) == pytest.approx([5.0, -2.5, -1.25, 0.0, 0.0])
+    assert white(np.ones((4, 2)), (0.9,))[:, 1] == pytest.approx([1.0, 0.1, 0.1, 0.1])

@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +19,8 @@ from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import RecordingError, require_excitation, require_setpoint
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
-from retuner.schedule.document import to_toml
+from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.table import GainTable
 from retuner.schedule_report.sentences import experiment_sentence, motion_sentences
 from retuner.scheduling import AUTO, ScheduleDesign, design_schedule, schedule_section
 
@@ -38,8 +39,9 @@ class ScheduleOptions(FormOptions):
         typer.Argument(metavar="RECORD...", help="Records of one loop as exported, or a file for each signal."),
     ]
     by: Annotated[
-        list[str], typer.Option("--by", metavar="VARIABLE", help="sp, pv, co or auto; several: the evidence chooses.")
-    ] = field(default_factory=lambda: [AUTO])
+        list[str] | None,
+        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co; several or none: the evidence chooses."),
+    ] = None
     low: Annotated[float | None, typer.Option(help="Lower end of the variable; default: what was visited.")] = None
     high: Annotated[float | None, typer.Option(help="Upper end of the variable.")] = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
@@ -47,6 +49,10 @@ class ScheduleOptions(FormOptions):
     ms: Annotated[float, typer.Option(help="Largest Ms anywhere, over the plausible models; 1.5 to 2.5.")] = 1.8
     j: Annotated[float, typer.Option("--j", help="Largest J over that of a place's own settings; 1.05 to 2.")] = 1.25
     lookup: Annotated[str, typer.Option(help="hard, interpolated or auto.")] = AUTO
+    gains: Annotated[
+        Path | None,
+        typer.Option(metavar="TOML", help="Gain table active then, to compare; else identified."),
+    ] = None
     name: Annotated[str, typer.Option(help="Name of the loop in the table; default: its tag, else the file's.")] = ""
     unit: Annotated[str, typer.Option(help="Unit of the variable.")] = ""
     out: Annotated[
@@ -73,7 +79,7 @@ def schedule(options: ScheduleOptions) -> int:
     with user_input("retuner schedule"):
         found = design_schedule(
             records,
-            AUTO if AUTO in options.by else options.by,
+            AUTO if options.by is None or AUTO in options.by else options.by,
             low=options.low,
             high=options.high,
             co_min=options.co_min,
@@ -83,6 +89,7 @@ def schedule(options: ScheduleOptions) -> int:
             lookup=options.lookup,
             name=options.name or records[0].tag or options.files[0].stem,
             unit=options.unit,
+            gains=None if options.gains is None else _in_force(options.gains),
             progress=told_when_slow(),
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
@@ -100,6 +107,16 @@ def _read(options: ScheduleOptions) -> list[LoopRecord]:
         return [read_record([file], options, in_automatic=True) for file in options.files]
     except RecordingError:
         return [read_record(options.files, options, in_automatic=True)]
+
+
+def _in_force(path: Path) -> GainTable:
+    """The table that ran while the records were made."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"--gains {path}: cannot be read: {error.strerror}; give a gains.toml") from None
+    with user_input(f"--gains {path}"):
+        return from_toml(text)
 
 
 def told_when_slow() -> Callable[[str, float], None]:

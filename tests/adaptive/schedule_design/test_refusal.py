@@ -1,0 +1,54 @@
+"""What is not explained or not known gives no settings: seen on a heat exchanger whose flow moves its temperature."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from retuner.adaptive.schedule_design import design
+from retuner.adaptive.schedule_design.design import _unexplained
+from retuner.adaptive.schedule_design.places import DesignLimits, place_at
+
+
+def curves(std_theta):
+    """k = 1 / s, a dead time of 0.6 s beside a second lag of 27 s, known to this."""
+    return SimpleNamespace(
+        ln=lambda _: np.log([[0.0055, 0.6, 88.0, 27.0]]),
+        ln_covariance=lambda _: np.diag([0.05, std_theta, 0.05, 0.08]) ** 2,
+        form=SimpleNamespace(sign=1),
+    )
+
+
+def test_a_small_dead_time_that_may_be_hours_makes_no_place_known():
+    assert place_at(curves(0.1), 1.0, 1.5, DesignLimits()).known
+    assert not place_at(curves(3.0), 1.0, 1.5, DesignLimits()).known
+
+
+def test_records_that_need_two_load_steps_a_stretch_are_not_explained():
+    def fitted(rows):
+        return SimpleNamespace(joint=SimpleNamespace(loads=[(1,) * rows] * 10, stretches=[None] * 10))
+
+    assert _unexplained(fitted(2)) == ""
+    assert "20 load steps" in _unexplained(fitted(4))
+
+
+def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
+    places = [
+        place_at(
+            SimpleNamespace(
+                ln=lambda _, b=b: np.array([[b, 0.0, 2.0]]),
+                ln_covariance=lambda _: np.diag([0.02, 0.02, 0.02]) ** 2,
+                form=SimpleNamespace(sign=1),
+            ),
+            x,
+            0.1,
+            DesignLimits(),
+        )
+        for x, b in ((0.0, 0.0), (1.0, 0.25), (2.0, 0.5))
+    ]
+    monkeypatch.setattr(design, "MOST_SETS", 1)
+
+    layout, j = design._affordable(places, DesignLimits(), "hard")
+
+    assert layout is not None
+    assert j > DesignLimits().j
+    assert all(place.judged(gains).j <= j for place in places for gains in layout.sets)

@@ -1,0 +1,104 @@
+"""retuner schedule: the JSON contract, the files that others take, the exit statuses, the one line on bad input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retuner.cli import main
+from retuner.schedule.document import from_toml
+
+Capture = pytest.CaptureFixture[str]
+LOOP = """
+schema = 1
+[loop]
+name = "level"
+pv_unit = "%"
+pv_min = 0.0
+pv_max = 100.0
+sample_time_s = 1.0
+"""
+REST = """
+[bus]
+interface = "virtual"
+[device]
+kind = "virtual"
+[device.plant]
+kind = "linear"
+k = 1.0
+lags_s = [20.0]
+theta_s = 4.0
+start_pv = 30.0
+start_co_pct = 30.0
+[scenario]
+duration_s = 100.0
+steps = [{ at_s = 0.0, sp = 30.0 }]
+"""
+
+
+def level(path: Path, n: int = 600) -> Path:
+    """A first-order process in a loop with PI control, four setpoint steps."""
+    rng = np.random.default_rng(3)
+    y = integral = 30.0
+    past = [y] * 4
+    rows = ["t,sp,pv,co"]
+    for i in range(n):
+        sp = (30.0, 45.0, 60.0, 40.0)[4 * i // n]
+        pv = y + rng.normal(0.0, 0.1)
+        integral += 0.06 * (sp - pv)
+        past.append(1.2 * (sp - pv) + integral)
+        y += (past[-5] - y) / 20
+        rows.append(f"{i},{sp},{pv:.4f},{past[-1]:.4f}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_a_schedule_from_one_command_is_taken_by_check_and_export(tmp_path: Path, capsys: Capture) -> None:
+    record, out = level(tmp_path / "level.csv"), tmp_path / "out"
+    assert main(["schedule", str(record), "--by", "pv", "--unit", "%", "--out", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["schema"] == 1
+    assert found["variable"] == "pv"
+    assert len(found["regions"]) == 1
+    assert {"x", "known", "model", "ln_std", "gains", "own", "ms", "ms_worst", "j"} <= set(found["places"][0])
+    assert found["next_experiment"]["hold_s"] > 0
+    assert [e["variable"] for e in found["candidates"]] == ["pv"]
+    assert {Path(name).name for name in found["files"]} == {
+        "gains.toml",
+        "schedule.toml",
+        "schedule.png",
+        "report.html",
+    }
+    table = from_toml((out / "gains.toml").read_text())
+    assert table.gains[0].kp == pytest.approx(20 / (2 * 4), rel=0.2)
+    assert "<img" in (out / "report.html").read_text()
+    config = tmp_path / "loop.toml"
+    config.write_text(LOOP + (out / "schedule.toml").read_text() + REST)
+    assert main(["check", str(config)]) == 0
+    assert main(["export", str(out / "gains.toml"), "--format", "csv", "--out", "-"]) == 0
+
+
+def test_records_that_say_nothing_end_with_one_line_or_no(tmp_path: Path, capsys: Capture) -> None:
+    still = tmp_path / "still.csv"
+    still.write_text("t,sp,pv,co\n" + "\n".join(f"{i},1.0,{1 + i % 2 * 0.01},50.0" for i in range(100)) + "\n")
+    assert main(["schedule", str(still), "--by", "pv"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--by", "flow"], "flow"),
+        (["--ms", "9"], "ms"),
+        (["--lookup", "cubic"], "cubic"),
+        (["--low", "50", "--high", "40"], "low"),
+    ],
+)
+def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Path, capsys: Capture) -> None:
+    record = level(tmp_path / "level.csv", 60)
+    assert main(["schedule", str(record), *options]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert named in said.err
