@@ -77,8 +77,8 @@ def _first_step(config: Config) -> Iterator[Warned]:
         kick = abs(config.loop.b * _gains_at(config, after).kp * (after - before))
         if kick > room:
             yield Warned(
-                f"scenario: the step of sp from {before:g} to {after:g} at {at_s:g} s moves the output by {kick:.0f} % at "
-                f"once; its range is {room:g} %, so it will stand at its limit, which hides the response"
+                f"scenario: the step of sp from {before:g} to {after:g} at {at_s:g} s moves the output by {kick:.0f} % "
+                f"at once; its range is {room:g} %, so it will stand at its limit, which hides the response"
             )
             return
 
