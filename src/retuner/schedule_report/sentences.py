@@ -35,7 +35,7 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
         way = "up" if crossing.up else "down"
         ratio = f"{crossing.iae_ratio:.2f} times" if math.isfinite(crossing.iae_ratio) else "without end"
         told.append(
-            f"A setpoint step {way} over {crossing.share:.0%} of the range, gains looked up by {crossing.variable}: "
+            f"A setpoint step {way} over {crossing.share:.0%} of the range, gains looked up by {crossing.variable}; "
             f"IAE {ratio} that with each place's own gains, "
             f"overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})"
             + (": no worse for moving." if crossing.proper else ": WORSE in motion than at rest; ramp such steps.")

@@ -51,7 +51,7 @@ class ScheduleOptions(FormOptions):
     lookup: Annotated[str, typer.Option(help="hard, interpolated or auto.")] = AUTO
     gains: Annotated[
         Path | None,
-        typer.Option(metavar="TOML", help="Gain table in force then, to compare; else read off."),
+        typer.Option(metavar="TOML", help="Gain table active then, to compare; else identified."),
     ] = None
     name: Annotated[str, typer.Option(help="Name of the loop in the table; default: its tag, else the file's.")] = ""
     unit: Annotated[str, typer.Option(help="Unit of the variable.")] = ""
