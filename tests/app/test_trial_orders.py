@@ -66,7 +66,7 @@ def test_an_approval_of_another_change_does_not_release_the_one_that_waits(desk:
     desk.happens(TrialEvent.PASSED_FOR_APPROVAL)
     told = desk.order(OrderKind.APPROVE, undone.digest())
     assert not told["accepted"]
-    assert told["reason"] == "low waits for a word on another change than this one"
+    assert told["reason"] == "low awaits approval of another change than this one"
     assert desk.wire.trials.phase(0) is P.WAITING
     assert desk.order(OrderKind.APPROVE, waits.digest())["accepted"]
     assert desk.wire.trials.phase(0) is P.IDLE

@@ -165,7 +165,7 @@ def test_the_table_of_all_rules(capsys: Capture) -> None:
     ]
     simc = next(line for line in lines if line.startswith("simc "))
     assert simc.split()[:9] == ["simc", "pi", "series", "-2.5", "16", "0", "1.70", "2.963", "46.9"]
-    assert any(line.startswith("no itae-load") for line in lines)
+    assert any(line.startswith("not applicable: itae-load") for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -233,6 +233,6 @@ def test_settings_as_a_vendor_dials_them(capsys: pytest.CaptureFixture[str]) -> 
     assert main([*asked, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["dialled"] == pytest.approx({"band_pct": 50.0, "repeats_per_min": 2.0})
     assert main(asked) == 0
-    assert "dialled   proportional band 50 %  2 repeats/min" in capsys.readouterr().out
+    assert "set as    proportional band 50 %  2 repeats/min" in capsys.readouterr().out
     assert main([*asked[:-1], "0"]) == 2
     assert "--pv-span" in capsys.readouterr().err

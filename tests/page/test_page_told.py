@@ -87,9 +87,9 @@ def test_the_ledger_is_filtered_and_exported(session: Session, served: Served) -
     served.look()
     rows = served.client.get("/api/ledger/demo").json()["rows"]
     assert [row["kind"] for row in rows] == ["session", "decision"]
-    assert [row["kind"] for row in served.client.get("/api/ledger/demo?q=LOW advise").json()["rows"]] == ["decision"]
+    assert [row["kind"] for row in served.client.get("/api/ledger/demo?q=LOW proposed").json()["rows"]] == ["decision"]
     assert served.client.get("/api/ledger/demo?q=nothing").json()["rows"] == []
-    exported = served.client.get("/api/ledger/demo/csv?q=advise")
+    exported = served.client.get("/api/ledger/demo/csv?q=proposed")
     assert exported.headers["content-disposition"].startswith("attachment")
     assert exported.text.splitlines()[0].startswith("row,when_s,kind")
     assert len(exported.text.splitlines()) == 2
