@@ -6,6 +6,7 @@ The environment, .venv-lowest, is made anew where the versions have changed sinc
 names for users (extras among them) or for the tests has its lowest version; what those need in turn is the newest.
 """
 
+import re
 import shutil
 import subprocess
 import sys
@@ -49,7 +50,8 @@ def lowest() -> str:
     named = [*document["project"]["dependencies"], *document["dependency-groups"]["test"]]
     named += [package for name, packages in extras.items() if name != "all" for package in packages]
     assert all(package.count(">=") == 1 for package in named), named
-    return "\n".join(package.replace(">=", "==") for package in named) + "\n"
+    without_extras = (re.sub(r"\[.*?\]", "", package) for package in named)  # pip's constraints take none
+    return "\n".join(package.replace(">=", "==") for package in without_extras) + "\n"
 
 
 def run(*arguments: str | Path) -> None:

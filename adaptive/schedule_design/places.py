@@ -24,6 +24,8 @@ LEAST_STD = 0.02
 """Of every ln p: no curve is known better than that."""
 MOST_MS = 2.2
 """Of a place's own settings on any allowed model: above it they are no settings to be had, whatever the spread says."""
+SECOND_LAG = 3
+"""Place of ln tau2 among ln b, ln theta, ln tau, ln tau2."""
 LONGEST_LAG = 30.0
 """A lag of so many dead times and more is as good as an integrator; longer ones are cut there, the slope gain kept."""
 
@@ -135,7 +137,7 @@ def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimit
     model = model_of(ln, sign)
     values, vectors = np.linalg.eigh(covariance)
     ways = OUT * vectors * np.sqrt(np.maximum(values, 0.0))
-    allowed = tuple(model_of(ln + side * way, sign) for way in ways.T for side in (1.0, -1.0))
+    allowed = tuple(model_of(moved(ln, side * way), sign) for way in ways.T for side in (1.0, -1.0))
     settings = RobustSettings(ms_worst=max(limits.ms - 0.03, 1.5))
     own = robust_simc_on(model, [Plausible(m, OUT**2) for m in allowed], sample_time_s, settings).tuning.gains
     spread = _gain_spread(ln, covariance)
@@ -153,6 +155,18 @@ def _gain_spread(ln: FloatArray, covariance: FloatArray) -> float:
     if len(ln) > 3:
         way[3] = 0.5 * np.exp(ln[3]) / effective
     return float(np.sqrt(way @ covariance @ way))
+
+
+def moved(ln: FloatArray, way: FloatArray) -> FloatArray:
+    """ln p so far away from the likeliest.
+
+    What a record sees of a second lag is the lag, not its logarithm: where it is hardly known, twice its standard
+    deviation out is tau2 (1 + d), as the fit's derivatives say, and not tau2 exp(d), hundreds of times as long.
+    """
+    found = ln + way
+    if len(ln) > SECOND_LAG and way[SECOND_LAG] > 0:
+        found[SECOND_LAG] = ln[SECOND_LAG] + math.log1p(way[SECOND_LAG])
+    return np.asarray(found, dtype=np.float64)
 
 
 def model_of(ln: FloatArray, sign: int) -> ProcessModel:

@@ -13,6 +13,7 @@ from retuner.api import Identification, RecordDiagnosis
 from retuner.commands.recorded.diagnose import SHOWN as NAMED
 from retuner.commands.recorded.diagnose import WINNER
 from retuner.commands.recorded.identify import described
+from retuner.commands.recorded.schedule import described as schedule_lines
 from retuner.decision_page.decision_view import DecisionView
 from retuner.decision_page.explain import document_of, one_line
 from retuner.decision_page.html import escaped
@@ -22,6 +23,8 @@ from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 from retuner.report.rule_comparison import RuleRow
 from retuner.report.tuning_plots import responses_png
+from retuner.schedule_report.drawing import schedule_png
+from retuner.scheduling import ScheduleDesign
 from retuner.tuning import TuneResult, tuning_lines
 
 
@@ -61,6 +64,16 @@ def _(result: RecordDiagnosis) -> str:
 @text.register
 def _(result: Decision) -> str:
     return one_line(result)
+
+
+@text.register
+def _(result: ScheduleDesign) -> str:
+    return "\n".join(schedule_lines(result))
+
+
+@html.register
+def _(result: ScheduleDesign) -> str:
+    return _shown(result, schedule_png(result, result.records))
 
 
 @html.register

@@ -5,9 +5,11 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import cast
 
 import numpy as np
 
+from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_design.cover import Layout
@@ -15,16 +17,13 @@ from retuner.adaptive.schedule_design.design import Candidate, Design, design
 from retuner.adaptive.schedule_design.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
 from retuner.adaptive.signals.sample import Window
-from retuner.api import Numbers, window_of, within
-from retuner.drivers.historian.loop_record import LoopRecord
+from retuner.api import Numbers, Record, window_of, within
 from retuner.schedule.axis import CAN
 from retuner.schedule.forms import to_ideal
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 
-Record = Window | LoopRecord
-"""A stretch of samples of one loop, or a record of `retuner.read`."""
 AUTO = "auto"
 OWN = ("sp", "pv", "co")
 """Signals of every record that gains may follow."""
@@ -46,13 +45,24 @@ class ScheduleDesign:
 
     design : curves, places, sets and the evidence of each candidate variable. table : the gain table, None where
     nothing is known well enough. in_force : the gains while the records were made, where they are known. limits : that
-    were demanded.
+    were demanded. records : that it was found from. print shows it as the command does, a notebook with its picture.
     """
 
     design: Design
     table: GainTable | None
     in_force: GainTable | PidGains | None = None
     limits: DesignLimits = field(default_factory=DesignLimits)
+    records: tuple[Window, ...] = ()
+
+    def __repr__(self) -> str:
+        sets = 0 if self.table is None else len(self.table.gains)
+        return f"ScheduleDesign(by {self.variable}: {self.reason}; {sets} sets, {len(self.places)} places)"
+
+    def __str__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
 
     @property
     def variable(self) -> str:
@@ -166,7 +176,7 @@ def _regions_dict(table: GainTable) -> list[dict[str, object]]:
 
 
 def design_schedule(
-    records: Record | Sequence[Record],
+    records: Window | Record | Sequence[Window | Record],
     by: str | Sequence[str] = AUTO,
     *,
     values: Mapping[str, Sequence[Numbers]] = NOTHING,
@@ -186,7 +196,7 @@ def design_schedule(
 
     Parameters
     ----------
-    records : of one loop, in automatic or manual, one or several. by : the variable, "sp", "pv", "co" or a key of
+    records : of one loop, in automatic or manual, one or several: frames, paths, or what `retuner.read` gives. by : the variable, "sp", "pv", "co" or a key of
         values; several of them, or "auto" for all, and the evidence chooses. values : further variables, one array for
         each record at its samples.
     low, high : ends of the variable; left out, what the records visit. co_min, co_max : limits of the final element.
@@ -214,7 +224,7 @@ def design_schedule(
     limits = DesignLimits(ms_limit, j_limit)
     found = design(windows, candidates, limits, lookup, (low, high), progress)
     before = gains if gains is not None else _read_off(windows, co_min, co_max)
-    return ScheduleDesign(found, table_of(found, name, unit), before, limits)
+    return ScheduleDesign(found, table_of(found, name, unit), before, limits, windows)
 
 
 def _read_off(windows: Sequence[Window], co_min: float | None, co_max: float | None) -> PidGains | None:
@@ -230,7 +240,7 @@ def _names(by: str | Sequence[str], values: Mapping[str, object]) -> list[str]:
     return [by] if isinstance(by, str) else list(dict.fromkeys(by))
 
 
-def windows_of(records: Record | Sequence[Record]) -> tuple[Window, ...]:
+def windows_of(records: Window | Record | Sequence[Window | Record]) -> tuple[Window, ...]:
     """Records, one or several, as windows.
 
     Raises
@@ -238,7 +248,7 @@ def windows_of(records: Record | Sequence[Record]) -> tuple[Window, ...]:
     ValueError
         There is none, or one lacks a signal.
     """
-    several = [records] if isinstance(records, Window | LoopRecord) else list(records)
+    several = list(records) if isinstance(records, list | tuple) else [cast("Window | Record", records)]
     if not several:
         raise ValueError("no record; give at least one")
     return tuple(one if isinstance(one, Window) else window_of(one) for one in several)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import retuner
 from retuner.cli import main
 from retuner.schedule.document import from_toml
 
@@ -102,3 +103,17 @@ def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Pa
     assert said.out == ""
     assert said.err.count("\n") == 1
     assert named in said.err
+
+
+def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command_does(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    record = level(tmp_path / "level.csv")
+    assert main(["schedule", str(record), "--by", "pv", "-q"]) == 0
+
+    found = retuner.design_schedule(record, "pv", name="level")
+
+    assert str(found) + "\n" == capsys.readouterr().out
+    assert "\n" not in repr(found)
+    assert len(repr(found)) < 120
+    assert "data:image/png" in found._repr_html_()

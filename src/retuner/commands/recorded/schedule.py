@@ -23,6 +23,7 @@ from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.sentences import experiment_sentence, motion_sentences
 from retuner.scheduling import AUTO, ScheduleDesign, design_schedule, schedule_section
+from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)
 
@@ -61,7 +62,7 @@ class ScheduleOptions(FormOptions):
     as_json: Json = False
 
 
-@app.command(epilog="Example: retuner schedule oven-monday.csv --by pv --out runs/oven-schedule")
+@app.command(epilog="Example: retuner schedule examples/records/day.csv --by pv --out runs/oven-schedule")
 @signed_by(ScheduleOptions)
 def schedule(options: ScheduleOptions) -> int:
     """Design and show; the exit status: 0, or 1 when the records do not say enough.
@@ -125,7 +126,7 @@ def told_when_slow() -> Callable[[str, float], None]:
 
     def tell(stage: str, share: float) -> None:
         now = time.monotonic()
-        if now - told[0] >= PATIENCE_S:
+        if now - told[0] >= PATIENCE_S and not quiet():
             told[0] = now
             sys.stderr.write(f"schedule: {share:4.0%} done, {stage}\n")
             sys.stderr.flush()
@@ -165,12 +166,16 @@ def _tell(
         document = found.to_dict() | {"assumed": [a.what for a in assumed], "files": [str(p) for p in written]}
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
         return
+    lines = described(found) + [f"{path} written" for path in written]
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def described(found: ScheduleDesign) -> list[str]:
+    """A design in lines."""
     lines = [f"{found.variable}: {found.reason}", *_place_lines(found)]
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
-    lines += ["", *motion_sentences(found), experiment_sentence(found)]
-    lines += [f"{path} written" for path in written]
-    sys.stdout.write("\n".join(lines) + "\n")
+    return [*lines, "", *motion_sentences(found), experiment_sentence(found)]
 
 
 def _place_lines(found: ScheduleDesign) -> list[str]:
