@@ -130,16 +130,16 @@ class GainTable:
     def stored_for(self, region: int | str, wanted: PidGains, x: float, x2: float = 0.0) -> PidGains | None:
         """The set that a region must store, the others unchanged, so that `wanted` is in force at (x, x2).
 
-        None when there is none: the region has no share there, or the neighbours' part of the mean alone is already
-        more than is wanted of a gain (it would have to act the wrong way, or to vanish). Errors as `at` and `index`.
+        None when there is none: the region has no share there, the neighbours act the other way, or their part of the
+        mean alone is already more than is wanted of a gain. Errors as `at` and `index`.
         """
         i = self.index(region)
         shares = self.weights(i, x, x2)
         own = dict(shares).get(i, 0.0)
+        if own == 0.0 or (len(self.gains) > 1 and wanted.direction != self.gains[0].direction):
+            return None
         if own == 1.0:
             return wanted
-        if own == 0.0 or wanted.direction != self.gains[0].direction:
-            return None
         needed = []
         for name in GAIN_NAMES:
             others = sum(w * getattr(self.gains[j], name) for j, w in shares if j != i)

@@ -115,9 +115,9 @@ def _along(old: PidGains, new: PidGains, share: float) -> PidGains:
 
 
 def change_factor(old: PidGains, new: PidGains) -> float:
-    """Largest factor by which one of the gains differs (infinite when one appears or goes)."""
+    """Largest factor by which one of the gains differs (infinite when one appears, goes, or acts the other way)."""
     factors = [
-        max(n / o, o / n) if o and n else math.inf
+        max(n / o, o / n) if o and n and (o > 0) == (n > 0) else math.inf
         for o, n in ((old.kp, new.kp), (old.ki, new.ki), (old.kd, new.kd))
         if o or n
     ]

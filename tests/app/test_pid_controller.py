@@ -106,6 +106,14 @@ def test_gains_set_by_hand_are_kept() -> None:
     assert pid.gains == mine
 
 
+def test_gains_of_the_other_sign_are_not_taken_for_the_same() -> None:
+    pid = controller()
+    pid.step(1.0, 0.0)
+    turned = PidGains(-WEAK.kp, -WEAK.ki)
+    assert pid.set_gains(turned) is not None
+    assert pid.gains == turned
+
+
 def test_mode_off_takes_back_what_is_on_trial() -> None:
     pid, tank = controller(), Tank()
     changed(pid, tank)

@@ -330,3 +330,16 @@ def test_ctrl_c_takes_the_change_back_first_and_a_second_one_does_not_wait(make_
         with pytest.raises(KeyboardInterrupt):
             to_the_end(wire.session, once)
         assert wire.runs == to_wire(ends_on)
+
+
+@pytest.mark.parametrize("phase", [P.IDLE, P.TRIAL, P.RESTORING])
+def test_gains_of_the_other_sign_are_not_taken_for_ours(make_wire: Callable[..., Wire], phase: TrialPhase) -> None:
+    """The same numbers with the other sign: a switch of direct and reverse action thrown at the controller."""
+    wire = make_wire()
+    into(wire, phase)
+    tried = wire.session.retuner.trials.of(0).new or GOOD
+    wire.edit(PidGains(-tried.kp, -tried.ki))
+    wire.run(60)
+    assert "edit_not_taken" in [decision.code for decision in wire.session.decisions]
+    assert wire.runs.kp < 0.0, "the device takes no write that turns the sign back"
+    assert "restored" not in wire.kinds

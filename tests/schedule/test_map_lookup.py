@@ -98,6 +98,7 @@ def test_at_a_knot_and_under_hard_lookup_the_set_is_what_was_wanted():
 
     assert SMOOTH.stored_for("d", wanted, 115.0, 75.0) is wanted
     assert HARD.stored_for(2, wanted, 0.0, 0.0) is wanted
+    assert HARD.stored_for(2, PidGains(-3.0, -0.5), 0.0, 0.0) is None, "the other regions act the other way"
 
 
 def test_half_way_the_whole_change_falls_on_one_set():

@@ -142,6 +142,8 @@ def test_change_factor() -> None:
     assert change_factor(PidGains(1, 2), PidGains(1, 0.5)) == 4
     assert change_factor(PidGains(1, 2), PidGains(1, 2, 1)) == math.inf
     assert change_factor(PidGains(1, 2), PidGains(1, 2)) == 1
+    assert change_factor(PidGains(-1, -2), PidGains(-2, -2)) == 2
+    assert change_factor(PidGains(1, 2), PidGains(-1, -2)) == math.inf, "gains of the other sign are not the same"
 
 
 def test_less_of_everything() -> None:
