@@ -35,6 +35,8 @@ LOG.addHandler(logging.NullHandler())
 MEMORY = 1
 """Version of what `memory` gives."""
 HARD = Lookup.HARD
+LONGEST_S = 1e9
+"""Longest time between two steps: 30 years, and less than the time of day counted from 1970."""
 PROPOSAL_S = 86400.0
 """How long a proposal may be approved: a day, as in the configuration."""
 
@@ -102,19 +104,18 @@ class PidController:
         name: str = "loop",
         memory: Mapping[str, Any] | None = None,
     ) -> None:
-        low, high = pv_range
+        low, high = _range("pv_range", pv_range)
+        co_low, co_high = _range("co_range", co_range)
         if not (0.0 < dt_s < math.inf):
             raise ValueError(f"dt_s = {dt_s} must be a positive finite number of seconds")
-        if not (-math.inf < low < high < math.inf):
-            raise ValueError(f"pv_range = {pv_range} must be two finite numbers, the lower one first")
-        table = _one_region(name, gains, low, high) if isinstance(gains, PidGains) else gains
+        table = gains if isinstance(gains, GainTable) else _one_region(name, _gains(gains), low, high)
         watched = settings or RetunerSettings(
             dt_s, high - low, _mode(mode), setpoint_weight=b, filter_s=tau_f_s, pv_range=(low, high)
         )
         self._retuner = Retuner(table, watched) if memory is None else _remembered(memory, table, watched)
         self._dt_s = dt_s
         self._law = law(
-            table.gains[0], b=b, tau_f_s=tau_f_s, co_min=co_range[0], co_max=co_range[1], co_rate_per_s=co_rate_per_s
+            table.gains[0], b=b, tau_f_s=tau_f_s, co_min=co_low, co_max=co_high, co_rate_per_s=co_rate_per_s
         )
         self._regions = table.regions.law()
         self._place: _Place | None = None
@@ -157,8 +158,12 @@ class PidController:
             A number is not finite or the time not positive. Nothing is changed: go on with the next good sample, and
             give the time since the last good one.
         """
-        sp, pv = float(sp), float(pv)
-        elapsed_s = self._dt_s if dt_s is None else float(dt_s)
+        sp, pv = _finite("sp", sp), _finite("pv", pv)
+        elapsed_s = self._dt_s if dt_s is None else _finite("dt_s", dt_s)
+        if elapsed_s > LONGEST_S:
+            raise ValueError(
+                f"dt_s = {elapsed_s:g} is over 30 years: give the time since the last step; nothing changed"
+            )
         place = self._advanced(sp, pv, elapsed_s, (x, x2), manual_co)
         co, limited = place.pid[3], int(place.pid[LIMITED])
         mode = LoopMode.AUTO if manual_co is None else LoopMode.MANUAL
@@ -235,7 +240,7 @@ class PidController:
         """
         if self._place is None:
             raise ValueError("the controller has made no step yet; make it with these gains")
-        made = self._retuner.edited(gains)
+        made = self._retuner.edited(_gains(gains))
         if made is not None and made.code == "edit_not_taken":
             raise ValueError(made.reason)
         return None if made is None else self._obey(made)
@@ -273,8 +278,8 @@ class PidController:
     def _go_on(self, memory: Mapping[str, Any]) -> None:
         """Go on after a restart: time with a gap that nothing is learned over, and the output where it stood."""
         watched = self._retuner.settings
-        self._begin_s = float(memory["t_s"]) + (watched.gap_samples + 2) * watched.sample_time_s
-        self._held_co = None if memory["co"] is None else float(memory["co"])
+        self._begin_s = _finite("memory: t_s", memory["t_s"]) + (watched.gap_samples + 2) * watched.sample_time_s
+        self._held_co = None if memory["co"] is None else _finite("memory: co", memory["co"])
         last = self._retuner.abort(TrialEvent.RESTARTED)
         if last is not None:
             self._obey(last)
@@ -374,6 +379,54 @@ def _remembered(memory: Mapping[str, Any], table: GainTable, settings: RetunerSe
     if (found.table.loop, found.table.regions) != (table.loop, table.regions):
         raise ValueError(f"memory: it is of loop {found.table.loop!r} with other regions; leave it out to begin anew")
     return found
+
+
+def _finite(name: str, value: float | str | None) -> float:
+    """That number; a sensor that failed may give anything, None too.
+
+    Raises
+    ------
+    ValueError
+        It is no finite number.
+    """
+    try:
+        number = math.nan if value is None else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{name} = {value!r} is not a finite number; nothing is changed")
+    return number
+
+
+def _range(name: str, ends: tuple[float, float]) -> tuple[float, float]:
+    """Two ends.
+
+    Raises
+    ------
+    ValueError
+        They are not two finite numbers in their order.
+    """
+    try:
+        low, high = ends
+        ordered = -math.inf < low < high < math.inf
+    except (TypeError, ValueError):
+        ordered = False
+    if not ordered:
+        raise ValueError(f"{name} = {ends!r} must be two finite numbers, the lower one first")
+    return low, high
+
+
+def _gains(gains: PidGains) -> PidGains:
+    """Gains; who comes from another library may give three numbers.
+
+    Raises
+    ------
+    TypeError
+        They are something else.
+    """
+    if not isinstance(gains, PidGains):
+        raise TypeError(f"gains = {gains!r}: give PidGains(kp, ki, kd), ki and kd in seconds, or a GainTable")
+    return gains
 
 
 def _one_region(name: str, gains: PidGains, low: float, high: float) -> GainTable:

@@ -114,6 +114,54 @@ def test_gains_of_the_other_sign_are_not_taken_for_the_same() -> None:
     assert pid.gains == turned
 
 
+@pytest.mark.parametrize(
+    ("sp", "pv", "dt_s", "said"),
+    [
+        (1.0, math.nan, None, "pv = nan is not a finite number"),
+        (1.0, None, None, "pv = None is not a finite number"),
+        (None, 0.0, None, "sp = None is not a finite number"),
+        (1.0, "Bad", None, "pv = 'Bad' is not a finite number"),
+        (1.0, 0.0, math.inf, "dt_s = inf is not a finite number"),
+        (1.0, 0.0, 1.76e9, "time since the last step"),
+    ],
+)
+def test_a_sensor_that_failed_is_refused_in_one_line_at_any_sample(sp: Any, pv: Any, dt_s: Any, said: str) -> None:
+    fresh, begun = controller(), controller()
+    begun.step(1.0, 0.0)
+    for pid in (fresh, begun):
+        before = repr(pid)
+        with pytest.raises(ValueError, match=said):
+            pid.step(sp, pv, dt_s)
+        assert repr(pid) == before
+        pid.step(1.0, 0.0)
+
+
+@pytest.mark.parametrize("ends", [None, (None, None), (0.0,), (5.0, 5.0), (0.0, math.inf)])
+@pytest.mark.parametrize("name", ["pv_range", "co_range"])
+def test_limits_that_are_no_limits_are_refused_by_name(name: str, ends: Any) -> None:
+    given: dict[str, Any] = {"pv_range": (0.0, 10.0), name: ends}
+    with pytest.raises(ValueError, match=f"{name} = .* two finite numbers"):
+        PidController(WEAK, dt_s=1.0, **given)
+
+
+def test_gains_that_are_three_numbers_are_refused_by_what_to_give() -> None:
+    three: Any = (1.0, 0.1, 0.0)
+    with pytest.raises(TypeError, match="give PidGains"):
+        PidController(three, dt_s=1.0, pv_range=(0.0, 10.0))
+    pid = controller()
+    pid.step(1.0, 0.0)
+    with pytest.raises(TypeError, match="give PidGains"):
+        pid.set_gains(three)
+
+
+@pytest.mark.parametrize("key", ["t_s", "co"])
+def test_a_memory_with_a_number_that_is_none_is_refused_at_once(key: str) -> None:
+    pid = controller()
+    pid.step(1.0, 0.0)
+    with pytest.raises(ValueError, match=f"memory: {key} = nan"):
+        PidController(WEAK, dt_s=1.0, pv_range=(0.0, 10.0), memory={**pid.memory(), key: math.nan})
+
+
 def test_mode_off_takes_back_what_is_on_trial() -> None:
     pid, tank = controller(), Tank()
     changed(pid, tank)
@@ -186,7 +234,7 @@ def test_what_the_gains_follow_must_be_given() -> None:
         ({"pv_range": (1.0, 1.0)}, "pv_range"),
         ({"pv_range": (0.0, math.inf)}, "pv_range"),
         ({"mode": "maybe"}, "maybe"),
-        ({"co_range": (5.0, 5.0)}, "co_min"),
+        ({"co_range": (5.0, 5.0)}, "co_range"),
     ],
 )
 def test_a_wrong_argument_is_told_by_its_name(wrong: dict[str, Any], said: str) -> None:
