@@ -255,6 +255,19 @@ def test_tuned_gains_go_back_and_every_comment_stays(tmp_path: Path, capsys: pyt
     assert path.read_text() == text
 
 
+def test_tuned_gains_against_the_action_are_refused_by_their_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
+    path.write_text(CONFIG)
+    gains.write_text(to_toml(load_config(path).gain_table()))
+    direct = CONFIG.replace("[loop]", '[loop]\naction = "direct"', 1)
+    path.write_text(direct)
+    assert main(["export", str(gains), "--into", str(path)]) == 2
+    assert "would be refused: schedule.region[1].kc = -0.22: loop.action = 'direct'" in capsys.readouterr().err
+    assert path.read_text() == direct
+
+
 def test_a_set_without_the_form_takes_the_ideal_one(tmp_path: Path) -> None:
     path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
     path.write_text(CONFIG)

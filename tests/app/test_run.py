@@ -172,6 +172,13 @@ def test_a_run_that_ends_just_after_a_setpoint_step_has_its_report_and_summary(q
     assert main(["report", str(out)]) == 0
 
 
+def test_gains_of_the_wrong_sign_are_told_before_anything_runs(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    quick.write_text(QUICK.replace("kc = ", "kc = -"))
+    assert main(["run", str(quick), "--out", str(quick.parent / "out"), "--no-compare"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert "needs a reverse-acting controller; these gains are direct acting" in told[0]
+
+
 def test_advise_changes_nothing(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(quick), "--mode", "advise", "--no-compare", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

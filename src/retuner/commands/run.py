@@ -15,6 +15,7 @@ import typer
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.supervision.decision import Mode, gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.commands.foreseen import foreseen
 from retuner.commands.options import Channel, ConfigFile, Interface, Json, all_on_bus, signed_by
 from retuner.commands.report import scores_of
 from retuner.config.loading import load_session
@@ -117,6 +118,8 @@ def run(options: RunOptions) -> int:
         with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
             if fresh.moved:
                 screen.say(f"the earlier run in {folder} was moved to {fresh.moved}")
+            for warned in (one for loop in config.loops for one in foreseen(loop) if one.wrong):
+                screen.say(f"warning: {warned.text}")
             return _run(_Job(config, text, mode, speed, fresh, options), ledger, screen)
     except NothingHappenedError as nothing_happened:
         give_back(fresh)

@@ -122,7 +122,8 @@ def _require_same(path: Path, text: str, table: GainTable, loop: int) -> None:
     try:
         config = parse_session(text).loops[loop]
     except UnusableError as unusable:
-        raise UserError(f"{path}: with the tuned gains it would be refused: {unusable.findings[0].message}") from None
+        flaw = unusable.findings[0]
+        raise UserError(f"{path}: with the tuned gains it would be refused: {flaw.key} {flaw.message}") from None
     for region, gains in zip(config.schedule.regions, config.gains(), strict=True):
         if change_factor(gains, table.gains_of(region.name)) > SAME:
             raise UserError(
