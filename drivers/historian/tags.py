@@ -16,7 +16,8 @@ WORDS = MappingProxyType(
         "date": "date datum",
         "pv": "pv processvalue processvariable measurement measured meas istwert ist actual pvalue",
         "sp": "sp sv setpoint setpt setp spt wsp sollwert soll target reference setvalue",
-        "co": "co op out output controlleroutput outputvalue stellwert stellgrad valveposition opout cvout",
+        "co": "co op out output controlleroutput outputvalue stellwert stellgrad stellgröße stellgroesse valveposition "
+        "opout cvout",
         "mode": "mode auto aut modus controlmode opmode",
         "quality": "quality qual status validity qualitaet confidence",
         "tag": "tag tagname point pointname signal sensor name itemid",

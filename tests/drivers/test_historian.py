@@ -75,6 +75,10 @@ FORMS = {
         text("Zeit;Sollwert;Istwert;Stellwert", stamps("%d.%m.%Y %H:%M:%S"), *map(comma, (SP, PV, CO)), sep=";"),
         "decimal comma; time as %d.%m.%Y",
     ),
+    "German with an umlaut": (
+        text("Zeit;Sollwert;Istwert;Stellgröße", *map(comma, (T, SP, PV, CO)), sep=";"),
+        "",
+    ),
     "American": (text(US, stamps("%m/%d/%Y %I:%M:%S %p"), SP, PV, CO), "time as %m/%d/%Y"),
     "date and time apart": (
         text("Date,Time,SP,PV,OP", stamps("%d/%m/%Y"), stamps("%H:%M:%S"), SP, PV, CO),
