@@ -57,6 +57,8 @@ class _Place:
 class PidController:
     """A PID controller with scheduled gains, and the retuner that watches it.
 
+    It belongs to one thread: whoever calls it from several takes turns by a lock of his own.
+
     Parameters
     ----------
     gains : one set for all, or a GainTable with a set for each operating region.

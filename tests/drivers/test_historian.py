@@ -77,7 +77,7 @@ FORMS = {
     ),
     "German with an umlaut": (
         text("Zeit;Sollwert;Istwert;Stellgröße", *map(comma, (T, SP, PV, CO)), sep=";"),
-        "",
+        'co is "Stellgröße"',
     ),
     "American": (text(US, stamps("%m/%d/%Y %I:%M:%S %p"), SP, PV, CO), "time as %m/%d/%Y"),
     "date and time apart": (
