@@ -163,6 +163,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
         (["--stretches", "25"], "stretches = 25: give 0 to 24"),
         (["--since", "nowhere"], "no audit in it"),
         (["--tag-pattern", "("], "--tag-pattern"),
+        (["--zone", "Mars/Olympus"], "\nthe form of the record: zone"),
     ],
 )
 def test_wrong_options_end_in_one_line(
@@ -171,7 +172,7 @@ def test_wrong_options_end_in_one_line(
     table(tmp_path / "A.csv", "t,sp,pv,co", 3)
     assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == 2
     told = capsys.readouterr().err
-    assert message in told
+    assert message in "\n" + told
     assert told.count("\n") == 1
 
 
