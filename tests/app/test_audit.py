@@ -163,7 +163,6 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
         (["--stretches", "25"], "stretches = 25: give 0 to 24"),
         (["--since", "nowhere"], "no audit in it"),
         (["--tag-pattern", "("], "--tag-pattern"),
-        (["--zone", "Mars/Olympus"], "\nthe form of the record: zone"),
     ],
 )
 def test_wrong_options_end_in_one_line(
@@ -172,8 +171,15 @@ def test_wrong_options_end_in_one_line(
     table(tmp_path / "A.csv", "t,sp,pv,co", 3)
     assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == 2
     told = capsys.readouterr().err
-    assert message in "\n" + told
+    assert message in told
     assert told.count("\n") == 1
+
+
+def test_a_wrong_name_is_told_as_one_of_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = tmp_path / "names.toml"
+    names.write_text('[record]\nsignals = { "A.PV" = 7 }\n', encoding="utf-8")
+    assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out"), "--record", str(names)]) == 2
+    assert capsys.readouterr().err.startswith(f"{names}: [record] signals")
 
 
 def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(
