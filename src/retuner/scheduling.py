@@ -196,9 +196,9 @@ def design_schedule(
 
     Parameters
     ----------
-    records : of one loop, in automatic or manual, one or several: frames, paths, or what `retuner.read` gives. by : the variable, "sp", "pv", "co" or a key of
-        values; several of them, or "auto" for all, and the evidence chooses. values : further variables, one array for
-        each record at its samples.
+    records : of one loop, in automatic or manual, one or several: frames, paths, or what `retuner.read` gives.
+    by : the variable, "sp", "pv", "co" or a key of values; several of them, or "auto" for all, and the evidence
+        chooses. values : further variables, one array for each record at its samples.
     low, high : ends of the variable; left out, what the records visit. co_min, co_max : limits of the final element.
     ms_limit : largest Ms at any place on any model that the records allow. j_limit : largest J over that of a place's
         own settings. lookup : "hard", "interpolated" or "auto". name, unit : of the loop and of the variable.
