@@ -56,6 +56,7 @@ class NudgeInput(StrEnum):
     LIMITED = "the output stands at a limit"
     NOT_IN_AUTO = "the loop is not in automatic"
     ENDED = "the session ends"
+    LEFT_OUT = "the session before left it out; the setpoint goes back"
     OTHERS = "someone else has moved the setpoint: it stays as it is"
     BACK = "the setpoint is back"
 
@@ -73,6 +74,7 @@ COURSE: dict[tuple[NudgePhase, NudgeInput], NudgePhase] = {
     (P.GOING, E.OTHERS): P.WATCHING,
     **{(P.HOLDING, cause): P.RETURNING for cause in TROUBLE if cause is not E.NOT_TAKEN},
     (P.HOLDING, E.OTHERS): P.WATCHING,
+    (P.RETURNING, E.LEFT_OUT): P.RETURNING,
     (P.RETURNING, E.OTHERS): P.WATCHING,
     (P.RETURNING, E.BACK): P.WATCHING,
 }
@@ -140,7 +142,7 @@ class NudgePlanner:
         self.size, self._dt_s = settings.percent / 100 * pv_span, sample_time_s
         self._quiet_since_s: float | None = None
         self._sp = self._before = self._to = self._since_s = self._sent_s = 0.0
-        self._up, self._told_small = True, False
+        self._up, self._told_small, self._left = True, False, False
 
     @property
     def out(self) -> bool:
@@ -173,6 +175,7 @@ class NudgePlanner:
         """A session before this one ended without putting its setpoint back: that is what comes first."""
         self._before, self._to = before, to
         self.phase, self._since_s, self._sent_s = NudgePhase.RETURNING, math.inf, -math.inf
+        self._left = True
 
     def end(self, t_s: float) -> NudgeNews | None:
         """The session ends: the setpoint goes back, if it is out."""
@@ -243,6 +246,9 @@ class NudgePlanner:
                 return NudgeInput.OTHERS
             case NudgePhase.ANNOUNCED:
                 return self._still_to_come(sample, around, since)
+            case NudgePhase.RETURNING if there and self._left:
+                self._left = False  # told, for a session that is killed once more before the setpoint is back
+                return NudgeInput.LEFT_OUT
             case NudgePhase.RETURNING if here and since > SENT_AGAIN_SAMPLES * self._dt_s:
                 return NudgeInput.BACK
             case NudgePhase.RETURNING if here or there:

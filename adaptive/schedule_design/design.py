@@ -26,6 +26,8 @@ LOADS_A_STRETCH = 1.5
 """Load steps that a stretch may have in the mean; right fits of benchmarks/schedules need up to 0.8, wrong ones 2."""
 ROWS = 400
 """Rows wanted in a typical stretch."""
+BEYOND = 0.1
+"""Share of what the records visit by which a place may lie outside of it and still count as known."""
 LEAST_TRAVEL = 6.0
 """A variable that moves by no more than so many standard deviations of its noise is none."""
 
@@ -104,8 +106,7 @@ def design(
         raise ValueError(f"{named}: does not move in the records beyond its noise; nothing can be told over it")
     found = {}
     for i, candidate in enumerate(able):
-        low, high = (given if given is not None else own for given, own in zip(span, candidate.span(), strict=True))
-        axis = Axis(low, high)
+        axis = _axis(candidate, span)
 
         def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
             progress(f"{name}: {stage}", (i + share) / (len(able) + 0.3))
@@ -116,6 +117,18 @@ def design(
     chosen = next(c for c in able if c.name == best.variable)
     progress("the fewest sets", len(able) / (len(able) + 0.3))
     return _designed(chosen, found[best.variable], windows, limits, lookup, evidence)
+
+
+def _axis(candidate: Candidate, span: tuple[float | None, float | None]) -> Axis:
+    """From end to end of a schedule, those that are given and those that the records visit."""
+    own = candidate.span()
+    low, high = (given if given is not None else seen for given, seen in zip(span, own, strict=True))
+    if not max(low, own[0]) < min(high, own[1]):
+        raise ValueError(
+            f"{candidate.name}: the records visit {own[0]:.4g} to {own[1]:.4g}, and nothing of low = {low:g} to "
+            f"high = {high:g}; give ends that take in some of it"
+        )
+    return Axis(low, high)
 
 
 SEEN = 5
@@ -173,8 +186,7 @@ def _designed(
 ) -> Design:
     """Places, sets and the numbers of the lookup."""
     dt = float(np.median([w.sample_time_s for w in windows]))
-    grid = found.form.axis.grid(PLACES)
-    places = tuple(place_at(found, float(x), dt, limits) for x in grid)
+    places = _visited(chosen, [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)])
     reason = _unexplained(found) or _nowhere_known(places)
     if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
@@ -191,6 +203,13 @@ def _designed(
     moving_by = (chosen.name,) if chosen.name in {"sp", "pv"} else ()
     moved = tuple(crossings(found, places, layout, moving_by, _largest_step(windows))) if sets > 1 else ()
     return Design(chosen.name, found, places, layout, border, stay, evidence, how, moved)
+
+
+def _visited(chosen: Candidate, places: Sequence[Place]) -> tuple[Place, ...]:
+    """The places; those further from what the records visit than a curve may be drawn on are not known."""
+    low, high = chosen.span()
+    beyond = BEYOND * (high - low)
+    return tuple(p if low - beyond <= p.x <= high + beyond else replace(p, known=False) for p in places)
 
 
 def _unexplained(found: Curves) -> str:

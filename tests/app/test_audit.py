@@ -175,6 +175,13 @@ def test_wrong_options_end_in_one_line(
     assert told.count("\n") == 1
 
 
+def test_a_wrong_name_is_told_as_one_of_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = tmp_path / "names.toml"
+    names.write_text('[record]\nsignals = { "A.PV" = 7 }\n', encoding="utf-8")
+    assert main(["audit", str(tmp_path), "--out", str(tmp_path / "out"), "--record", str(names)]) == 2
+    assert capsys.readouterr().err.startswith(f"{names}: [record] signals")
+
+
 def test_a_folder_without_a_loop_and_an_audit_of_another_version_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,6 +14,7 @@ from retuner.cli import main
 from retuner.ledger.chain import Row
 from retuner.session.ledger_rows import bump_left
 from retuner.session.loop_session import LoopSession
+from retuner.session.running import with_what_was_left
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -168,3 +169,13 @@ def test_rows_tell_what_a_session_left_out() -> None:
     assert bump_left([]) is None
     with pytest.raises(KeyError):
         bump_left([row("nudge", {})])
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+def test_a_bump_left_out_is_told_where_bumps_are_no_longer_allowed(wire: Wire, allowed: bool) -> None:
+    nudger = Nudger(NudgeSettings(allowed=allowed), wire.session.retuner)
+    said: list[str] = []
+    left = [row("nudge", {"phase": "holding", "before": 50.0, "to": 52.0})]
+    assert (with_what_was_left(nudger, lambda: left, said.append) is nudger) == allowed
+    assert nudger.planner.out == allowed
+    assert ["from 50 to 52" in line for line in said] == [True] * (not allowed)

@@ -94,6 +94,8 @@ def test_records_that_say_nothing_end_with_one_line_or_no(tmp_path: Path, capsys
         (["--ms", "9"], "ms"),
         (["--lookup", "cubic"], "cubic"),
         (["--low", "50", "--high", "40"], "low"),
+        (["--by", "pv", "--low", "70", "--high", "90"], "the records visit"),
+        (["--by", "pv", "--low", "70"], "the records visit"),
     ],
 )
 def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Path, capsys: Capture) -> None:
@@ -103,6 +105,16 @@ def test_wrong_options_are_one_line(options: list[str], named: str, tmp_path: Pa
     assert said.out == ""
     assert said.err.count("\n") == 1
     assert named in said.err
+
+
+def test_where_the_records_never_were_nothing_is_known(tmp_path: Path) -> None:
+    record = retuner.read(level(tmp_path / "level.csv"))
+    found = retuner.design_schedule(record, by="pv", low=0.0, high=100.0)
+    visited = [place.x for place in found.places if place.known]
+    low, high = np.quantile(record.recording.window().pv, (0.001, 0.999))
+    assert visited
+    assert low - 0.1 * (high - low) <= min(visited)
+    assert max(visited) <= high + 0.1 * (high - low)
 
 
 def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command_does(

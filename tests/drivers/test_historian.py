@@ -315,6 +315,7 @@ def test_what_was_assumed_can_be_fixed_by_its_own_words(tmp_path: Path, written:
         ('[record]\nzone = "Mars/Olympus"\n', "zone = 'Mars/Olympus': not known"),
         ('[record]\ndecimal = "x"\n', "decimal = 'x': give one of"),
         ('[record]\ncolumns = { mv = "x" }\n', 'columns: "mv" = "x": roles are'),
+        ('[record]\nsignals = { "A.PV" = "A.PV", "B.PV" = 7 }\n', r'\[record\] signals "B.PV" = 7: give names'),
         ("[record\n", "not TOML"),
     ],
 )

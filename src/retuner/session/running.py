@@ -15,7 +15,6 @@ from retuner.adaptive.nudge.settings import NudgeSettings
 from retuner.adaptive.nudge.watching import Nudger, hour_of_samples
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Mode
-from retuner.adaptive.supervision.retuner import Retuner
 from retuner.config import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.decider import DecideHere, Decider
@@ -129,7 +128,8 @@ class _Loop:
         self.session = self.record.loop = session
         prove_order(self.config, device, retuner, self.record, lambda: session.writer.t_s)
         hour_of = local_hour if remember and speed == 1.0 else hour_of_samples
-        session.nudger = self._nudger(retuner, hour_of, self._rows_before if remember else tuple)
+        nudger = Nudger(NudgeSettings(**self.config.adaptation.nudge.model_dump()), retuner, hour_of)
+        session.nudger = with_what_was_left(nudger, self._rows_before if remember else tuple, self._say)
         if remember and self._folder is not None:
             memory = MemoryFile(self._folder, self.config, self.record)
             memory.begin(remembered, why_not)
@@ -139,23 +139,6 @@ class _Loop:
         if self.pretuning is not None:
             session.orders = self.pretuning.decisions(retuner, session.orders)
         return session
-
-    def _nudger(
-        self, retuner: Retuner, hour_of: Callable[[float], float], rows_before: Callable[[], Sequence[Row]]
-    ) -> Nudger | None:
-        """Who bumps the setpoint, where that is allowed; a bump that the session before left out goes back first."""
-        given = self.config.adaptation.nudge
-        if not given.allowed:
-            return None
-        nudger = Nudger(NudgeSettings(**given.model_dump()), retuner, hour_of)
-        try:
-            left = bump_left(rows_before())
-        except (LedgerError, KeyError, TypeError, ValueError) as error:
-            self._say(f"whether the session before left a setpoint bump is not known: {error}")
-            return nudger
-        if left is not None:
-            nudger.planner.left_out(*left)
-        return nudger
 
     def _rows_before(self) -> Sequence[Row]:
         """The rows of the session before, of this loop; none where there was none."""
@@ -209,6 +192,30 @@ class _Loop:
         """A sample was taken."""
         if self.session is not None:
             self._run.sampled(self.session, sample)
+
+
+def with_what_was_left(
+    nudger: Nudger, rows_before: Callable[[], Sequence[Row]], say: Callable[[str], None]
+) -> Nudger | None:
+    """Who bumps the setpoint, where that is allowed; a bump that the session before left out goes back first.
+
+    Where it is not allowed nothing is sent, and say tells of a bump that was left out.
+    """
+    allowed = nudger.planner.settings.allowed
+    try:
+        left = bump_left(rows_before())
+    except (LedgerError, KeyError, TypeError, ValueError) as error:
+        if allowed:
+            say(f"whether the session before left a setpoint bump is not known: {error}")
+        left = None
+    if left is not None and allowed:
+        nudger.planner.left_out(*left)
+    elif left is not None:
+        say(
+            f"the session before left a setpoint bump out, from {left[0]:g} to {left[1]:g}, and bumps are no longer "
+            "allowed: set the setpoint back by hand"
+        )
+    return nudger if allowed else None
 
 
 class Run:

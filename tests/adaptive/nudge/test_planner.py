@@ -191,6 +191,8 @@ def test_what_a_session_before_left_out_goes_back_first() -> None:
     bench.planner.left_out(50.0, 51.0)
     bench.run(3)
     assert (bench.sp, bench.planner.out) == (50.0, True)
+    told = [(news.cause, news.phase, news.setpoint, news.before, news.to) for news in bench.news]
+    assert told == [(NudgeInput.LEFT_OUT, NudgePhase.RETURNING, 50.0, 50.0, 51.0)]  # a row: it may be killed again
     bench.run(SENT_AGAIN_SAMPLES + 2)
     assert not bench.planner.out
 

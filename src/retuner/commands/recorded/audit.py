@@ -57,8 +57,9 @@ def audit(options: AuditOptions) -> int:
     UserError, RecordingError
         A source or an option cannot be used.
     """
+    form = record_form(options)
     with user_input("--stretches"):
-        settings = AuditSettings(options.stretches, record_form(options))
+        settings = AuditSettings(options.stretches, form)
     before = rows_of(options.since) if options.since is not None else []
     found = _catalogued(options, settings)
     with ResultStore(options.out) as store:
