@@ -27,6 +27,13 @@ def test_a_healthy_machine_works_and_every_line_has_its_level(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
+def test_quiet_leaves_out_what_works(tmp_path: Path) -> None:
+    done = run("doctor", "-q", "--folder", tmp_path)
+
+    assert "\nok " not in "\n" + done.stdout
+    assert done.stdout.endswith("retuner works here\n")
+
+
 def test_json_is_one_document_with_every_finding(tmp_path: Path) -> None:
     told = json.loads(run("doctor", "--folder", tmp_path, "--json").stdout)
 

@@ -27,13 +27,14 @@ def doctor(
     The exit status is 1 where something does not work that every session needs.
     """
     from retuner.doctor import Level, findings  # noqa: PLC0415  see above
+    from retuner.verbosity import quiet  # noqa: PLC0415
 
     if not folder.is_dir():
         raise UserError(f"--folder {folder}: there is no such folder; make it or name another")
     found = []
     for finding in findings(folder, adapters=adapters):
         found.append(finding)
-        if not as_json:
+        if not as_json and not (quiet() and finding.level == Level.OK):
             sys.stdout.write("".join(f"{line}\n" for line in lines(finding)))
             sys.stdout.flush()
     works = all(finding.level != Level.BROKEN for finding in found)
