@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from effort import EFFORT
 from once import once
 from readme_renderer import markdown
 from typer.main import get_command
@@ -22,11 +23,14 @@ import run_pages  # noqa: E402  stands in scripts/
 from docstring_markup import as_rst  # noqa: E402
 from run_pages import agrees, blocks, rewritten  # noqa: E402
 
+FRONT = {"README", "start", "how-to-control", "how-to-plant", "how-to-python", "diagnose", "schedule", "units"}
+"""What a newcomer copies from; the other pages take minutes, and are the nightly's."""
+RUN = [page for page in run_pages.pages() if page.stem in FRONT or EFFORT.name == "nightly"]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", run_pages.pages(), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)
 def test_what_a_page_prints_is_what_comes(page: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     def demo() -> Path:
         return once(tmp_path_factory, "pages-demo", run_pages.make_demo) / run_pages.DEMO
