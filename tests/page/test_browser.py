@@ -102,7 +102,7 @@ class Seen:
         name.clear()
         name.send_keys(who)
         self.press("Yes, do it")
-        self.sees("Ordered;")
+        self.sees("Requested:")
 
     def errors(self) -> list[str]:
         """What the browser complains of: scripts that fail, a policy that is violated."""
