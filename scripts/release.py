@@ -93,7 +93,7 @@ def tried(trial: Trial) -> str:
         retuner = python.with_name("retuner")
         told = json.loads(run(retuner, "doctor", "--json", cwd=home))
         engine = next(one for one in told["findings"] if one["name"] == "engine of fits")
-        if ("compiled" in engine["what"].split(",")[0].split(":")[0]) != trial.compiled:
+        if engine["what"].startswith("compiled") != trial.compiled:
             raise SystemExit(f"{trial.wheel.name}: {engine}")
         shutil.copy(RECORD, home / "step.csv")
         found = json.loads(run(retuner, "identify", "step.csv", "--open-loop", "--json", cwd=home))
