@@ -246,7 +246,11 @@ def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) ->
 
 def _short(values: FloatArray, digits: int = 6) -> list[float]:
     """Values with as many digits as a picture shows."""
-    return [float(f"{v:.{digits}g}") for v in values]
+    size = np.abs(values)
+    places = digits - 1 - np.floor(np.log10(size, out=np.zeros(len(size)), where=size > 0)).astype(int)
+    up, down = 10.0 ** np.maximum(places, 0), 10.0 ** np.maximum(-places, 0)
+    short: list[float] = (np.round(values / down * up) * down / up).tolist()
+    return short
 
 
 def is_fault(row: Row) -> bool:
