@@ -63,7 +63,8 @@ class LoopScreen:
     one sign, 0 to 1. harris : see the head of this file. noise_share : of the variance of pv. quantum : of pv's grid, 0
     for none. compression : of pv by its recorder, 1 for none. period_s, regularity, strength : of the strongest lasting
     oscillation, None and 0 where there is none. swinging : share of the stretches looked at in which it lasts.
-    condition : of the whole record.
+    condition : of the whole record. setpoint : whether one is on record; without, the mean of pv stands in, and
+    OF_THE_ERROR are not known.
     """
 
     samples: int
@@ -86,18 +87,21 @@ class LoopScreen:
     strength: float
     swinging: float
     condition: Condition
+    setpoint: bool = True
 
     def to_dict(self) -> dict[str, object]:
-        """The numbers by name."""
-        return {name: getattr(self, name) for name in self.__slots__} | {"condition": str(self.condition)}
+        """The numbers by name; None for what is not known."""
+        told = {name: getattr(self, name) for name in self.__slots__} | {"condition": str(self.condition)}
+        return told if self.setpoint else told | dict.fromkeys(OF_THE_ERROR)
 
 
-def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
+def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool = True) -> LoopScreen:
     """Screen a whole record.
 
     Parameters
     ----------
-    record : of any length. delay_s : dead time of the loop where it is known.
+    record : of any length. delay_s : dead time of the loop where it is known. setpoint : whether its sp is one, and no
+        mean of pv that stands in.
     """
     n, parts = len(record.t_s), in_parts(record)
     usual_s = float(np.median(np.diff(parts.t_s)))
@@ -128,9 +132,11 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
         strength=swing.wave.strength,
         swinging=swing.share,
         condition=condition_of(traits, oscillates=swing.share > 0).condition,
+        setpoint=setpoint,
     )
 
 
+OF_THE_ERROR = ("error_std", "iae_per_day", "loss_at_limits", "one_sided", "harris")
 OF_TIME = (
     "iae_per_day", "effort_per_day", "reversals_per_day", "in_automatic", "at_limits", "harris", "noise_share",
     "quantum", "compression", "swinging",
