@@ -118,4 +118,4 @@ def _edges(length: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     last = 2 * length / FASTEST
     count = max(int(np.log(last / 4) / np.log(BAND)), 0) if last > 4 else 0
     edges = np.unique((4 * BAND ** np.arange(count + 1)).astype(np.intp))
-    return edges, np.array([0, *(int(2 / share) for share in DRIFT_WINDOWS)])
+    return edges, np.array([0, *(bin_ for share in DRIFT_WINDOWS if (bin_ := int(2 / share)) <= length)])
