@@ -15,6 +15,7 @@ one compiled pass (record_sums.py); noise and grid are told from BLOCKS parts of
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -104,11 +105,10 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         mean of pv that stands in.
     """
     n, parts = len(record.t_s), in_parts(record)
-    usual_s = float(np.median(np.diff(parts.t_s)))
+    usual_s, step = float(np.median(np.diff(parts.t_s))), quantum(parts.pv)
     pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
     sums = record_sums(record, _measure(n, usual_s, co_noise))
-    limits = [side for side in (sums.low, sums.high) if sums.limit(n, side)]
-    days, step = sums.held_s / DAY_S, quantum(parts.pv)
+    limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
     traits = _traits(record, sums, (pv_noise, co_noise), limits)
     return LoopScreen(
@@ -156,7 +156,9 @@ def joined_screen(screens: Sequence[LoopScreen]) -> LoopScreen:
         return float(values @ weights / np.sum(weights)) if np.sum(weights) > 0 else 0.0
 
     longest, strongest = max(screens, key=lambda s: s.span_s), max(screens, key=lambda s: s.strength * s.swinging)
-    means = {name: mean(name, spans) for name in OF_TIME} | {name: mean(name, losses) for name in OF_THE_LOSS}
+    means: dict[str, Any] = {name: mean(name, spans) for name in OF_TIME} | {
+        name: mean(name, losses) for name in OF_THE_LOSS
+    }
     return replace(
         longest,
         samples=sum(screen.samples for screen in screens),

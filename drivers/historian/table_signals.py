@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -220,7 +221,7 @@ def _stamps(
     return _counted(table, place, decimal, form)
 
 
-def _seconds(moments: npt.NDArray[np.datetime64]) -> FloatArray:
+def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
     """Moments in seconds since 1970, nan where one is missing."""
     unit, many = np.datetime_data(moments.dtype)
     if unit not in TICKS:

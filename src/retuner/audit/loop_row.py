@@ -19,7 +19,7 @@ from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import RecordDiagnosis, diagnose_record
-from retuner.audit.catalogue import Task
+from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
 from retuner.drivers.historian.loop_record import LoopRecord, loop_in_pieces, read_loop_record, read_loops
 from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
@@ -65,8 +65,8 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
         return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
         read = read_loops(task.files, settings.form, task.tags)
-    except RecordingError as error:
-        return [failed(tag, str(error)) for tag in task.tags]
+    except ANY_FAULT as error:
+        return [failed(tag, told_fault(error)) for tag in task.tags]
     missing = RecordingError(f"{task.files[0]}: no values that are known")
     return [_row(tag, _the_only(read.get(tag, missing)), settings) for tag in task.tags]
 
@@ -102,9 +102,8 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
         for record in read:
             seen.add(record, settings)
         return _judged(tag, seen, common_clock=common_clock)
-    except (RecordingError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        kind = "" if isinstance(error, RecordingError) else f"{type(error).__name__}: "
-        return failed(tag, f"{kind}{error}")
+    except ANY_FAULT as error:
+        return failed(tag, told_fault(error))
 
 
 @dataclass(slots=True)
