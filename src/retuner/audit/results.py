@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
@@ -22,8 +23,9 @@ from retuner.audit.loop_row import SCHEMA, Row, is_fault
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 
-PICTURES = ("trend", "stretches")
 TRACKS = "tracks"
+NOT_LISTED = frozenset({"trend", "stretches", TRACKS})
+"""What is large of a row: its pictures, and what only the comparison of loops needs."""
 SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
 """Causes that a swing in step with a root's takes the place of."""
 ROOT_SURE = 0.9
@@ -41,9 +43,15 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     ----------
     rows : of an audit. before : of an earlier one, to say what changed.
     """
-    listed = [{k: v for k, v in row.items() if k not in PICTURES} for row in rows]
-    groups = common_swings([s for s in map(_swinging, listed) if s is not None])
-    masters = _masters(listed)
+    listed: list[Row] = []
+    swinging: list[Swinging] = []
+    trends: dict[str, TrendTrack] = {}
+    for row in rows:
+        swing, trend = _tracks(row)
+        listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
+        swinging += [swing] if swing is not None else []
+        trends |= {str(row["tag"]): trend} if trend is not None else {}
+    groups, masters = common_swings(swinging), cascades(trends)
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
@@ -55,8 +63,6 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
-    for row in listed:
-        row.pop(TRACKS, None)
     _from_the_root(listed, group_of)
     _in_order(listed)
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
@@ -65,28 +71,19 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     return listed, groups
 
 
-def _swinging(row: Row) -> Swinging | None:
-    """A loop that swings, for the groups."""
+def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
+    """A loop that swings, for the groups, and its trend, for the cascades; as arrays, which ten thousand loops need."""
+    held = row.get(TRACKS)
+    tracks: Mapping[str, dict[str, Any]] = held if isinstance(held, Mapping) else {}
+    trend = TrendTrack.of_dict(tracks["trend"]) if tracks.get("trend") else None
     screen = row.get("screen")
     if not isinstance(screen, Mapping) or not screen.get("period_s") or screen["swinging"] < SWINGS:
-        return None
-    cause = row["cause"]
-    own = cause in {str(c) for c in TUNING_CAUSES}
-    tracks = row.get(TRACKS)
-    told = tracks.get("swing") if isinstance(tracks, Mapping) else None
-    track = SwingTrack.of_dict(told) if told else None
+        return None, trend
+    own = row["cause"] in {str(c) for c in TUNING_CAUSES}
+    track = SwingTrack.of_dict(tracks["swing"]) if tracks.get("swing") else None
     sticks = _number(row, "sticks")
-    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
-
-
-def _masters(rows: Sequence[Row]) -> dict[str, str]:
-    """The master of each slave of a cascade: the loop whose output the slave's setpoint follows."""
-    tracks = {}
-    for row in rows:
-        held = row.get(TRACKS)
-        if isinstance(held, Mapping) and held.get("trend"):
-            tracks[str(row["tag"])] = TrendTrack.of_dict(held["trend"])
-    return cascades(tracks)
+    swing = Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
+    return swing, trend
 
 
 def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
@@ -229,11 +226,15 @@ def write_results(
 
 
 def _with_pictures(folder: Path, rows: Iterable[Row]) -> Iterable[Row]:
-    """The rows, each written with its trends into a file of its own on the way."""
+    """The rows, each written with its trends into a file of its own on the way.
+
+    A power cut may cost such a file, not the row: the same command writes it again.
+    """
     (folder / "loops").mkdir(exist_ok=True)
     for number, row in enumerate(rows, start=1):
         row["file"] = f"{number}.js"
-        write_whole(folder / "loops" / f"{number}.js", f"loop({_script(row)});\n")
+        shown = {name: value for name, value in row.items() if name != TRACKS}
+        (folder / "loops" / f"{number}.js").write_text(f"loop({_script(shown)});\n", encoding="utf-8")
         yield row
 
 
