@@ -5,7 +5,7 @@ open, after; and a change that follows from a case that is not clear, before the
 """
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, swing_cause, swings
+from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, stretch, swing_cause, swings
 from retuner.adaptive.diagnosis.second_opinion import (
     SWINGING,
     TOWARDS_SAFETY,
@@ -25,9 +25,11 @@ from retuner.adaptive.diagnosis.swing_checks import (
     swings_anyway,
     touches_limits,
 )
+from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, Learned
+from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 
@@ -43,10 +45,29 @@ __all__ = [
     "looked_at_lately",
     "not_as_modelled",
     "swings_between_limits",
+    "wrong_way",
 ]
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
+
+
+def wrong_way(found: Findings) -> Diagnosis | None:
+    """That the controller acts the wrong way, where the response and what came before it show that; else None.
+
+    It is asked before anything else: pv far out of its range, or an output at its limit, is what comes of it.
+    """
+    record, settings = found.record, found.settings
+    response, swing = record.response, settings.swing
+    since_s = response.t_start_s - swing.lookback * (response.t_end_s - response.t_start_s)
+    seen = stretch(record.samples, since_s, swing.same_gains)
+    if len(seen) < FEWEST:
+        return None
+    return acts_wrong_way(Window.of(seen), record.in_force.direction, settings.diagnosis.fit)
+
+
+FEWEST = 20
+"""Samples of which a sign may be told."""
 
 
 def foreign_swing(found: Findings) -> tuple[Diagnosis | None, Standing | None]:

@@ -20,6 +20,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
@@ -32,6 +33,7 @@ from retuner.adaptive.supervision.causes import (
     looked_at_lately,
     not_as_modelled,
     swings_between_limits,
+    wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
@@ -62,6 +64,20 @@ def decide(question: Question) -> StageResult:
         if found.end is None or stage.always:
             stage.run(found)
     return found.result()
+
+
+WRONG_WAY = "wrong_way"
+"""Code: the controller acts the wrong way, which no gains of its sign can cure."""
+
+
+def action(found: Findings) -> None:
+    """Does what the controller does against an error make it grow?"""
+    if found.record.samples[-1].mode != LoopMode.AUTO:
+        return
+    wrong = wrong_way(found)
+    if wrong is not None:
+        found.diagnosis = wrong
+        found.stop(WRONG_WAY, wrong.reason)
 
 
 def admission(found: Findings) -> None:
@@ -423,6 +439,7 @@ class Stage(NamedTuple):
 
 
 STAGES = (
+    Stage("action", action),
     Stage("admission", admission),
     Stage("swing", swing),
     Stage("repetition", repetition),
