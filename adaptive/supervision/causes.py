@@ -1,8 +1,13 @@
 """Where the pipeline asks the diagnosis: what else than the tuning is behind a response, and whether a change is sure.
 
+Before that: does the controller act the wrong way, and is the response one of several that belong together?
+
 A swing without a setpoint step is put to its rivals before anything is learned of it; a record that its model leaves
 open, after; and a change that follows from a case that is not clear, before the gains change.
 """
+
+import math
+from dataclasses import replace
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, stretch, swing_cause, swings
@@ -30,6 +35,7 @@ from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 
@@ -42,6 +48,7 @@ __all__ = [
     "foreign_swing",
     "hidden",
     "is_sure",
+    "joining",
     "looked_at_lately",
     "not_as_modelled",
     "swings_between_limits",
@@ -50,6 +57,38 @@ __all__ = [
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
+
+
+TAKEN_SAMPLES = 5
+"""Samples after which the recogniser has taken a setpoint step at the latest."""
+PART = "to_and_fro"
+"""Code: the response is a part of what is judged as a whole."""
+
+
+def joining(found: Findings) -> None:
+    """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
+    record = found.record
+    steps = to_and_fro(record.samples)
+    if steps is None:
+        return
+    began_s, seen = record.response.t_start_s, len(steps.whole)
+    closed_s = record.samples[steps.closed].t_s if steps.closed is not None else math.inf
+    after = closed_s - record.samples[steps.whole[-1]].t_s
+    if began_s > closed_s + after:
+        return
+    late_s = began_s - record.samples[steps.whole[-1]].t_s
+    last = abs(late_s) <= TAKEN_SAMPLES * found.settings.sample_time_s
+    if seen < WHOLE_STEPS or not (last and record.response.sp_changed):
+        found.stop(PART, f"one of {WHOLE_STEPS} setpoint steps to and fro: they are judged together, at the last one")
+        return
+    one = joined(record.samples, steps, found.settings.band_sigmas)
+    if one is None:
+        found.stop(PART, "the setpoint steps to and fro show nothing together: the output stood at a limit, or no step")
+        return
+    found.joined = WHOLE_STEPS
+    found.question = replace(
+        found.question, record=replace(record, response=one.response, window=one.window, samples=tuple(one.samples))
+    )
 
 
 def wrong_way(found: Findings) -> Diagnosis | None:
@@ -76,7 +115,7 @@ def foreign_swing(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
     What was said of an oscillation before does not stand against a swing that grows, or goes from limit to limit.
     """
     record, settings = found.record, found.settings
-    if found.growth is not None:
+    if found.growth is not None or found.joined:
         return None, None
     if not _reopened(record, settings):
         again = goes_on(record.response, record.standing, settings.swing) or on_top(
