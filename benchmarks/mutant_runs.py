@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from source_mutants import GROUPS, ROOT, Change
 
 LEFT_OUT = (
     ".venv",
+    ".typing",
     ".git",
     "runs",
     "__pycache__",
@@ -28,7 +30,8 @@ LEFT_OUT = (
     "dist",
     ".coverage",
 )
-TESTS = ("tests/drivers", "tests/simulation", "tests/adaptive", "tests/app/test_ledger.py", "tests/app/test_lock.py")
+TESTS = ("tests/drivers", "tests/simulation", "tests/adaptive", "tests/app/test_ledger.py")
+TARGETS = tuple(path for paths in GROUPS.values() for path in paths)
 LEFT_TO_OTHERS = (
     "tests/drivers/test_foreign_processes.py",
     "tests/drivers/test_firmware_process.py",
@@ -60,36 +63,39 @@ class Copy:
         self._sound: dict[str, bool] = {}
 
     def make(self) -> None:
-        """Copy what has changed, and run the tests once as they are: all, or those of files that are new."""
-        before = _state(self.folder) if self._map.exists() else {}
+        """Copy what has changed, and run as they are the tests that are new or run lines of what has changed.
+
+        A file of tests at a time, and kept after each: an interrupted map goes on.
+        """
+        known = _known(self._map)
+        for link in (path for path in self.folder.rglob("*") if path.is_symlink()):
+            link.unlink()  # or copytree finds it in its way
         ignore = shutil.ignore_patterns(*LEFT_OUT)
         shutil.copytree(ROOT, self.folder, ignore=ignore, symlinks=True, dirs_exist_ok=True)
-        new = [path for path, state in _state(self.folder).items() if before.get(path) != state]
-        only_tests = before and all(Path(path).name.startswith("test_") for path in new)
-        tests = [path for path in new if path.startswith(TESTS)] if only_tests else [t for t in TESTS if new]
-        kept = json.loads(self._map.read_text(encoding="utf-8")) if only_tests else {"s": {}, "lines": {}}
-        told = self._run(tests) if tests else {"s": {}, "lines": {}, "failed": []}
-        if told["failed"]:
-            self._map.unlink(missing_ok=True)
-            raise RuntimeError(f"{self.folder}: fail without a mutant; mend first: {' '.join(told['failed'])}")
-        self._s, self._lines = _merged(kept, told, tests)
-        self._map.write_text(json.dumps({"s": self._s, "lines": self._lines}), encoding="utf-8")
+        now = _state(self.folder)
+        for path in (path for path in now if path not in TARGETS):
+            if known["state"].get(path) == _stamp(known, path, now):
+                continue
+            _merge(known, self._run(path), path)
+            known["state"][path] = _stamp(known, path, now)
+            self._map.write_text(json.dumps(known), encoding="utf-8")
+        self._s, self._lines = known["s"], known["lines"]
 
-    def _run(self, tests: list[str]) -> dict[str, Any]:
-        """Tests as they are: how long each takes, and each line of the mutated files with the tests that run it."""
-        paths = [f"  */{path.removeprefix('src/retuner/')}" for paths in GROUPS.values() for path in paths]
+    def _run(self, path: str) -> dict[str, Any]:
+        """A file of tests as it is: how long each takes, each line of the mutated files with the tests that run it."""
+        paths = [f"  */{target.removeprefix('src/retuner/')}" for target in TARGETS]
         (self.folder / ".mutants.coveragerc").write_text(COVERAGE + "\n".join(paths) + "\n", encoding="utf-8")
-        there = [test for test in tests if (self.folder / test).exists() and test not in LEFT_TO_OTHERS]
-        left_out = [f"--ignore={test}" for test in LEFT_TO_OTHERS]
         found = self.folder / "mapped.json"
         found.unlink(missing_ok=True)
         subprocess.run(
-            [*self._python("map"), str(found), *there, *left_out, "-m", "not slow"],
+            [*self._python("map"), str(found), path, "-m", "not slow"],
             cwd=self.folder, env=self._environment, check=False, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         if not found.exists():
-            raise RuntimeError(f"{self.folder}: the tests do not run in the copy")
+            raise RuntimeError(f"{self.folder}: {path} does not run in the copy")
         told: dict[str, Any] = json.loads(found.read_text(encoding="utf-8"))
+        if told["failed"]:
+            raise RuntimeError(f"{self.folder}: fail without a mutant; mend first: {' '.join(told['failed'])}")
         return told
 
     def _python(self, what: str) -> list[str]:
@@ -176,24 +182,45 @@ class Copy:
 
 
 def _state(folder: Path) -> dict[str, str]:
-    """Size and time of every test, and of every file that is mutated."""
-    tests = [str(path.relative_to(folder)) for path in (folder / "tests").rglob("*.py")]
-    files = [*tests, *(path for paths in GROUPS.values() for path in paths)]
-    stats = {path: (folder / path).stat() for path in files if (folder / path).exists()}
-    return {path: f"{stat.st_size} {stat.st_mtime_ns}" for path, stat in stats.items()}
+    """What stands in every file of tests that is asked, and in every file that is mutated."""
+    roots = [folder / test for test in TESTS]
+    files = [path for root in roots for path in (root.rglob("test_*.py") if root.is_dir() else [root])]
+    tests = [path for path in (str(file.relative_to(folder)) for file in files) if path not in LEFT_TO_OTHERS]
+    return {path: sha256((folder / path).read_bytes()).hexdigest() for path in (*tests, *TARGETS)}
 
 
-def _merged(kept: dict[str, Any], told: dict[str, Any], tests: list[str]) -> tuple[dict[str, float], Lines]:
-    """What was known of other tests beside what these told."""
+def _known(path: Path) -> dict[str, Any]:
+    """The map as it was left, or an empty one."""
+    if not path.exists():
+        return {"s": {}, "lines": {}, "state": {}}
+    known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return known
 
-    def other(test: str) -> bool:
-        return test.partition("::")[0] not in tests
 
+def _stamp(known: dict[str, Any], tests: str, now: dict[str, str]) -> str:
+    """Of a file of tests and of what it is known to run: while that stays, so do the lines."""
+    return " ".join([now[tests], *(now[path][:12] for path in sorted(_runs(known, tests)))])
+
+
+def _runs(known: dict[str, Any], tests: str) -> set[str]:
+    """The mutated files of which a file of tests runs lines."""
+    return {
+        path
+        for path, by_line in known["lines"].items()
+        if any(context.startswith(f"{tests}::") for contexts in by_line.values() for context in contexts)
+    }
+
+
+def _merge(known: dict[str, Any], told: dict[str, Any], tests: str) -> None:
+    """Put what a file of tests told in place of what it told before."""
     lines: Lines = told["lines"]
-    for path, by_line in kept["lines"].items():
+    for path, by_line in known["lines"].items():
         for line, contexts in by_line.items():
-            lines.setdefault(path, {}).setdefault(line, []).extend(filter(other, contexts))
-    return {test: s for test, s in kept["s"].items() if other(test)} | told["s"], lines
+            others = [context for context in contexts if context and not context.startswith(f"{tests}::")]
+            if others:
+                lines.setdefault(path, {}).setdefault(line, []).extend(others)
+    known["lines"] = lines
+    known["s"] = {test: s for test, s in known["s"].items() if not test.startswith(f"{tests}::")} | told["s"]
 
 
 class Kept:
@@ -202,10 +229,11 @@ class Kept:
     Parameters
     ----------
     path : of the file. again : ask once more about those that survived: there may be a test for them by now.
+    seconds : none is begun after so many.
     """
 
-    def __init__(self, path: Path, *, again: bool) -> None:
-        self._path = path
+    def __init__(self, path: Path, *, again: bool, seconds: float) -> None:
+        self._path, self._until_s = path, time.monotonic() + seconds
         self.killed: dict[str, bool] = {}
         if path.exists():
             for line in path.read_text(encoding="utf-8").splitlines():
@@ -214,9 +242,11 @@ class Kept:
         if again:
             self.killed = {name: True for name, dead in self.killed.items() if dead}
 
-    def look(self, change: Change, copy: Copy) -> bool:
-        """Whether it is killed, found out now unless that is known."""
+    def look(self, change: Change, copy: Copy) -> bool | None:
+        """Whether it is killed, found out now unless that is known; None when there is no time left for it."""
         if change.name not in self.killed:
+            if time.monotonic() > self._until_s:
+                return None
             began = time.monotonic()
             is_dead = self.killed[change.name] = copy.finds(change)
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ printed. Exit status 1 when the score is below 95 %.
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -120,22 +121,26 @@ def host() -> float:
 # Python
 
 
-def python(count: int, seed: int, folder: Path, *, again: bool) -> float:
+def python(count: int, seed: int, kept: Kept, copy: Copy) -> float:
     """So many mutants, drawn; the share that is killed of those that are not equal to the original."""
     drawn, places = draw(count, seed)
-    copy, kept = Copy(folder), Kept(folder.with_name(f"{folder.name}-{seed}.jsonl"), again=again)
     copy.make()
     total = dead = 0
     for group, changes in drawn.items():
         counted = [change for change in changes if not why_equal(change)]
-        died = sum(_told(change, kept.look(change, copy)) for change in counted)
-        print(f"{group}: killed {share(died, len(counted))}; {len(changes) - len(counted)} equal to the original")
-        total, dead = total + len(counted), dead + died
+        looked = [(change, kept.look(change, copy)) for change in counted]
+        died = sum(_told(change, is_dead) for change, is_dead in looked if is_dead is not None)
+        open_ = sum(is_dead is None for _, is_dead in looked)
+        print(
+            f"{group}: killed {share(died, len(counted) - open_)}; {len(changes) - len(counted)} equal to the "
+            f"original, {open_} not tried yet"
+        )
+        total, dead = total + len(counted) - open_, dead + died
     copy.close()
     for change in (change for changes in drawn.values() for change in changes if why_equal(change)):
         print(f"equal  {change.name}\n       {why_equal(change)}")
     print(f"killed {share(dead, total)} of {places} places, seed {seed}")
-    return dead / total
+    return dead / total if total else 0.0
 
 
 def _told(change: Change, is_dead: bool) -> bool:
@@ -150,13 +155,18 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--copy", type=Path, default=ROOT / "runs" / "mutants", help="folder of the copy")
+    parser.add_argument(
+        "--seconds", type=float, default=math.inf, help="begin no mutant after so many; go on next time"
+    )
     parser.add_argument("--again", action="store_true", help="ask once more about those that survived")
     options = parser.parse_args()
     if options.what == "firmware":
         return int(firmware() < AIM)
     if options.what == "host":
         return int(host() < AIM)
-    return int(python(options.count, options.seed, options.copy.resolve(), again=options.again) < AIM)
+    folder = options.copy.resolve()
+    kept = Kept(folder.with_name(f"{folder.name}-{options.seed}.jsonl"), again=options.again, seconds=options.seconds)
+    return int(python(options.count, options.seed, kept, Copy(folder)) < AIM)
 
 
 if __name__ == "__main__":
