@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.schedule_design.cover import Layout, knots, steps
+from retuner.adaptive.schedule_design.cover import Ends, Layout, knots, steps
 from retuner.adaptive.schedule_design.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.curves import Curves, curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
 from retuner.adaptive.schedule_design.shapes import Axis
-from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of
+from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of, tells, without_gaps
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.table import Lookup
@@ -28,7 +28,7 @@ ROWS = 400
 """Rows wanted in a typical stretch."""
 BEYOND = 0.1
 """Share of what the records visit by which a place may lie outside of it and still count as known."""
-LEAST_TRAVEL = 6.0
+LEAST_TRAVEL = 10.0
 """A variable that moves by no more than so many standard deviations of its noise is none."""
 
 
@@ -116,7 +116,8 @@ def design(
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = next(c for c in able if c.name == best.variable)
     progress("the fewest sets", len(able) / (len(able) + 0.3))
-    return _designed(chosen, found[best.variable], windows, limits, lookup, evidence)
+    ends = (-math.inf if span[0] is None else span[0], math.inf if span[1] is None else span[1])
+    return _designed(chosen, found[best.variable], windows, limits, lookup, evidence, ends)
 
 
 def _axis(candidate: Candidate, span: tuple[float | None, float | None]) -> Axis:
@@ -165,7 +166,9 @@ def _stretches(windows: Sequence[Window], candidate: Candidate) -> list[Stretch]
     """All stretches of all records."""
     found: list[Stretch] = []
     for window, values in zip(windows, candidate.values, strict=True):
-        found += moving(cut(signals_of(window, values, _every(window))))
+        every = _every(window)
+        for piece, there in without_gaps(window, values):
+            found += moving(cut(signals_of(piece, there, every)))
     return found
 
 
@@ -183,14 +186,15 @@ def _designed(
     limits: DesignLimits,
     lookup: str,
     evidence: tuple[Evidence, ...],
+    ends: Ends,
 ) -> Design:
     """Places, sets and the numbers of the lookup."""
     dt = float(np.median([w.sample_time_s for w in windows]))
     places = _visited(chosen, [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)])
-    reason = _unexplained(found) or _nowhere_known(places)
+    reason = _at_rest(found) or _unexplained(found) or _nowhere_known(places)
     if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
-    layout, j_limit = _affordable(places, limits, lookup)
+    layout, j_limit = _affordable(places, limits, lookup, ends)
     border = _hysteresis(chosen, layout)
     stay = max(p.model.theta_s for p in places if p.known) if layout is not None and len(layout.sets) > 1 else 0.0
     if layout is None:
@@ -212,6 +216,18 @@ def _visited(chosen: Candidate, places: Sequence[Place]) -> tuple[Place, ...]:
     return tuple(p if low - beyond <= p.x <= high + beyond else replace(p, known=False) for p in places)
 
 
+def _at_rest(found: Curves) -> str:
+    """Why the records tell nothing at all; empty where pv moves in them."""
+    stretches = found.joint.stretches
+    if any(map(tells, stretches)):
+        return ""
+    noise = max(noise_sigma(s.pv) for s in stretches)
+    return (
+        f"these records tell nothing: pv does not move beyond its noise ({noise:.3g}); "
+        "give records in which the setpoint changes"
+    )
+
+
 def _unexplained(found: Curves) -> str:
     """Why the curves explain the records only with the help of loads that no plant has; empty where they do."""
     loads, stretches = sum(map(len, found.joint.loads)) // 2, len(found.joint.stretches)
@@ -231,13 +247,13 @@ def _nowhere_known(places: Sequence[Place]) -> str:
     return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
 
 
-def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | None, float]:
+def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str, ends: Ends) -> tuple[Layout | None, float]:
     """The fewest sets, at most MOST_SETS, for the smallest limit of J with which that is possible, and that limit.
 
     The limit of Ms is never given up.
     """
     for j in (limits.j, *(j for j in SLOWER if j > limits.j)):
-        layout = _layout(places, replace(limits, j=j), lookup)
+        layout = _layout(places, replace(limits, j=j), lookup, ends)
         if layout is not None:
             return layout, j
     return None, limits.j
@@ -248,11 +264,11 @@ def _largest_step(windows: Sequence[Window]) -> float:
     return max(float(np.max(np.abs(np.diff(window.sp)))) for window in windows)
 
 
-def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:
+def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str, ends: Ends) -> Layout | None:
     """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
     options = [] if lookup == Lookup.INTERPOLATED else [steps(places, limits, MOST_SETS)]
     if lookup != Lookup.HARD:
-        options.append(knots(places, limits, MOST_SETS))
+        options.append(knots(places, limits, MOST_SETS, ends))
     able = [layout for layout in options if layout is not None]
     return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
 

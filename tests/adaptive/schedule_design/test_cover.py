@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.schedule_design.cover import Layout, knots, mean_of, steps
+from retuner.adaptive.schedule_design.next_experiment import _within
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -85,3 +86,21 @@ def test_the_mean_of_two_sets_is_theirs_at_the_ends() -> None:
 def test_limits_outside_their_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         DesignLimits(**{name: value})
+
+
+def test_outer_edges_stay_between_the_ends_that_are_given() -> None:
+    places = along(4.0)
+    free, held = knots(places, LIMITS, 8), knots(places, LIMITS, 8, (-10.0, 110.0))
+    assert free is not None
+    assert held is not None
+    assert held.edges[0] >= -10.0
+    assert held.edges[-1] <= 110.0
+    assert len(held.sets) >= len(free.sets)
+    assert kept(places, held)
+
+
+def test_the_next_experiment_stays_within_the_limits_of_the_output() -> None:
+    assert _within(10.0, 50.0, (0.0, 100.0), 1.0) == 10.0
+    assert _within(10.0, 95.0, (0.0, 100.0), 1.0) == -10.0
+    assert _within(10.0, 95.0, (None, 100.0), -1.0) == -10.0
+    assert _within(200.0, 40.0, (0.0, 100.0), -1.0) == pytest.approx(48.0)
