@@ -6,7 +6,6 @@ Interpolation: knots at places with their own sets, a way from knot to knot is o
 limits with the mean of both; the fewest knots are the shortest way. The first and last sets hold beyond their knots.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -106,15 +105,12 @@ def _times(gains: PidGains, factor: float) -> PidGains:
 KEPT = 6
 """Ways to one knot that are followed further, those that leave the edges most room."""
 
-Ends = tuple[float, float]
-ANYWHERE: Ends = (-math.inf, math.inf)
-
 Knot = tuple[int, PidGains]
 """A place's index, and its set."""
 
 
-def knots(places: Sequence[Place], limits: DesignLimits, most: int, ends: Ends = ANYWHERE) -> Layout | None:
-    """The fewest knots; None when `most` do not suffice. ends : between which the outer edges must lie."""
+def knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
+    """The fewest knots; None when `most` do not suffice."""
     rows = [_row(places, factor, limits) for factor in CALMER]
     reached: dict[Knot, list[Knot]] = {}
     ways: list[tuple[Knot, ...]] = [
@@ -124,7 +120,7 @@ def knots(places: Sequence[Place], limits: DesignLimits, most: int, ends: Ends =
         for way in ways:
             i, gains = way[-1]
             if all(p.keeps(gains, limits) for p in places[i + 1 :]):
-                layout = _knotted(places, way, ends)
+                layout = _knotted(places, way)
                 if layout is not None:
                     return layout
         for end in {way[-1] for way in ways} - reached.keys():
@@ -204,8 +200,8 @@ def _edges(centres: Sequence[float], lowest: float) -> list[float]:
     return edges
 
 
-def _knotted(places: Sequence[Place], way: Sequence[Knot], ends: Ends) -> Layout | None:
-    """Edges whose middles are the knots; None where there are none in order between the ends."""
+def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
+    """Edges whose middles are the knots; None where there are none in order."""
     centres = [places[i].x for i, _ in way]
     sets = tuple(gains for _, gains in way)
     if len(centres) == 1:
@@ -215,8 +211,5 @@ def _knotted(places: Sequence[Place], way: Sequence[Knot], ends: Ends) -> Layout
         return None
     low, high = places[0].x, places[-1].x
     tried = [_edges(centres, e) for e in np.linspace(*room, EDGES_TRIED + 2).tolist()[1:-1]]
-    tried = [e for e in tried if ends[0] <= e[0] and e[-1] <= ends[1]]
-    if not tried:
-        return None
     edges = min(tried, key=lambda e: max(low - e[0], 0.0) ** 2 + max(e[-1] - high, 0.0) ** 2)
     return Layout(Lookup.INTERPOLATED, tuple(edges), sets, (0.0,) * (len(centres) - 1))

@@ -131,9 +131,9 @@ def _chosen(rich: Fit, c: float) -> Curves:
 
 
 def _bent(fit: Fit) -> tuple[Form, FloatArray]:
-    """Slope gain, dead time and lag free to bend; a second lag stays what it is everywhere."""
+    """Everything free to bend."""
     _, form, _, now = fit
-    return form.with_shapes([*(Shape.BENT,) * 3, *(Shape.CONSTANT,) * (len(form.shapes) - 3)], now.z)
+    return form.with_shapes((Shape.BENT,) * len(form.shapes), now.z)
 
 
 def _felt(fit: Fit, felt: Characteristic) -> tuple[Form, FloatArray]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.adaptive.schedule_design.cover import Ends, Layout, knots, steps
+from retuner.adaptive.schedule_design.cover import Layout, knots, steps
 from retuner.adaptive.schedule_design.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.curves import Curves, curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
@@ -116,8 +116,7 @@ def design(
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = next(c for c in able if c.name == best.variable)
     progress("the fewest sets", len(able) / (len(able) + 0.3))
-    ends = (-math.inf if span[0] is None else span[0], math.inf if span[1] is None else span[1])
-    return _designed(chosen, found[best.variable], windows, limits, lookup, evidence, ends)
+    return _designed(chosen, found[best.variable], windows, limits, lookup, evidence)
 
 
 def _axis(candidate: Candidate, span: tuple[float | None, float | None]) -> Axis:
@@ -186,7 +185,6 @@ def _designed(
     limits: DesignLimits,
     lookup: str,
     evidence: tuple[Evidence, ...],
-    ends: Ends,
 ) -> Design:
     """Places, sets and the numbers of the lookup."""
     dt = float(np.median([w.sample_time_s for w in windows]))
@@ -194,7 +192,7 @@ def _designed(
     reason = _at_rest(found) or _unexplained(found) or _nowhere_known(places)
     if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
-    layout, j_limit = _affordable(places, limits, lookup, ends)
+    layout, j_limit = _affordable(places, limits, lookup)
     border = _hysteresis(chosen, layout)
     stay = max(p.model.theta_s for p in places if p.known) if layout is not None and len(layout.sets) > 1 else 0.0
     if layout is None:
@@ -247,13 +245,13 @@ def _nowhere_known(places: Sequence[Place]) -> str:
     return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
 
 
-def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str, ends: Ends) -> tuple[Layout | None, float]:
+def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | None, float]:
     """The fewest sets, at most MOST_SETS, for the smallest limit of J with which that is possible, and that limit.
 
     The limit of Ms is never given up.
     """
     for j in (limits.j, *(j for j in SLOWER if j > limits.j)):
-        layout = _layout(places, replace(limits, j=j), lookup, ends)
+        layout = _layout(places, replace(limits, j=j), lookup)
         if layout is not None:
             return layout, j
     return None, limits.j
@@ -264,11 +262,11 @@ def _largest_step(windows: Sequence[Window]) -> float:
     return max(float(np.max(np.abs(np.diff(window.sp)))) for window in windows)
 
 
-def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str, ends: Ends) -> Layout | None:
+def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | None:
     """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
     options = [] if lookup == Lookup.INTERPOLATED else [steps(places, limits, MOST_SETS)]
     if lookup != Lookup.HARD:
-        options.append(knots(places, limits, MOST_SETS, ends))
+        options.append(knots(places, limits, MOST_SETS))
     able = [layout for layout in options if layout is not None]
     return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
 

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from retuner.adaptive.schedule_design import design
-from retuner.adaptive.schedule_design.cover import ANYWHERE
 from retuner.adaptive.schedule_design.design import _at_rest, _unexplained
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
@@ -50,7 +49,7 @@ def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
     ]
     monkeypatch.setattr(design, "MOST_SETS", 1)
 
-    layout, j = design._affordable(places, DesignLimits(), "hard", ANYWHERE)
+    layout, j = design._affordable(places, DesignLimits(), "hard")
 
     assert layout is not None
     assert j > DesignLimits().j
