@@ -28,6 +28,8 @@ ROWS = 400
 """Rows wanted in a typical stretch."""
 BEYOND = 0.1
 """Share of what the records visit by which a place may lie outside of it and still count as known."""
+OWN = ("sp", "pv", "co")
+"""Signals of the loop itself; another variable may move pv on its own."""
 LEAST_TRAVEL = 10.0
 """A variable that moves by no more than so many standard deviations of its noise is none."""
 
@@ -111,7 +113,8 @@ def design(
         def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
             progress(f"{name}: {stage}", (i + share) / (len(able) + 0.3))
 
-        found[candidate.name] = curves(_stretches(windows, candidate), axis, direction(windows), told)
+        outside = candidate.name not in OWN
+        found[candidate.name] = curves(_stretches(windows, candidate), axis, direction(windows), told, pushed=outside)
     evidence = tuple(_evidence(name, c) for name, c in found.items())
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = next(c for c in able if c.name == best.variable)

@@ -13,7 +13,7 @@ from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_design.cover import Layout
-from retuner.adaptive.schedule_design.design import Candidate, Design, design
+from retuner.adaptive.schedule_design.design import OWN, Candidate, Design, design
 from retuner.adaptive.schedule_design.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -25,8 +25,6 @@ from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 
 AUTO = "auto"
-OWN = ("sp", "pv", "co")
-"""Signals of every record that gains may follow."""
 SCHEMA = 1
 """Version of the JSON document."""
 NOTHING: Mapping[str, Sequence[Numbers]] = MappingProxyType({})
@@ -404,4 +402,4 @@ def _region_lines(name: str, gains: PidGains) -> list[str]:
     return [*lines, *([f"tau_d_s = {_rounded(tau_d, 8)!r}"] if tau_d else []), 'form = "ideal"']
 
 
-__all__ = ["AUTO", "Record", "ScheduleDesign", "design_schedule", "schedule_section", "table_of"]
+__all__ = ["AUTO", "OWN", "Record", "ScheduleDesign", "design_schedule", "schedule_section", "table_of"]
