@@ -15,6 +15,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.identification.robust_simc import believed
+from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
@@ -45,6 +46,7 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior, promised_cost
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
 NOT_KNOWN = "not_identifiable"
@@ -67,9 +69,9 @@ def decide(question: Question) -> StageResult:
 def admission(found: Findings) -> None:
     """May this response teach its region? The gains of an interpolated table move with it; the fit allows it."""
     record, rules = found.record, found.settings.admission
-    if record.table.lookup is Lookup.INTERPOLATED:
+    if record.table.lookup is Lookup.INTERPOLATED or record.crossed:
         rules = replace(rules, changes_most=len(record.samples))
-    inside = inside_region(record.table.regions, record.region)
+    inside = None if record.crossed else inside_region(record.table.regions, record.region)
     admitted = admit(record.window, record.samples, record.response, rules, inside, found.settings.pv_range)
     if not admitted.admitted:
         found.diagnosis, found.numbers = admitted.diagnosis(), admitted.numbers
@@ -79,6 +81,8 @@ def admission(found: Findings) -> None:
 def swing(found: Findings) -> None:
     """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
     record, settings = found.record, found.settings
+    if record.crossed:
+        return
     found.growth = grows(record.samples, record.response.band, settings.growth)
     foreign, standing = foreign_swing(found)
     if foreign is not None:
@@ -99,12 +103,35 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = record.region_models.get(record.region) or _from_neighbours(record, settings)
-        learned = update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
+        learned = _across(found, known) if record.crossed else _inside(record, known, settings)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
     found.learned = learned
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
+
+
+def _inside(record: ResponseRecord, known: RegionModel | None, settings: RetunerSettings) -> Learned:
+    """What a response teaches the region in which it began and ended."""
+    return update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
+
+
+def _across(found: Findings, known: RegionModel | None) -> Learned:
+    """What a response teaches the region in which it ended, and those that it came through."""
+    record, settings = found.record, found.settings
+    crossing = Crossing(
+        record.window,
+        ways_of(record.table.regions, list(record.samples)[-len(record.window.t_s) :]),
+        record.response.t_start_s,
+        record.in_force,
+        record.table.regions,
+        record.region_models,
+        settings.tracker,
+        settings.fit,
+    )
+    shown = shown_by(crossing)
+    found.beside = taught_beside(crossing, shown, record.region)
+    return update_across(crossing, shown, record.region, known)
 
 
 def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
@@ -116,7 +143,7 @@ def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Regio
 
 def hidden_cause(found: Findings) -> None:
     """Does something else hide under the response, which its model leaves open?"""
-    foreign, standing = hidden(found)
+    foreign, standing = (None, None) if found.record.crossed else hidden(found)
     if foreign is not None:
         found.explained_otherwise(foreign, standing)
 
@@ -127,14 +154,20 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    found.in_use = found.region_model = _known_of_limit_swing(record, settings) or learned.region_model
+    limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
+    found.in_use = found.region_model = limit_swing or learned.region_model
     found.rested_on = _rested_on(record, learned.agreement)
-    found.clear = clear_case(found, learned)
+    found.clear = _clear_crossing(found, learned) if record.crossed else clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
+
+
+def _clear_crossing(found: Findings, learned: Learned) -> bool:
+    """The same of a response that crossed a border: a setpoint step that the process in motion explains by itself."""
+    return found.record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
 
 
 def _rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
@@ -168,6 +201,9 @@ def without_a_model(found: Findings) -> None:
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
+    if record.crossed:
+        found.stop(NOT_KNOWN, f"{why}; the response crossed a boundary, so its pattern is that of two sets of gains")
+        return
     locks = found.settings.locks_of(record.region)
     own = _own_fault(found)
     proposed = without_model(record.response, record.window, record.in_force, own, found.settings.without_model, locks)
@@ -230,7 +266,8 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verd
     """The guard's word on what the rule gives for a model."""
     record, now = found.record, float(found.record.window.t_s[-1])
     region_models = {**record.region_models, record.region: model}
-    tables, damping = (record.table, record.commissioned), record.response.damping
+    damping = record.pattern.damping if record.pattern is not None else None
+    tables = (record.table, record.commissioned)
     request = change_request(
         wanted.tuning, record.region, tables, region_models, found.learned, now, found.settings, damping
     )
@@ -239,7 +276,7 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verd
 
 def refutation(found: Findings) -> None:
     """Does the loop itself refute the model: is what it says of the swing not to be seen?"""
-    doubt = not_as_modelled(found)
+    doubt = None if found.record.crossed else not_as_modelled(found)
     if doubt is None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
@@ -256,7 +293,7 @@ def agreement(found: Findings) -> None:
     if verdict is None or not verdict.accepted or records >= settings.behaving_records:
         return
     record = found.record
-    found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+    found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
     reason = behaves(record.response, verdict, found.promise, settings)
     if reason:
         found.verdict = found.basis = found.promise = None
@@ -280,6 +317,10 @@ def confirmation(found: Findings) -> None:
     """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
     learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
     assert verdict is not None
+    if found.record.crossed and not (found.clear or _was_known(found)):
+        found.verdict = found.basis = None
+        found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
+        return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
         doubt, found.excitation = doubt_of(found, wanted.diagnosis.cause)
         if doubt is not None:
@@ -325,7 +366,7 @@ def expectation(found: Findings) -> None:
         and verdict.accepted
         and _may_follow(found.question.trial, settings)
     ):
-        found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+        found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
 
 
 def _may_follow(trial: Trial, settings: RetunerSettings) -> bool:
@@ -370,6 +411,8 @@ def posterior_of(
     """None where the record shows nothing of the process, or leaves more than noise unexplained."""
     if learned is None or trial.old is None or not learned.estimate.plausible:
         return None
+    if case.crossed:
+        return _of_crossing(case, learned, trial.old, settings)
     estimate = learned.estimate
     if (
         learned.agreement == Agreement.SILENT
@@ -384,6 +427,21 @@ def posterior_of(
     return replace(found, settled=estimate.identifiable)
 
 
+def _of_crossing(
+    case: ResponseRecord, learned: Learned, old: PidGains, settings: RetunerSettings
+) -> PosteriorCheck | None:
+    """The same of a response that crossed a border: by all that is known of the region, where it agrees with that."""
+    known = learned.region_model
+    if known is None or learned.agreement != Agreement.AGREES:
+        return None
+    before = case.table.with_gains(case.region, old).at(case.region, *case.at)
+    allowed = believed(known.plausible, settings.guard.believed)
+    found = check_posterior(
+        allowed, before, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+    )
+    return replace(found, settled=known.identifiable)
+
+
 def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
     what its own record says of the tried set and of the one before.
@@ -393,7 +451,7 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior)
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed)
 
 
 def _learned(found: Findings) -> Learned:
