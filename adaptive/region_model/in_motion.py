@@ -128,7 +128,8 @@ def _fitted(joint: Joint, form: Form, start: FloatArray | None = None) -> InMoti
     now = refined(joint, form, now.z, _noise(now, floor), ITERATIONS)
     c = max(inflation(now), 1.0)
     assert now.jacobian is not None
-    covariance = proper_covariance(np.linalg.inv(np.eye(form.size) + now.jacobian.T @ now.jacobian / c))
+    information = np.eye(form.size) + now.jacobian.T @ now.jacobian / c
+    covariance = proper_covariance(np.asarray(np.linalg.inv(information), dtype=np.float64))
     evidence = len(now.r) * math.log(float(np.mean(now.left[0] ** 2))) + 2 * len(joint.loads[0]) * math.log(len(now.r))
     type_ = ProcessType.SOPDT if len(form.shapes) > 3 else ProcessType.FOPDT
     return InMotion(type_, form, now.z, covariance, evidence, float(np.std(now.left[0])))
