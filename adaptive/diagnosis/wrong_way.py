@@ -45,8 +45,8 @@ def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Dia
     if lead < LEAD or explained < EXPLAINED or other.fit.misfit.loads > MOST_LOADS:
         return None
     reason = (
-        "the controller acts the wrong way: pv goes where co pushes it, away from the setpoint, and co pushes on; turn "
-        "its action round (direct, reverse), or the sign of its gain"
+        "the controller acts the wrong way: pv goes where co pushes it, away from the setpoint, and co pushes on; take "
+        "the loop to manual, then turn its action round (direct, reverse), or the sign of its gain"
     )
     return Diagnosis(Cause.UNKNOWN, 0.9, {"wrong_way_lead": lead}, reason)
 

@@ -63,6 +63,8 @@ def all_finite(values: FloatArray) -> bool:
 class Window:
     """Consecutive samples as arrays of shape (n,): what a fit works on.
 
+    noise_std : standard deviation of pv's noise where it is known from elsewhere, pv units; 0 where only pv tells it.
+
     Raises
     ------
     ValueError
@@ -73,9 +75,12 @@ class Window:
     sp: FloatArray
     pv: FloatArray
     co: FloatArray
+    noise_std: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.t_s)
+        if not 0 <= self.noise_std < math.inf:
+            raise ValueError(f"noise_std = {self.noise_std} must be 0 or more")
         if n < 3:
             raise ValueError(f"a window needs at least 3 samples, this one has {n}")
         for name in ("t_s", "sp", "pv", "co"):
@@ -107,7 +112,8 @@ class Window:
         starts = np.arange(0, len(self.t_s), n)
         held_s = np.diff(self.t_s, append=2 * self.t_s[-1] - self.t_s[-2])
         co = np.add.reduceat(self.co * held_s, starts) / np.add.reduceat(held_s, starts)
-        return Window(self.t_s[starts], self.sp[starts], self.pv[starts], np.asarray(co, dtype=np.float64))
+        held = np.asarray(co, dtype=np.float64)
+        return Window(self.t_s[starts], self.sp[starts], self.pv[starts], held, self.noise_std)
 
     @property
     def sample_time_s(self) -> float:
