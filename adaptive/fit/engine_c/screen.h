@@ -89,10 +89,19 @@ typedef struct {
     Py_ssize_t width;
 } Measure;
 
-/* What needs no memory of the samples before, on eight running sums whose order is fixed; i : an interval that is not the
+/* What needs no memory of the samples before, on eight running sums whose order is fixed; of intervals that are not the
  * first, so that a step of pv has one before it. */
 enum {
-    SUM_HELD, SUM_GAPS, SUM_SIZE, SUM_TRAVEL, SUM_MOVES, SUM_SP_MOVES, SUM_REPEATED, SUM_STRAIGHT, SUM_SQUARES, SUM_KINDS
+    SUM_HELD,
+    SUM_GAPS,
+    SUM_SIZE,
+    SUM_TRAVEL,
+    SUM_MOVES,
+    SUM_SP_MOVES,
+    SUM_REPEATED,
+    SUM_STRAIGHT,
+    SUM_SQUARES,
+    SUM_KINDS
 };
 
 WIDE static void added(const double *restrict t, const double *restrict sp, const double *restrict pv,
@@ -132,7 +141,8 @@ static void add_up(const double *t, const double *sp, const double *pv, const do
         all[SUM_REPEATED] += next == 0, all[SUM_STRAIGHT] += i > 0 && fabs(next - (pv[i] - pv[i - 1])) <= enough;
     }
     s->held = all[SUM_HELD], s->gaps = all[SUM_GAPS], s->size = all[SUM_SIZE], s->travel = all[SUM_TRAVEL];
-    s->moves = all[SUM_MOVES], s->sp_moves = all[SUM_SP_MOVES], s->repeated = all[SUM_REPEATED], s->straight = all[SUM_STRAIGHT];
+    s->moves = all[SUM_MOVES], s->sp_moves = all[SUM_SP_MOVES], s->repeated = all[SUM_REPEATED];
+    s->straight = all[SUM_STRAIGHT];
     s->pv_variance = all[SUM_SQUARES] / (double)n;
 }
 
@@ -145,11 +155,11 @@ WIDE static void ways(const double *restrict co, double zero, double band, Py_ss
         way[i] = (level[i + 1] > level[i]) - (level[i + 1] < level[i]);
 }
 
-/* Turns of co, and how long it stands still: a long stretch counts whole. Masks stand for branches that noise would make
- * unforeseeable. */
+/* Turns of co, and how long it stands still: a long stretch counts whole. Masks stand for branches that noise would
+ * make unforeseeable. */
 static void turns_and_stills(const double *co, Py_ssize_t n, const Measure *by, Sums *s) {
     int32_t way[BLOCK], last = 0, turned = 0;
-    Py_ssize_t since = 0, shortest = (Py_ssize_t)ceil(by->shortest), stood = 0;
+    Py_ssize_t since = 0, shortest = (Py_ssize_t)ceil(fmin(by->shortest, (double)n)), stood = 0;
     for (Py_ssize_t first = 0; first < n - 1; first += BLOCK) {
         Py_ssize_t many = n - 1 - first < BLOCK ? n - 1 - first : BLOCK;
         ways(co + first, co[0], by->band, many, way);
