@@ -39,7 +39,7 @@ def stretches(window: Window, period_s: float | None, most_samples: int) -> list
 
 def _part(window: Window, first: int, end: int) -> Window:
     """Some of the samples."""
-    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)))
+    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)), window.noise_std)
 
 
 def over_time(parts: list[Window], found: list[Found]) -> Found:

@@ -93,4 +93,4 @@ def _places(by: FloatArray, edges: FloatArray, margin: float) -> list[int]:
 
 def _part(window: Window, first: int, end: int) -> Window:
     """Rows of a record."""
-    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)))
+    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)), window.noise_std)
