@@ -175,8 +175,8 @@ def _in_order_with_play(loop: Loop, found: Found) -> str:
         return ""
     share = played.valve.stick / fit.misfit.record.co_range
     return (
-        f"perhaps {found.diagnosis.cause}: {found.diagnosis.reason}; but a valve with play of {share:.0%} of the range "
-        f"of co explains the record as well, and with it the cause is {other.cause}: {other.reason}"
+        f"a valve with play of {share:.0%} of the range of co explains the record as well. "
+        f"With it the cause is {other.cause}: {other.reason}. Without it it is {found.diagnosis.cause}"
     )
 
 
