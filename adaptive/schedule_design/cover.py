@@ -100,63 +100,85 @@ def _times(gains: PidGains, factor: float) -> PidGains:
     return PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor)
 
 
+KEPT = 6
+"""Ways to one knot that are followed further, those that leave the edges most room."""
+
+Knot = tuple[int, PidGains]
+"""A place's index, and its set."""
+
+
 def knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
     """The fewest knots; None when `most` do not suffice."""
-    usable = [i for i, place in enumerate(places) if place.known]
-    ways: dict[int, tuple[int, ...]] = {}
-    for i in usable:
-        if all(place.keeps(places[i].own, limits) for place in places[:i]):
-            ways[i] = (i,)
+    usable = [(i, _times(p.own, factor)) for i, p in enumerate(places) if p.known for factor in CALMER]
+    usable = [(i, gains) for i, gains in usable if places[i].keeps(gains, limits)]
+    known: dict[tuple[Knot, Knot], bool] = {}
+    ways = [(knot,) for knot in usable if all(p.keeps(knot[1], limits) for p in places[: knot[0]])]
     for _ in range(most):
-        ends = [way for i, way in ways.items() if all(p.keeps(places[i].own, limits) for p in places[i + 1 :])]
-        for way in sorted(ends):
-            layout = _knotted(places, way)
-            if layout is not None:
-                return layout
-        ways = _longer(places, usable, ways, limits)
+        for way in ways:
+            i, gains = way[-1]
+            if all(p.keeps(gains, limits) for p in places[i + 1 :]):
+                return _knotted(places, way)
+        ways = _longer(places, usable, ways, limits, known)
     return None
 
 
 def _longer(
-    places: Sequence[Place], usable: Sequence[int], ways: dict[int, tuple[int, ...]], limits: DesignLimits
-) -> dict[int, tuple[int, ...]]:
-    """Every way one knot farther."""
-    found: dict[int, tuple[int, ...]] = {}
-    for end, way in ways.items():
-        for j in usable:
-            if j > end and j not in found and _open(places, end, j, limits):
-                found[j] = (*way, j)
-    return found
+    places: Sequence[Place],
+    usable: Sequence[Knot],
+    ways: Sequence[tuple[Knot, ...]],
+    limits: DesignLimits,
+    known: dict[tuple[Knot, Knot], bool],
+) -> list[tuple[Knot, ...]]:
+    """Every way one knot farther; to each knot those that leave the edges most room."""
+    found: dict[Knot, list[tuple[float, tuple[Knot, ...]]]] = {}
+    for way in ways:
+        for knot in usable:
+            room = _room([places[i].x for i, _ in (*way, knot)]) if knot[0] > way[-1][0] else None
+            if room is None:
+                continue
+            pair = (way[-1], knot)
+            if pair not in known:
+                known[pair] = _open(places, *pair, limits)
+            if known[pair]:
+                found.setdefault(knot, []).append((room[1] - room[0], (*way, knot)))
+    return [way for several in found.values() for _, way in sorted(several, key=lambda one: -one[0])[:KEPT]]
 
 
-def _open(places: Sequence[Place], i: int, j: int, limits: DesignLimits) -> bool:
+def _open(places: Sequence[Place], one: Knot, two: Knot, limits: DesignLimits) -> bool:
     """Whether every place between two knots is served by the mean of both."""
+    (i, low), (j, high) = one, two
     x0, x1 = places[i].x, places[j].x
     between = places[i + 1 : j]
     return all(
-        p.keeps(mean_of(places[i].own, places[j].own, (p.x - x0) / (x1 - x0)), limits)
+        p.keeps(mean_of(low, high, (p.x - x0) / (x1 - x0)), limits)
         for p in sorted(between, key=lambda p: abs(p.x - (x0 + x1) / 2))
     )
 
 
-def _knotted(places: Sequence[Place], way: Sequence[int]) -> Layout | None:
-    """Edges whose middles are the knots; None where there are none in order.
+def _room(centres: Sequence[float]) -> tuple[float, float] | None:
+    """Where the lowest of the edges may lie whose middles are the knots; None where there are none in order.
 
     With the lowest edge e_0 free, e_(i+1) = 2 c_i - e_i; every edge must lie between its knots.
     """
-    centres = [places[i].x for i in way]
-    sets = tuple(places[i].own for i in way)
-    if len(centres) == 1:
-        return Layout(Lookup.HARD, (places[0].x, places[-1].x), sets)
-    low, high = -float("inf"), centres[0]  # of e_0; e_i = offset + sign e_0
+    low, high = 2 * centres[0] - centres[-1], centres[0]  # of e_0; e_i = offset + sign e_0
     offset, sign = 0.0, 1.0
     for c0, c1 in pairwise(centres):
         offset, sign = 2 * c0 - offset, -sign
         a, b = sorted(((c0 - offset) / sign, (c1 - offset) / sign))
         low, high = max(low, a), min(high, b)
-    if low > -float("inf") and high - low < LEAST_PART * (centres[-1] - centres[0]):
+    return (low, high) if high - low >= LEAST_PART * (centres[-1] - centres[0]) else None
+
+
+def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
+    """Edges whose middles are the knots; None where there are none in order."""
+    centres = [places[i].x for i, _ in way]
+    sets = tuple(gains for _, gains in way)
+    if len(centres) == 1:
+        return Layout(Lookup.HARD, (places[0].x, places[-1].x), sets)
+    room = _room(centres)
+    if room is None:
         return None
-    edges = [(low + high) / 2 if low > -float("inf") else high - (centres[1] - centres[0]) / 2]
+    edges = [sum(room) / 2]
     for c in centres:
         edges.append(2 * c - edges[-1])
     return Layout(Lookup.INTERPOLATED, tuple(edges), sets, (0.0,) * (len(centres) - 1))

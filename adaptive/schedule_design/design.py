@@ -19,7 +19,7 @@ from retuner.schedule.table import Lookup
 
 PLACES = 25
 """Places along the variable that are looked at."""
-MOST_SETS = 8
+MOST_SETS = 16
 SLOWER = (1.4, 1.6, 2.0)
 """Limits of J that are tried in turn where more than MOST_SETS would be needed."""
 LOADS_A_STRETCH = 1.5

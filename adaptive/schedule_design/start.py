@@ -94,7 +94,7 @@ def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
     done = 0
     for batch in joint.batches:
         local = local_at(form, batch, now.z[:, None])
-        arriving = form.sign * batch.arriving(np.exp(local.theta))
+        arriving = form.arriving(batch, local, now.z[:, None])
         explained = response(local, arriving, batch.h_s)[..., 0]
         waves = _waves(batch, local)
         theta, tau = (

@@ -73,11 +73,15 @@ class Stretch:
 
     def fired(self, t_s: FloatArray) -> FloatArray:
         """The integral of co until these times; before the record co was what it was at first."""
-        signals = self.signals
-        found = np.interp(t_s, signals.begun_s, signals.fired)
-        early = signals.begun_s[0] - t_s
-        rate = (signals.fired[1] - signals.fired[0]) / (signals.begun_s[1] - signals.begun_s[0])
-        return np.asarray(np.where(early > 0, signals.fired[0] - rate * early, found), dtype=np.float64)
+        return self.summed(self.signals.fired, t_s)
+
+    def summed(self, fired: FloatArray, t_s: FloatArray) -> FloatArray:
+        """An integral over the record's samples, until these times. fired : until each of begun_s."""
+        begun = self.signals.begun_s
+        found = np.interp(t_s, begun, fired)
+        early = begun[0] - t_s
+        rate = (fired[1] - fired[0]) / (begun[1] - begun[0])
+        return np.asarray(np.where(early > 0, fired[0] - rate * early, found), dtype=np.float64)
 
 
 def signals_of(window: Window, x: FloatArray, every: int) -> Signals:

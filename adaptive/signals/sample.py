@@ -54,6 +54,11 @@ def finite(sample: LoopSample) -> bool:
     return all(map(math.isfinite, sample[:4]))
 
 
+def all_finite(values: FloatArray) -> bool:
+    """Whether all values are finite: the extremes tell, as neither passes over a nan. No array is made for it."""
+    return not len(values) or (math.isfinite(values.min()) and math.isfinite(values.max()))
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """Consecutive samples as arrays of shape (n,): what a fit works on.
@@ -82,12 +87,12 @@ class Window:
             values: FloatArray = getattr(self, name)
             if values.shape != (n,):
                 raise ValueError(f"{name} has shape {values.shape}, t_s has ({n},)")
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                raise ValueError(f"{name}[{bad[0]}] = {values[bad[0]]} is not a finite number")
-        back = np.flatnonzero(np.diff(self.t_s) <= 0)
-        if back.size:
-            i = int(back[0])
+            if not all_finite(values):
+                bad = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise ValueError(f"{name}[{bad}] = {values[bad]} is not a finite number")
+        later = self.t_s[1:] > self.t_s[:-1]
+        if not later.all():
+            i = int(np.argmin(later))
             raise ValueError(f"time does not increase: t_s[{i}] = {self.t_s[i]}, t_s[{i + 1}] = {self.t_s[i + 1]}")
 
     @classmethod
