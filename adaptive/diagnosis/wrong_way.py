@@ -57,7 +57,7 @@ def _while_co_moved(window: Window) -> Window:
     kept = (int(away[-1]) + 2) * (PARTS + 1) // PARTS if away.size else len(window.co)
     if kept >= len(window.co) or kept < LEAST_SAMPLES:
         return window
-    return Window(window.t_s[:kept], window.sp[:kept], window.pv[:kept], window.co[:kept])
+    return window.part(slice(kept))
 
 
 def _runs_away(window: Window, direction: int) -> bool:

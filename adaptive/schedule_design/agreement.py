@@ -6,8 +6,8 @@ differ, ln p = curve + d_j with d_j ~ N(0, V), V diagonal, and V is what makes w
 
     ln L(V) = sum_j  1/2 g_j' (V^-1 + I_j)^-1 g_j - 1/2 ln det(I + V I_j),   g_j = -A_j' r_j / c,  I_j = A_j' A_j / c
 
-with A_j = dr_j/d(ln p) of a whole stretch (random effects: Laird and Ware 1982). What the stretches say together is then
-a parabola of the coefficients, that of curves through local models which differ by V, instead of one that believes
+with A_j = dr_j/d(ln p) of a whole stretch (random effects: Laird and Ware 1982). What the stretches say together is
+then a parabola of the coefficients, that of curves through local models which differ by V, instead of one that believes
 every sample of every stretch.
 """
 

@@ -112,7 +112,9 @@ def knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | 
     usable = [(i, _times(p.own, factor)) for i, p in enumerate(places) if p.known for factor in CALMER]
     usable = [(i, gains) for i, gains in usable if places[i].keeps(gains, limits)]
     known: dict[tuple[Knot, Knot], bool] = {}
-    ways = [(knot,) for knot in usable if all(p.keeps(knot[1], limits) for p in places[: knot[0]])]
+    ways: list[tuple[Knot, ...]] = [
+        (knot,) for knot in usable if all(p.keeps(knot[1], limits) for p in places[: knot[0]])
+    ]
     for _ in range(most):
         for way in ways:
             i, gains = way[-1]

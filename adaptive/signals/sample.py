@@ -101,6 +101,10 @@ class Window:
         t_s, sp, pv, co = (np.array([s[i] for s in samples], dtype=np.float64) for i in range(4))
         return cls(t_s, sp, pv, co)
 
+    def part(self, rows: slice) -> "Window":
+        """Some of its samples."""
+        return Window(self.t_s[rows], self.sp[rows], self.pv[rows], self.co[rows], self.noise_std)
+
     def condensed(self, most: int) -> "Window":
         """The same record in at most `most` samples: every n-th pv, and co averaged over the n intervals between.
 

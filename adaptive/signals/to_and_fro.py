@@ -14,6 +14,7 @@ tells it (averaging over the periods of an excitation, Pintelon & Schoukens 2012
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -47,7 +48,7 @@ QUIET_SHARE = 0.2
 class SetpointMove(NamedTuple):
     """A move of the setpoint: the first sample at the new one, and by how much it moved, pv units."""
 
-    index: int
+    at: int
     size: float
 
 
@@ -110,19 +111,19 @@ def _taken_for(moves: Sequence[SetpointMove], samples: Sequence[LoopSample]) -> 
         if closed is not None:
             return None
         if _is_like(move.size, wanted, half):
-            whole.append(move.index)
+            whole.append(move.at)
             wanted = -wanted
         elif whole and _is_like(move.size, wanted / 2, half):
-            closed = move.index
+            closed = move.at
         else:
             return None
-    apart = [b - a for a, b in pairwise([move.index for move in moves])]
+    apart = [b - a for a, b in pairwise([move.at for move in moves])]
     if not whole or max(apart) - min(apart) > max(EVEN * min(apart), SAMPLES_OFF):
         return None
-    overdue = len(samples) - moves[-1].index > OVERDUE * max(apart)
+    overdue = len(samples) - moves[-1].at > OVERDUE * max(apart)
     if overdue and closed is None and len(whole) < WHOLE_STEPS:
         return None
-    return ToAndFro(samples[moves[0].index - 1].sp, moves[0].index, tuple(whole), closed)
+    return ToAndFro(samples[moves[0].at - 1].sp, moves[0].at, tuple(whole), closed)
 
 
 def _is_like(size: float, wanted: float, half: float) -> bool:
@@ -175,8 +176,7 @@ def _as_one(
     response = _response(samples, band_sigmas * noise_std)
     if response is None:
         return None
-    values = (np.array([s[i] for s in samples], dtype=np.float64) for i in range(4))
-    return Joined(samples, Window(*values, noise_std=noise_std), response, noise_std)
+    return Joined(samples, replace(Window.of(samples), noise_std=noise_std), response, noise_std)
 
 
 def _response(samples: Sequence[LoopSample], band: float) -> Response | None:

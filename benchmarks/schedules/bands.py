@@ -28,8 +28,10 @@ def bands(found: ScheduleDesign, subject: Subject) -> list[dict[str, Any]]:
         slopes = np.stack([(_told(ln + STEP * way) - _told(ln)) / STEP for way in np.eye(len(ln))], axis=1)
         std = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
         off = _told(ln) - _true(subject.local(place.x))
-        rows.append({"x": place.x, "off": dict(zip(NAMES, off.tolist(), strict=True))}
-                    | {"std": dict(zip(NAMES, std.tolist(), strict=True))})
+        rows.append(
+            {"x": place.x, "off": dict(zip(NAMES, off.tolist(), strict=True))}
+            | {"std": dict(zip(NAMES, std.tolist(), strict=True))}
+        )
     return rows
 
 
