@@ -102,10 +102,8 @@ class LoopScreen:
 def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool = True) -> LoopScreen:
     """Screen a whole record.
 
-    Parameters
-    ----------
     record : of any length. delay_s : dead time of the loop where it is known. setpoint : whether its sp is one, and no
-        mean of pv that stands in.
+    mean of pv that stands in.
     """
     n, parts = len(record.t_s), in_parts(record)
     usual_s, step = float(np.median(np.diff(parts.t_s))), quantum(parts.pv)
