@@ -15,6 +15,7 @@ one compiled pass (record_sums.py); noise and grid are told from BLOCKS parts of
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -63,7 +64,8 @@ class LoopScreen:
     one sign, 0 to 1. harris : see the head of this file. noise_share : of the variance of pv. quantum : of pv's grid, 0
     for none. compression : of pv by its recorder, 1 for none. period_s, regularity, strength : of the strongest lasting
     oscillation, None and 0 where there is none. swinging : share of the stretches looked at in which it lasts.
-    condition : of the whole record.
+    condition : of the whole record. setpoint : whether one is on record; without, the mean of pv stands in, and
+    OF_THE_ERROR are not known.
     """
 
     samples: int
@@ -86,25 +88,27 @@ class LoopScreen:
     strength: float
     swinging: float
     condition: Condition
+    setpoint: bool = True
 
     def to_dict(self) -> dict[str, object]:
-        """The numbers by name."""
-        return {name: getattr(self, name) for name in self.__slots__} | {"condition": str(self.condition)}
+        """The numbers by name; None for what is not known."""
+        told = {name: getattr(self, name) for name in self.__slots__} | {"condition": str(self.condition)}
+        return told if self.setpoint else told | dict.fromkeys(OF_THE_ERROR)
 
 
-def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
+def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool = True) -> LoopScreen:
     """Screen a whole record.
 
     Parameters
     ----------
-    record : of any length. delay_s : dead time of the loop where it is known.
+    record : of any length. delay_s : dead time of the loop where it is known. setpoint : whether its sp is one, and no
+        mean of pv that stands in.
     """
     n, parts = len(record.t_s), in_parts(record)
-    usual_s = float(np.median(np.diff(parts.t_s)))
+    usual_s, step = float(np.median(np.diff(parts.t_s))), quantum(parts.pv)
     pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
     sums = record_sums(record, _measure(n, usual_s, co_noise))
-    limits = [side for side in (sums.low, sums.high) if sums.limit(n, side)]
-    days, step = sums.held_s / DAY_S, quantum(parts.pv)
+    limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
     traits = _traits(record, sums, (pv_noise, co_noise), limits)
     return LoopScreen(
@@ -128,9 +132,11 @@ def screen_loop(record: Window, delay_s: float | None = None) -> LoopScreen:
         strength=swing.wave.strength,
         swinging=swing.share,
         condition=condition_of(traits, oscillates=swing.share > 0).condition,
+        setpoint=setpoint,
     )
 
 
+OF_THE_ERROR = ("error_std", "iae_per_day", "loss_at_limits", "one_sided", "harris")
 OF_TIME = (
     "iae_per_day", "effort_per_day", "reversals_per_day", "in_automatic", "at_limits", "harris", "noise_share",
     "quantum", "compression", "swinging",
@@ -150,7 +156,9 @@ def joined_screen(screens: Sequence[LoopScreen]) -> LoopScreen:
         return float(values @ weights / np.sum(weights)) if np.sum(weights) > 0 else 0.0
 
     longest, strongest = max(screens, key=lambda s: s.span_s), max(screens, key=lambda s: s.strength * s.swinging)
-    means = {name: mean(name, spans) for name in OF_TIME} | {name: mean(name, losses) for name in OF_THE_LOSS}
+    means: dict[str, Any] = {name: mean(name, spans) for name in OF_TIME} | {
+        name: mean(name, losses) for name in OF_THE_LOSS
+    }
     return replace(
         longest,
         samples=sum(screen.samples for screen in screens),

@@ -1,4 +1,5 @@
-"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock, a mode.
+"""What people order, looked at once more before it is written: an approved proposal, the way back, a lock, a mode; and
+what they must not do at the controller: turn its action.
 
 An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
 approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
@@ -14,12 +15,13 @@ from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove,
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
-from retuner.adaptive.supervision.decision import Decision, Mode
+from retuner.adaptive.supervision.decision import Action, Decision, Mode
 from retuner.adaptive.supervision.guard_request import change_request
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS, Proposal, ProposalStanding
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.persons_edit import right_words, turned_words
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 
@@ -112,6 +114,25 @@ def accept(retuner: Retuner, region: int, t_s: float) -> bool:
 def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person lets a locked-out region change again; whether it had been locked."""
     return retuner.trials.event(region, TrialEvent.UNLOCKED, t_s)
+
+
+def acts(retuner: Retuner, gains: PidGains) -> Decision | None:
+    """These gains run, as read back, whoever set them: whether they act in the direction that was commissioned.
+
+    Gains of the other sign turn negative feedback into positive. Until they are gone the loop is on hold: nothing may
+    be written, nothing is learned, and they never enter the table. The decision says so, once; None where nothing has
+    changed, or before the first sample.
+    """
+    region, turned = retuner.region, gains.direction != retuner.commissioned.gains[0].direction
+    if region is None or turned == retuner.turned:
+        return None
+    retuner.turned = turned
+    if not turned:
+        return retuner.ordered(region, StageResult("action_right", right_words(gains)))
+    ended = retuner.abort(TrialEvent.ACTION_TURNED)
+    words = turned_words(retuner.table.gains_of(region), gains, on_trial=ended is not None)
+    told = ended or retuner.ordered(region, StageResult("action_turned", words))
+    return replace(told, action=Action.NONE, code="action_turned", reason=words, gains_after=None)
 
 
 def set_mode(retuner: Retuner, region: int | None, mode: Mode) -> Decision | None:

@@ -20,6 +20,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
     FOREIGN,
@@ -29,14 +30,16 @@ from retuner.adaptive.supervision.causes import (
     foreign_swing,
     hidden,
     is_sure,
+    joining,
     looked_at_lately,
     not_as_modelled,
     swings_between_limits,
+    wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import change_request, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit, propose
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
@@ -62,6 +65,20 @@ def decide(question: Question) -> StageResult:
         if found.end is None or stage.always:
             stage.run(found)
     return found.result()
+
+
+WRONG_WAY = "wrong_way"
+"""Code: the controller acts the wrong way, which no gains of its sign can cure."""
+
+
+def action(found: Findings) -> None:
+    """Does what the controller does against an error make it grow?"""
+    if found.record.samples[-1].mode != LoopMode.AUTO:
+        return
+    wrong = wrong_way(found)
+    if wrong is not None:
+        found.diagnosis = wrong
+        found.stop(WRONG_WAY, wrong.reason)
 
 
 def admission(found: Findings) -> None:
@@ -98,13 +115,21 @@ def identification(found: Findings) -> None:
     """The record is taken into what is known of the region, or of its neighbours where nothing is."""
     record, settings = found.record, found.settings
     try:
-        known = record.region_models.get(record.region) or _from_neighbours(record, settings)
+        known = _known(found) or _from_neighbours(record, settings)
         learned = update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
     found.learned = learned
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
+
+
+def _known(found: Findings) -> RegionModel | None:
+    """What is known of the region; what rests on loads alone is nothing beside steps that were joined."""
+    record = found.record
+    if found.joined and not record.excitation.setpoints:
+        return None
+    return record.region_models.get(record.region)
 
 
 def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
@@ -251,16 +276,43 @@ def refutation(found: Findings) -> None:
 
 
 def agreement(found: Findings) -> None:
-    """A loop that behaves is not moved on one record's word, which may be wrong by more than it knows."""
-    verdict, settings, records = found.verdict, found.settings, _in_use(found).records
-    if verdict is None or not verdict.accepted or records >= settings.behaving_records:
+    """A loop that behaves is not moved on one record's word, which may be wrong by more than it knows; nor made slower
+    while a model that is as good holds it for robust.
+    """
+    verdict, settings, record = found.verdict, found.settings, found.record
+    if verdict is None or not verdict.accepted:
         return
-    record = found.record
-    found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
-    reason = behaves(record.response, verdict, found.promise, settings)
+    promised = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+    code, reason = "one_record", ""
+    if _in_use(found).records < settings.behaving_records and not found.joined:
+        reason = behaves(record.response, verdict, promised, settings)
+        reason += f"; {settings.behaving_records} records must agree before a change" if reason else ""
+    if not reason:
+        code, reason = "as_good", _as_good(found, verdict, promised)
+    found.promise = promised
     if reason:
         found.verdict = found.basis = found.promise = None
-        found.stop("one_record", f"{reason}; {settings.behaving_records} records must agree before a change")
+        found.stop(code, reason)
+
+
+def _as_good(found: Findings, verdict: Verdict, promised: Promise | None) -> str:
+    """That a change would only make the loop slower, and on some of the models need not be; empty where it is due."""
+    record, settings, cost = found.record, found.settings, promised_cost(promised) if promised is not None else 0.0
+    seen, limit = decay_seen(record.response), settings.cause.ms_high
+    swings = seen is not None and seen > settings.trial.harmless_decay
+    if (
+        swings
+        or verdict.urgent
+        or cost < settings.worth_iae
+        or not limit < verdict.ms_before <= settings.guard.ms_worst
+    ):
+        return ""
+    if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):
+        return ""
+    return (
+        f"no change: Ms {verdict.ms_before:.2f} is not over {limit:g} on every model, and with the new gains the IAE "
+        f"would be {cost:.2f} times as large"
+    )
 
 
 def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
@@ -423,6 +475,8 @@ class Stage(NamedTuple):
 
 
 STAGES = (
+    Stage("action", action),
+    Stage("joining", joining),
     Stage("admission", admission),
     Stage("swing", swing),
     Stage("repetition", repetition),

@@ -175,12 +175,14 @@ class Findings:
     growth : of a swing that only the loop itself can make. learned : what the record taught.
     unexplained : share of the record's pv that its model leaves open.
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
+    joined : setpoint steps to and fro of which the record was made, 0 for one response as it came.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
     no second opinion. The others are those of StageResult, None for as before.
     """
 
     question: Question
     end: End | None = None
+    joined: int = 0
     growth: Growth | None = None
     learned: Learned | None = None
     unexplained: float = 0.0
@@ -216,7 +218,8 @@ class Findings:
 
     def stop(self, code: str, reason: str) -> None:
         """The stage decides: no later one runs, but those that always do."""
-        self.end = End(code, reason)
+        together = f"{self.joined} setpoint steps to and fro, joined: " if self.joined else ""
+        self.end = End(code, together + reason)
 
     def explained_otherwise(self, cause: Diagnosis, standing: Standing | None) -> None:
         """Something else than the tuning is behind the response: that is remembered, and nothing follows."""

@@ -25,7 +25,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.signals.recogniser import RecogniserPhase
 from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopSample, plain
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, plain
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.decision import (
     Action,
@@ -87,10 +87,8 @@ class Retuner:
 
     Parameters
     ----------
-    table : regions and the gains in force in each. settings : see RetunerSettings.
-    commissioned : the table as it was at first, when `table` is a later revision of it.
-
-    Its attribute `table` is the gain table as it stands.
+    table : regions and the gains in force in each; the attribute of that name is the table as it stands.
+    settings : see RetunerSettings. commissioned : the table as it was at first, when `table` is a later revision of it.
     """
 
     def __init__(self, table: GainTable, settings: RetunerSettings, commissioned: GainTable | None = None) -> None:
@@ -108,6 +106,7 @@ class Retuner:
         self._decisions = 0
         self._open: OpenQuestion | None = None
         self.sample_number = 0  # samples observed so far
+        self.turned = False  # whether the controller acts in the other direction: see operator_orders.acts
 
     @property
     def region(self) -> int | None:
@@ -153,8 +152,6 @@ class Retuner:
             A number of the sample is not finite or its time does not increase; nothing is changed then.
         """
         step = self.step(sample)
-        if step is NOTHING:
-            return None
         if step.question is None:
             return step.decision
         return self.enter(step.question, decide(step.question), self.sample_number)
@@ -165,6 +162,8 @@ class Retuner:
         A question stays open until its answer is entered. A decision that comes with a question restores the verified
         set, and does not wait for what the response under way may teach.
         """
+        if self.turned:  # as in manual: the loop is not ours, and teaches nothing
+            sample = plain(sample)._replace(mode=LoopMode.MANUAL)
         if self.trials.busy:
             return self._step_on_trial(plain(sample))
         seen = self._observe(sample)
@@ -261,8 +260,9 @@ class Retuner:
         free = self.trials.may_change(region, self._now_s, urgent=unpromised, ordered=not unpromised)
         phase = self.trials.phase(region)
         free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
-        if gains is not None and not free:
-            gains, outcome = None, StageResult(f"held_{phase.name.lower()}", f"no change now: {phase}")
+        if gains is not None and (self.turned or not free):
+            why = TrialEvent.ACTION_TURNED if self.turned else phase
+            gains, outcome = None, StageResult(f"held_{why.name.lower()}", f"no change now: {why}")
         decision = replace(self._decision(region, outcome), action=Action.NONE, gains_after=None, promise=None)
         if gains is None:
             return decision

@@ -9,6 +9,22 @@ NOT_TAKEN = (
 )
 
 
+def turned_words(ours: PidGains, now: PidGains, *, on_trial: bool) -> str:
+    """Gains of the other sign run: what is held, and the two ways out."""
+    return (
+        f"the active gains have the other sign ({_set(now)}, configured {_set(ours)}), so the loop may drive away"
+        "; on hold: nothing is written, nothing is learned"
+        f"{'; the trial is over, and what is to run is decided anew' if on_trial else ''}"
+        "; set gains of the configured sign at the controller, or end the session and change the sign in the "
+        "configuration"
+    )
+
+
+def right_words(now: PidGains) -> str:
+    """Gains of the configured sign run again."""
+    return f"the active gains have the configured sign again ({_set(now)}): the hold is over"
+
+
 def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float) -> str:
     """A person has set gains where others were in force: recognised, weighed, held."""
     words = f"an operator replaced {_set(ours)} by {_set(now)}"

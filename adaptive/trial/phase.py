@@ -58,6 +58,7 @@ class TrialEvent(StrEnum):
     RESTARTED = "the controller restarted"
     DEVICE_REVERTED = "the controller returned to its confirmed gains"
     DEVICE_STOPPED = "the controller stopped by itself"
+    ACTION_TURNED = "the controller acts in the other direction"
     OPERATOR_EDIT = "gains were changed by someone else"
     WRITE_UNKNOWN = "it is unknown whether the write took effect"
     LEFT_INTERPOLATED = "the loop left the region, whose trial gains still affect the interpolation"
@@ -89,6 +90,7 @@ SILENT = (
     E.RESTARTED,
     E.DEVICE_REVERTED,
     E.DEVICE_STOPPED,
+    E.ACTION_TURNED,
     E.WRITE_UNKNOWN,
     E.LEFT_INTERPOLATED,
     E.TIMED_OUT,
@@ -104,6 +106,7 @@ UNSURE = (
     E.RESTARTED,
     E.DEVICE_REVERTED,
     E.DEVICE_STOPPED,
+    E.ACTION_TURNED,
     E.WRITE_UNKNOWN,
     E.STOPPED,
 )

@@ -7,6 +7,7 @@ What is ambiguous is not guessed: the refusal names the option that answers it.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +28,8 @@ from retuner.drivers.historian.table_signals import TableSignals, signals_of
 from retuner.drivers.recorded.recording import LARGEST, Recording, RecordingError
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
+TRAFFIC = (".blf", ".asc", ".mf4", ".log")
+"""Logs of bus traffic; of a folder they are read where a DBC is given."""
 TAGS_SHOWN = 8
 WHOLE = RecordForm()
 
@@ -200,11 +203,32 @@ def _tables(source: object, form: RecordForm, tags: Sequence[str] = ()) -> list[
         return [table_of_frame(source)]
     path = Path(str(source))
     if path.is_dir():
-        inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in FILES_OF_A_FOLDER)
+        wanted = FILES_OF_A_FOLDER + TRAFFIC * bool(form.dbc)
+        inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in wanted)
         return [table for p in inside for table in _tables(p, form, tags)]
     if path.suffix.lower() == ".parquet":
         return [table for tables in tables_of_parquet(path, form, tags) for table in tables]
+    if path.suffix.lower() in TRAFFIC:
+        return traffic_tables(path, form)
     return [_text_table(path, form)]
+
+
+def traffic_tables(path: Path, form: RecordForm) -> list[RawTable]:
+    """The signals of a log of bus traffic; what reads it is loaded when it is needed.
+
+    Raises
+    ------
+    RecordingError
+        The log or a DBC cannot be read, or no DBC is given.
+    """
+    tables: list[RawTable] = import_module("retuner.drivers.historian.bus_traffic").tables_of_traffic(path, form)
+    return tables
+
+
+def traffic_names(path: Path, form: RecordForm) -> list[str]:
+    """The names of the signals in it; errors as traffic_tables."""
+    names: list[str] = import_module("retuner.drivers.historian.bus_traffic").traffic_names(path, form)
+    return names
 
 
 def _text_table(path: Path, form: RecordForm) -> RawTable:

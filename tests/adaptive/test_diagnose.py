@@ -158,6 +158,11 @@ def test_a_controller_that_acts_the_wrong_way_is_named(known: bool) -> None:
     assert "acts the wrong way" in told.reason
 
 
+def test_the_wrong_way_is_named_though_co_stood_at_its_limit_ever_since() -> None:
+    window = loop(PidGains(-0.5, -0.5 / 11), sp=to_and_fro, limits=(-10.0, 10.0), n=2000)
+    assert "acts the wrong way" in diagnose_window(window, PidGains(-0.5, -0.5 / 11), -10.0, 10.0).diagnosis.reason
+
+
 def test_a_load_beyond_the_output_is_not_taken_for_the_wrong_way() -> None:
     window = loop(load=lambda i: 4.0 if i >= 60 else 0.0, limits=(-2.0, 2.0), n=400)
     assert diagnose_window(window, GOOD, -2.0, 2.0).diagnosis.cause == Cause.SATURATION

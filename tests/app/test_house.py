@@ -27,8 +27,8 @@ ORDER = (
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
         "conformance",
-        "historian",
         "profiles", "dbc", "canopen",
+        "historian",
     )),
     "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
     "scheduling", "config", "ledger", "decisions", "pid_controller", "",

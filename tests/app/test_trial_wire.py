@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from wire import FOREIGN, GOOD, OTHER, Wire, is_telemetry
+from wire import FOREIGN, GOOD, OTHER, PROMISE, Wire, is_telemetry
 
 from retuner.adaptive.supervision.decision import Action, Mode
+from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.trial.phase import TrialEvent, TrialPhase
 from retuner.drivers.protocol.checksum import to_wire
 from retuner.schedule.gains import PidGains
@@ -332,14 +333,78 @@ def test_ctrl_c_takes_the_change_back_first_and_a_second_one_does_not_wait(make_
         assert wire.runs == to_wire(ends_on)
 
 
-@pytest.mark.parametrize("phase", [P.IDLE, P.TRIAL, P.RESTORING])
-def test_gains_of_the_other_sign_are_not_taken_for_ours(make_wire: Callable[..., Wire], phase: TrialPhase) -> None:
-    """The same numbers with the other sign: a switch of direct and reverse action thrown at the controller."""
-    wire = make_wire()
+TURNED = (P.IDLE, P.WRITING, P.TRIAL, P.RESTORING)
+
+
+def turn(wire: Wire, phase: TrialPhase) -> PidGains:
+    """A switch of direct and reverse action thrown at the controller in a phase: the same numbers, the other sign."""
     into(wire, phase)
-    tried = wire.session.retuner.trials.of(0).new or GOOD
-    wire.edit(PidGains(-tried.kp, -tried.ki))
+    ran = wire.runs
+    wire.edit(PidGains(-ran.kp, -ran.ki))
+    return ran
+
+
+@pytest.mark.parametrize("phase", TURNED)
+def test_a_turned_action_holds_the_loop_and_is_told_once(make_wire: Callable[..., Wire], phase: TrialPhase) -> None:
+    """Nothing is written over it and nothing learned from it, not even the way back: a person has to look."""
+    wire = make_wire()
+    turn(wire, phase)
+    wire.run(3)  # what was on its way ends
+    table, models = wire.session.retuner.table, dict(wire.session.retuner.region_models)
+    intents, decided = wire.kinds.count("intent"), len(wire.session.decisions)
+    wire.device.sp = 55.0
+    wire.run(300)
+    assert wire.runs.kp < 0.0
+    assert [decision.code for decision in wire.session.decisions].count("action_turned") == 1
+    assert len(wire.session.decisions) == decided
+    assert wire.kinds.count("action") == 1
+    assert wire.kinds.count("intent") == intents
+    assert not {"restored", "trial"} & set(wire.kinds[wire.kinds.index("action") :])
+    assert wire.session.retuner.table is table
+    assert wire.session.retuner.region_models == models
+    assert {gains.direction for gains in table.gains} == {1}
+
+
+@pytest.mark.parametrize("phase", TURNED)
+def test_after_the_action_is_right_again_the_loop_goes_on(make_wire: Callable[..., Wire], phase: TrialPhase) -> None:
+    wire = make_wire()
+    ran = turn(wire, phase)
+    wire.run(40)
+    wire.edit(ran)
     wire.run(60)
-    assert "edit_not_taken" in [decision.code for decision in wire.session.decisions]
-    assert wire.runs.kp < 0.0, "the device takes no write that turns the sign back"
-    assert "restored" not in wire.kinds
+    assert [row for kind, row in wire.rows if kind == "action"][-1]["turned"] is False
+    assert wire.runs == to_wire(wire.session.retuner.table.gains_of(0))
+    assert not wire.trials.busy
+    assert wire.session.writer.free
+    wire.end()
+    assert not wire.session.left_open
+
+
+def test_a_session_that_ends_with_a_turned_action_says_so(make_wire: Callable[..., Wire]) -> None:
+    """It does not wait for what cannot come: it writes nothing."""
+    wire = make_wire()
+    turn(wire, P.IDLE)
+    wire.run(10)
+    wire.end(most=5)
+    assert "other sign" in wire.session.left_open
+    assert wire.kinds[-1] == "unrestored"
+
+
+def test_gains_of_the_other_sign_are_found_at_the_start(make_wire: Callable[..., Wire]) -> None:
+    """They were there before the session: the schedule does not write over them."""
+    wire = make_wire(first=PidGains(-GOOD.kp, -GOOD.ki))
+    wire.run(100)
+    assert wire.session.retuner.turned
+    assert wire.kinds.count("action") == 1
+    assert "intent" not in wire.kinds
+
+
+@pytest.mark.parametrize("order", ["ask", "revert"])
+def test_nobody_orders_a_change_while_the_action_is_turned(make_wire: Callable[..., Wire], order: str) -> None:
+    wire = make_wire()
+    turn(wire, P.IDLE)
+    wire.run(5)
+    retuner, outcome = wire.session.retuner, StageResult("injected", "for a test")
+    made = retuner.ordered(0, outcome, NEW, PROMISE if order == "ask" else None)
+    assert made.code == "held_action_turned"
+    assert made.gains_after is None

@@ -55,6 +55,7 @@ class Wire:
         *,
         mode: Mode = Mode.AUTO,
         low: PidGains = GOOD,
+        first: PidGains | None = None,
         lookup: Lookup = Lookup.HARD,
         probation: int = 5,
         trial_samples: int = 0,
@@ -62,7 +63,7 @@ class Wire:
     ) -> None:
         regions = Regions("sp", "-", ("low", "high"), 0.0, (60.0,), 100.0, 0.5, 0.0)
         table = GainTable("loop", regions, (low, OTHER), lookup)
-        first = table.at(0, 50.0)
+        first = table.at(0, 50.0) if first is None else first
         plant = LinearPlant(PLANT, start_pv=50.0, start_co=50.0)
         firmware = VirtualDeviceSettings(
             gains=first, sample_time_s=1.0, box=GainBox(ratio_max=50.0), trial_samples=trial_samples

@@ -100,6 +100,7 @@ EVENTS: dict[str, Callable[[Document], str]] = {
     "worker": _after("decision process"),
     "unknown": _after("write not confirmed"),
     "foreign": _foreign,
+    "action": _after("ALARM"),
     "dropped": _dropped,
     "bus": _bus,
     "variable": _variable,

@@ -19,7 +19,7 @@ BY = {
     "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
     "restart": CONTROLLER,
     "reverted": CONTROLLER, "command": CONTROLLER, "foreign": "someone else", "foreign_host": "another host",
-    "lease": "another host", "conflict": "two controllers",
+    "action": "someone else", "lease": "another host", "conflict": "two controllers",
 }  # fmt: skip
 """Who stands behind a row, where it does not say so itself."""
 BY_ORDER = {"approved", "ordered_back"}

@@ -139,13 +139,14 @@ class GainWriter:
     @property
     def free(self) -> bool:
         """Whether what is asked for now would be begun at once: nothing under way, waiting, held or being restored."""
-        sound = self.t_s >= self._hold_until_s and not self.frozen and self.device.connected
+        sound = self.t_s >= self._hold_until_s and not self.frozen and self.device.connected and not self.retuner.turned
         return sound and self.machine.phase is WriterPhase.IDLE and not self.restoring
 
     @property
     def ready(self) -> bool:
         """Whether a decision could be written now: none waits, the wire is free, the link has been sound."""
-        return self.machine.phase is WriterPhase.IDLE and not self.frozen and self.t_s >= self._hold_until_s
+        sound = self.t_s >= self._hold_until_s and not self.frozen and not self.retuner.turned
+        return self.machine.phase is WriterPhase.IDLE and sound
 
     @property
     def restoring(self) -> bool:
@@ -181,6 +182,9 @@ class GainWriter:
         """Have the controller run what it should."""
         running = self.device.running
         if self.open or self.device.writing or not self.device.connected or running is None:
+            return
+        if self.retuner.turned:  # not the way back either: the controller acts the other way, and a person has to look
+            self._drop("the controller acts in the other direction")
             return
         self._settle(running)
         wanted = self._to_restore(running, now_s) if self.restoring else self._wanted(running.gains)

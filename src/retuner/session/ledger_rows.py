@@ -9,7 +9,7 @@ import numpy as np
 from retuner.adaptive.nudge.planner import NudgePhase
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Decision, Mode, gains_dict
-from retuner.adaptive.supervision.operator_orders import accept, approve, revert, set_mode, unlock
+from retuner.adaptive.supervision.operator_orders import accept, acts, approve, revert, set_mode, unlock
 from retuner.adaptive.supervision.pending_proposal import Proposal
 from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pretune import pretune
@@ -130,8 +130,8 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
             return retuner.abort(TrialEvent[str(body["cause"]).upper()])
         case "restored", _:
             retuner.restored()
-        case "foreign", _:
-            return retuner.edited(gains_of(body["gains"]))
+        case (("foreign" | "action"), _):
+            return _set_by_someone(retuner, gains_of(body["gains"]), action=kind == "action")
         case "answer", _:
             return _answer(retuner, body)
         case "pretune", _:
@@ -141,6 +141,13 @@ def feed(retuner: Retuner, kind: str, body: Mapping[str, Any], t_s: float) -> De
         case _:
             pass
     return None
+
+
+def _set_by_someone(retuner: Retuner, gains: PidGains, *, action: bool) -> Decision | None:
+    """Gains that someone has set at the controller; action : they turn its direction, or turn it back."""
+    if action:
+        return acts(retuner, gains)
+    return None if retuner.turned else retuner.edited(gains)
 
 
 def _answer(retuner: Retuner, body: Mapping[str, Any]) -> Decision:
@@ -178,7 +185,8 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
 
 def record_of(body: Mapping[str, Any]) -> Window:
     """The record of a commanded step as rows keep it; errors as Window."""
-    return Window(*(np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co")))
+    t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co"))
+    return Window(t_s, sp, pv, co)
 
 
 def gains_of(body: Mapping[str, Any]) -> PidGains:

@@ -13,8 +13,9 @@ from enum import Enum
 
 from retuner.adaptive.nudge.planner import NudgeNews, NudgePhase
 from retuner.adaptive.nudge.watching import Nudger
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, gains_dict
+from retuner.adaptive.supervision.operator_orders import acts
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.decisions.decider import DecideHere, Decider
@@ -25,6 +26,7 @@ from retuner.drivers.device import (
     Event,
     Reverted,
     RunningChanged,
+    RunningSet,
     WriteDone,
     WriteFailed,
 )
@@ -47,6 +49,7 @@ END_PATIENCE_SAMPLES = 200
 
 GAINS_OPEN = "the controller has not reported that it runs the gains that are to run"
 SETPOINT_OPEN = "the setpoint has not come back from a bump"
+TURNED = "the active gains have the other sign than the configured ones: the loop may drive away"
 
 
 class SessionPhase(Enum):
@@ -56,7 +59,7 @@ class SessionPhase(Enum):
     ENDING = "ending: an undecided change is rolled back"
     FAILING = "ending after a defect: no sample is looked at any more"
     SETTLED = "over: nothing is open"
-    LEFT_OPEN = "over: the waiting time has passed before the verified gains were known to be active"
+    LEFT_OPEN = "over: the verified gains are not known to be active"
 
 
 class SessionInput(Enum):
@@ -68,6 +71,7 @@ class SessionInput(Enum):
     FAILED = "a defect"
     CLOSED = "no write is open and no set is to be restored"
     IMPATIENT = "patience is over"
+    TURNED = "the controller acts in the other direction, so nothing can be restored"
 
 
 P, S = SessionPhase, SessionInput
@@ -78,7 +82,7 @@ COURSE: dict[tuple[SessionPhase, SessionInput], SessionPhase] = {
     (P.WATCHING, S.FAILED): P.FAILING,
     (P.ENDING, S.FAILED): P.FAILING,
     **{(phase, S.CLOSED): P.SETTLED for phase in (P.ENDING, P.FAILING)},
-    **{(phase, S.IMPATIENT): P.LEFT_OPEN for phase in (P.ENDING, P.FAILING)},
+    **{(phase, event): P.LEFT_OPEN for phase in (P.ENDING, P.FAILING) for event in (S.IMPATIENT, S.TURNED)},
 }
 """Everything that is not here leaves the phase as it is: the first reason to end counts."""
 
@@ -200,6 +204,7 @@ class LoopSession:
                 self._sample(event, now_s)
             else:
                 self._event(event, now_s)
+        self._watch_action(self.device.running)
         if now_s - self._sampled_s > UNSEEN_SAMPLES * self.retuner.settings.sample_time_s:
             self._abort(TrialEvent.LOST_TELEMETRY)
         self._end(now_s)
@@ -243,6 +248,8 @@ class LoopSession:
         """Whether the setpoint is to be bumped, or goes back; what has not arrived is sent once more."""
         if self.nudger is None:
             return
+        if self.retuner.turned:  # as in manual: a bump goes back, none begins
+            sample = sample._replace(mode=LoopMode.MANUAL)
         free = self.writer.free and self.machine.phase is SessionPhase.WATCHING
         news = self.nudger.look(sample, free=free)
         again = self.nudger.planner.again(sample.t_s)
@@ -328,6 +335,8 @@ class LoopSession:
             case _:
                 if isinstance(event, Reverted):  # it was not confirmed in time: no hurry to write it again
                     self.writer.wait()
+                if isinstance(event, RunningChanged):
+                    self._watch_action(event.running)
                 kind, body = trouble(event)
                 self._record(kind, self.writer.t_s, body)
                 if isinstance(event, HELD_BY):
@@ -338,9 +347,21 @@ class LoopSession:
 
     def _edited(self, event: RunningChanged) -> None:
         """Somebody else has changed the running set: it is theirs, and stays."""
-        decision = self.retuner.edited(event.running.gains)
+        decision = None if self.retuner.turned else self.retuner.edited(event.running.gains)
         if decision is not None:
             self._decided(decision)
+
+    def _watch_action(self, running: RunningSet | None) -> None:
+        """Whether what runs acts in the commissioned direction: a turned one puts the loop on hold, and is told once.
+
+        Whatever turned it: an edit, a switch of the action, a restart, or gains that were there before the session.
+        """
+        decision = None if running is None else acts(self.retuner, running.gains)
+        if decision is None or running is None:
+            return
+        body = {"turned": self.retuner.turned, "gains": gains_dict(running.gains), "reason": decision.reason}
+        self._record("action", self.writer.t_s, body)
+        self._decided(decision)
 
     def _abort(self, cause: TrialEvent | None) -> None:
         """Put a cause to the undecided trials that do not know it: recorded, then what is to run is decided."""
@@ -368,18 +389,19 @@ class LoopSession:
         """The end is reached when nothing is open; or patience is over, and what is left open is said."""
         if not self.ending:
             return
-        if not self.writer.open and not self.writer.restoring and not self._bumped:
+        nothing_open, turned = not self.writer.open and not self._bumped, self.retuner.turned
+        if nothing_open and not turned and not self.writer.restoring:
             self.machine.take(SessionInput.CLOSED)
-        elif now_s >= self._ends_at_s:
-            self.machine.take(SessionInput.IMPATIENT)
+        elif now_s >= self._ends_at_s or (nothing_open and turned):
+            self.machine.take(SessionInput.TURNED if turned else SessionInput.IMPATIENT)
             self.tell_what_is_open()
 
     def tell_what_is_open(self) -> None:
         """Record that the session ends without knowing that the verified set runs, if it is so."""
         trials = self.retuner.trials
         gains_open = self.writer.open or bool(trials.left_open)
-        if not self.left_open and (gains_open or self._bumped):
-            self.left_open = GAINS_OPEN if gains_open else SETPOINT_OPEN
+        if not self.left_open and (gains_open or self._bumped or self.retuner.turned):
+            self.left_open = TURNED if self.retuner.turned else GAINS_OPEN if gains_open else SETPOINT_OPEN
             running = self.device.running
             names = self.table.regions.names
             body = {

@@ -28,7 +28,9 @@ from retuner.session.recorded_session import believed_rows
 
 ROW = "memory"
 """Kind of the rows that know a memory by its hash."""
-TOLD_AGAIN = frozenset({"committed", "refused", "dropped", "abort", "restored", "foreign", "order", "pretune"})
+TOLD_AGAIN = frozenset(
+    {"committed", "refused", "dropped", "abort", "restored", "foreign", "action", "order", "pretune"}
+)
 """Rows behind a memory that the retuner is told again. A question that was open is lost with the process."""
 
 
