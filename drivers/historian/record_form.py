@@ -45,8 +45,8 @@ class RecordForm:
     value says. bad : further words that stand for a missing value. scale : what signals are recorded as and stand for,
     by role, as in {"pv": "4..20:0..200"} (scaling.py). words : roles by the last word of signals' names, as in
     {"meas": "pv"}, beside those that are known. signals : names as TAG.ROLE by the names that they have in the record,
-    as in {"40FT17": "FIC17.PV"}; a name without role is no signal. dbc : files that describe bus traffic.
-    others : further columns that are wanted by name.
+    as in {"40FT17": "FIC17.PV"}; a name without role is no signal. others : further columns that are wanted by name.
+    dbc : files that describe bus traffic.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def form_from_toml(path: Path) -> RecordForm:
             wrong = _wrong_entry(name, value)
             raise RecordingError(f"{path}: [record] {wrong}: give {KINDS.get(name, 'text in quotes')}")
     try:
-        given |= {name: tuple(given.get(name, ())) for name in ("bad", "dbc", "others")}
+        given |= {name: tuple(given[name]) for name in ("bad", "dbc", "others") if name in given}
         return replace(RecordForm(), **given)
     except ValueError as error:
         raise RecordingError(f"{path}: [record] {error}") from error
