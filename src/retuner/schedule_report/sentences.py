@@ -60,7 +60,7 @@ def push_sentence(found: ScheduleDesign) -> str:
         return ""
     return (
         f"{found.variable} comes from outside and may move pv by itself. How it does so is known only roughly, "
-        "and the bands leave that out: confirm with a setpoint step at each end before you trust the gains there."
+        "and the bands leave that out. Confirm the gains with a setpoint step at each end."
     )
 
 
