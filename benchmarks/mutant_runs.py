@@ -37,7 +37,7 @@ LEFT_TO_OTHERS = (
     "tests/drivers/test_firmware_process.py",
 )  # wait for others
 LONGEST_S = 20.0  # of one test that is asked
-ALL_S = 120.0  # of all that are asked about one mutant; a survivor of these counts as one, whatever the rest would find
+ALL_S = 60.0  # of all that are asked about one mutant; a survivor of these counts as one, whatever the rest would find
 MORE = 4  # times as long as without a mutant
 COVERAGE = "[run]\nbranch = false\nconcurrency = thread\ninclude =\n"
 
