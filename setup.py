@@ -14,6 +14,7 @@ from pathlib import Path
 from setuptools import Extension, find_packages, setup
 
 ROOMS = ("schedule", "adaptive", "drivers")
+FOLDERS_OF_DATA = ["retuner.drivers.firmware", "retuner.serve.static"]  # no code in them; setuptools wants them named
 
 
 def linked() -> bool:
@@ -37,6 +38,7 @@ else:
     for room in ROOMS:
         package_dir[f"retuner.{room}"] = room
         packages += [f"retuner.{room}", *(f"retuner.{room}.{name}" for name in find_packages(room))]
+packages += FOLDERS_OF_DATA
 
 STABLE = "0x030B0000"
 ENGINE = ("modes", "lanes", "misfit", "refine", "screen", "search", "valves")

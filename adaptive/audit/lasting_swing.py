@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import rfft
 
 from retuner.adaptive.indexes.autocovariance import DRIFT_WINDOWS, LEAST_STRENGTH, Regularity, regularity
 from retuner.adaptive.signals.sample import FloatArray
@@ -44,7 +45,11 @@ class LastingSwing:
 
 def lasting_swing(error: FloatArray, co: FloatArray) -> LastingSwing | None:
     """The strongest lasting swing of the error, else of co; None where there is none. Shapes (n,), n at least 3."""
-    found = [swing for pace in _paces(len(error)) if (swing := _at_pace(error, co, pace)) is not None]
+    found, last = [], 1
+    for pace in _paces(len(error)):
+        error, co, last = _means(error, pace // last), _means(co, pace // last), pace
+        if (swing := _at_pace(error, co, pace)) is not None:
+            found.append(swing)
     return max(found, key=lambda swing: swing.wave.strength * swing.share, default=None)
 
 
@@ -57,9 +62,15 @@ def _paces(samples: int) -> Iterator[int]:
         yield pace
 
 
+def _means(x: FloatArray, many: int) -> FloatArray:
+    """Means of so many samples each; what is left over at the end is left out."""
+    points = len(x) // many
+    return x if many == 1 else np.asarray(x[: points * many].reshape(points, many) @ np.full(many, 1 / many))
+
+
 def _at_pace(error: FloatArray, co: FloatArray, pace: int) -> LastingSwing | None:
-    """The strongest lasting swing at one pace."""
-    rows = _windows(error, pace), _windows(co, pace)
+    """The strongest lasting swing at one pace; error, co : means at it."""
+    rows = _windows(error), _windows(co)
     parts = len(rows[0])
     likely = _stand_out(np.concatenate(rows))
     waves = []
@@ -72,13 +83,11 @@ def _at_pace(error: FloatArray, co: FloatArray, pace: int) -> LastingSwing | Non
     return LastingSwing(best, len(waves) / parts) if best is not None else None
 
 
-def _windows(x: FloatArray, pace: int) -> FloatArray:
-    """Windows of the means of `pace` samples, shape (parts, points)."""
-    points = len(x) // pace
-    means = x[: points * pace].reshape(points, pace).mean(axis=1) if pace > 1 else x
-    length = min(points, WINDOW)
-    parts = min(PARTS, points // length)
-    begins = np.linspace(0, points - length, parts).astype(int)
+def _windows(means: FloatArray) -> FloatArray:
+    """Windows of the means, shape (parts, points)."""
+    length = min(len(means), WINDOW)
+    parts = min(PARTS, len(means) // length)
+    begins = np.linspace(0, len(means) - length, parts).astype(int)
     return np.stack([means[begin : begin + length] for begin in begins])
 
 
@@ -91,7 +100,8 @@ def _stand_out(rows: FloatArray) -> npt.NDArray[np.bool_]:
     i = np.arange(length) - (length - 1) / 2
     level = rows - rows.mean(axis=1, keepdims=True)
     flat = level - np.outer(level @ i / float(i @ i), i)
-    power = np.abs(np.fft.rfft(flat.astype(np.float32), 2 * length)) ** 2  # for the eye of a first look
+    spectrum = rfft(flat.astype(np.float32), 2 * length)  # for the eye of a first look
+    power = spectrum.real**2 + spectrum.imag**2
     sums = np.cumsum(power, axis=1, dtype=np.float64)
     bands = sums[:, edges[2:]] - sums[:, edges[:-2]]
     beside = np.maximum(bands[:, :-4], bands[:, 4:])
@@ -108,4 +118,4 @@ def _edges(length: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     last = 2 * length / FASTEST
     count = max(int(np.log(last / 4) / np.log(BAND)), 0) if last > 4 else 0
     edges = np.unique((4 * BAND ** np.arange(count + 1)).astype(np.intp))
-    return edges, np.array([0, *(int(2 / share) for share in DRIFT_WINDOWS)])
+    return edges, np.array([0, *(bin_ for share in DRIFT_WINDOWS if (bin_ := int(2 / share)) <= length)])

@@ -24,7 +24,7 @@ from types import MappingProxyType
 
 from retuner.adaptive.audit.loop_screen import LoopScreen
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
-from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.indexes.condition import SENTENCES, Condition
 
 HALF = 0.5
 """What a further stretch counts."""
@@ -50,6 +50,7 @@ class Action(StrEnum):
     SIGNAL = "check the sensor or the tag"
     AUTOMATIC = "find out why it is in manual"
     RECORD = "record a setpoint step"
+    EXPORT = "export its setpoint"
     LOOK = "inspect"
     NOTHING = "nothing"
 
@@ -64,6 +65,7 @@ EFFORT = MappingProxyType(
         Action.VALVE: 3.0,
         Action.SIZE: 5.0,
         Action.RECORD: 4.0,
+        Action.EXPORT: 1.0,
         Action.NOTHING: 10.0,
     }
 )
@@ -169,7 +171,7 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
 def limit_confidence(screen: LoopScreen) -> float:
     """How sure a limit of co binds for part of the record; see the head of this file."""
     w, loss = screen.at_limits, screen.loss_at_limits
-    if w < LEAST_AT_LIMIT or loss < LEAST_LOSS or screen.one_sided < LEAST_ONE_SIDED:
+    if not screen.setpoint or w < LEAST_AT_LIMIT or loss < LEAST_LOSS or screen.one_sided < LEAST_ONE_SIDED:
         return 0.0
     odds = screen.one_sided * loss * (1 - w) / max((1 - loss) * w, 1e-6)
     return min(odds / (1 + odds), MOST_SURE)
@@ -188,7 +190,7 @@ def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdic
 
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
     """No loop is at work."""
-    reason = f"no control in its record: {screen.condition}"
+    reason = SENTENCES[screen.condition]
     return LoopVerdict(Cause.UNKNOWN, 0.9, action, reason, 0.0, looked_at, looked_at, 1.0, 0.9 * 0.5 / EFFORT[action])
 
 
@@ -207,11 +209,18 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
 
 def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
     """Nothing can be named; a loop that swings is worth a look all the same."""
-    newest = stretches[-1] if stretches else None
     swings = screen.swinging >= SWINGS
-    period = f"oscillates with a period of {screen.period_s:.4g} s" if screen.period_s else "nothing stands out"
-    reason = newest.reason if newest is not None else f"screened only: {period}"
-    action = Action.LOOK if swings else Action.RECORD
+    action = Action.LOOK if swings else Action.RECORD if screen.setpoint else Action.EXPORT
+    reason = stretches[-1].reason if stretches else _of_screen(screen)
     rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0
     avoidable = screen.harris * screen.strength if swings else 0.0
     return LoopVerdict(Cause.UNKNOWN, 0.5, action, reason, None, 0, len(stretches), avoidable, rank)
+
+
+def _of_screen(screen: LoopScreen) -> str:
+    """What the screening alone says."""
+    period = f"oscillates with a period of {screen.period_s:.4g} s" if screen.period_s else "nothing stands out"
+    if screen.setpoint:
+        return f"screened only: {period}"
+    at_limits = f", co stands at a limit for {screen.at_limits:.0%} of the time" if screen.at_limits else ""
+    return f"no setpoint on record, so only pv and co were screened: {period}{at_limits}"

@@ -162,8 +162,7 @@ def _busiest(window: Window, most: int) -> Window:
     e = window.sp - window.pv
     starts = [*range(0, n - most, most // 4), n - most]
     start = max(starts, key=lambda i: float(np.std(e[i : i + most])))
-    part = slice(start, start + most)
-    return Window(window.t_s[part], window.sp[part], window.pv[part], window.co[part])
+    return window.part(slice(start, start + most))
 
 
 def _refused(reason: str, found: Regression | None = None) -> SettingsInForce:

@@ -34,12 +34,7 @@ def stretches(window: Window, period_s: float | None, most_samples: int) -> list
     changes = np.abs(np.diff(window.sp))
     middle = int(np.argmax(changes)) if np.any(changes) else n // 2
     firsts = [0, min(max(middle - length // 3, length), n - 2 * length), n - length]
-    return [_part(window, first, first + length) for first in firsts]
-
-
-def _part(window: Window, first: int, end: int) -> Window:
-    """Some of the samples."""
-    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)))
+    return [window.part(slice(first, first + length)) for first in firsts]
 
 
 def over_time(parts: list[Window], found: list[Found]) -> Found:

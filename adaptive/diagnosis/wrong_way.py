@@ -22,16 +22,19 @@ RUNS = 3.0
 """Ratio of the error at the end to that at the beginning from which it has run away."""
 SIGMAS = 6.0
 """And it stands out of the noise by so many standard deviations."""
-LEAD = 50.0
-"""By how much the criterion of the other sign must be the smaller one: odds of e^25."""
+LEAD = 25.0
+"""By how much the criterion of the other sign must be the smaller one: odds of e^12."""
 EXPLAINED = 0.9
 """Share of pv's variance that it must explain."""
+LEAST_SAMPLES = 5 * PARTS
+"""A part has at least five samples; a record that is shorter is taken whole."""
 MOST_LOADS = 1
 """Load steps that it may need: what goes the wrong way runs away from the smallest one."""
 
 
 def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Diagnosis | None:
     """The verdict, where the record shows it. direction : of the controller, the sign of its gain."""
+    window = _while_co_moved(window)
     if not _runs_away(window, direction):
         return None
     fits = {sign: _best(window, sign, settings) for sign in (direction, -direction)}
@@ -42,10 +45,19 @@ def acts_wrong_way(window: Window, direction: int, settings: FitSettings) -> Dia
     if lead < LEAD or explained < EXPLAINED or other.fit.misfit.loads > MOST_LOADS:
         return None
     reason = (
-        "the controller acts the wrong way: pv goes where co pushes it, away from the setpoint, and co pushes on; turn "
-        "its action round (direct, reverse), or the sign of its gain"
+        "the controller acts the wrong way: pv goes where co pushes it, away from the setpoint, and co pushes on; take "
+        "the loop to manual, then turn its action round (direct, reverse), or the sign of its gain"
     )
     return Diagnosis(Cause.UNKNOWN, 0.9, {"wrong_way_lead": lead}, reason)
+
+
+def _while_co_moved(window: Window) -> Window:
+    """The record until co stood still for good, at a limit, and a fifth more: what came after tells nothing new."""
+    away = np.flatnonzero(window.co != window.co[-1])
+    kept = (int(away[-1]) + 2) * (PARTS + 1) // PARTS if away.size else len(window.co)
+    if kept >= len(window.co) or kept < LEAST_SAMPLES:
+        return window
+    return window.part(slice(kept))
 
 
 def _runs_away(window: Window, direction: int) -> bool:

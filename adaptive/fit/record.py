@@ -57,7 +57,7 @@ class Record:
         t = window.t_s - window.t_s[0]  # seconds since 1970 leave too few digits for derivatives by the dead time
         pv_range = float(np.ptp(window.pv))
         resolution = max(quantum_sigma(window.pv), hidden, LEAST_NOISE * pv_range)
-        noise = max(noise_sigma(window.pv), resolution)
+        noise = max(noise_sigma(window.pv), resolution, window.noise_std)
         dt = window.sample_time_s
         return cls(
             np.ascontiguousarray(window.pv),

@@ -55,7 +55,7 @@ def by_region(window: Window, by: FloatArray, bounds: Sequence[float]) -> tuple[
     stretches: list[list[Window]] = [[] for _ in ends[1:]]
     for first, end in pairwise(cuts):
         if end - first >= FEWEST_SAMPLES:
-            stretches[at[first]].append(_part(window, first, end))
+            stretches[at[first]].append(window.part(slice(first, end)))
     return tuple(RegionRecord(ends[i], ends[i + 1], tuple(found)) for i, found in enumerate(stretches))
 
 
@@ -89,8 +89,3 @@ def _places(by: FloatArray, edges: FloatArray, margin: float) -> list[int]:
         now = max(now, above) if above > now else min(now, below)
         found.append(now)
     return found
-
-
-def _part(window: Window, first: int, end: int) -> Window:
-    """Rows of a record."""
-    return Window(*(x[first:end] for x in (window.t_s, window.sp, window.pv, window.co)))

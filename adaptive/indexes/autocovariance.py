@@ -98,7 +98,7 @@ def autocovariance(x: FloatArray) -> FloatArray:
     n = len(x)
     level = x - np.mean(x)
     spectrum = np.fft.rfft(level, 1 << (2 * n - 1).bit_length())
-    sums = np.fft.irfft((spectrum * spectrum.conj()).real)[: n // 2 + 1]
+    sums = np.fft.irfft(spectrum.real**2 + spectrum.imag**2)[: n // 2 + 1]
     if sums[0] <= 0:
         return np.zeros(n // 2 + 1)
     return np.asarray(sums / (n - np.arange(n // 2 + 1)) * (n / sums[0]), dtype=np.float64)

@@ -91,43 +91,85 @@ def as_steps(pv: FloatArray) -> Steps:
     return found[best]
 
 
+@dataclass(frozen=True, slots=True)
+class _Responses:
+    """Responses to a jump at each row from 1 on, as columns j = 0 ... n - 2; the jump of column j is at row j + 1.
+
+    What is summed against all of them goes backwards over the rows once, with r = exp(-1/T):
+
+        sum_i x_i [1 - r^(i-s)] over i >= s  =  S_s - E_s,    S_s = x_s + S_(s+1),  E_s = x_s + r E_(s+1)
+    """
+
+    n: int
+    lag: float
+
+    def columns(self, at: npt.ArrayLike) -> FloatArray:
+        """Some of them, shape (n, number)."""
+        since = np.arange(self.n)[:, None] - (np.atleast_1d(np.asarray(at))[None, :] + 1)
+        return np.where(since >= 0, self._response(since.clip(0)), 0.0)
+
+    def against(self, x: FloatArray) -> FloatArray:
+        """Products of a signal with all of them, shape (n - 1,)."""
+        backwards = x[::-1]
+        sums = np.cumsum(backwards)
+        if self.lag:
+            sums -= _faded(backwards, float(np.exp(-1 / self.lag)))
+        return np.asarray(sums[::-1][1:])
+
+    def squares(self) -> FloatArray:
+        """Sums of their squares, shape (n - 1,)."""
+        return np.asarray(np.cumsum(self._response(np.arange(self.n - 1)) ** 2)[::-1])
+
+    def _response(self, since: npt.NDArray[np.intp]) -> FloatArray:
+        """The response so many rows after a jump."""
+        return -np.expm1(-since / self.lag) if self.lag else np.ones(since.shape)
+
+
+def _faded(x: FloatArray, share: float) -> FloatArray:
+    """y_i = x_i + share y_(i-1), shape (n,): sums over 1, 2, 4, ... samples, each twice as long as the one before."""
+    y, many = x.copy(), 1
+    while many < len(y) and share > 0:
+        y[many:] = y[many:] + share * y[:-many]
+        many, share = 2 * many, share * share
+    return y
+
+
 def _with_lag(pv: FloatArray, lag: float, sigma: float) -> Steps:
     """The best description with one lag."""
     n = len(pv)
-    rows = np.arange(n)
-    since = rows[:, None] - rows[None, 1:]
-    steps = (since >= 0).astype(np.float64) if not lag else np.where(since > 0, -np.expm1(-since.clip(0) / lag), 0.0)
-    start = [np.ones(n), np.exp(-rows / lag)] if lag else [np.ones(n)]
+    responses = _Responses(n, lag)
+    start = [np.ones(n), np.exp(-np.arange(n) / lag)] if lag else [np.ones(n)]
     rest, _ = np.linalg.qr(np.stack(start, axis=1))
-    chosen = _chosen(pv, steps, rest, sigma)
+    chosen = _chosen(pv, responses, rest, sigma)
     for _ in range(MOVED_PASSES):
-        chosen = _moved(pv, steps, rest, chosen)
-    columns = np.concatenate([rest, steps[:, chosen]], axis=1)
+        chosen = _moved(pv, responses, rest, chosen)
+    columns = np.concatenate([rest, responses.columns(chosen)], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, pv, rcond=None)[0]
     found = price(float(np.sum((pv - fitted) ** 2)), n, sigma, len(chosen))
     return Steps(tuple(sorted(j + 1 for j in chosen)), lag, np.asarray(fitted), sigma, found)
 
 
-def _chosen(pv: FloatArray, steps: FloatArray, rest: FloatArray, sigma: float) -> list[int]:
+def _chosen(pv: FloatArray, responses: _Responses, rest: FloatArray, sigma: float) -> list[int]:
     """Columns that pay, one by one; as many as the criterion asks for."""
     n = len(pv)
     left = pv - rest @ (rest.T @ pv)
-    whole = np.einsum("ij,ij->j", steps, steps)
-    free = whole - np.sum((rest.T @ steps) ** 2, axis=0)
+    whole = responses.squares()
+    free = whole - sum(responses.against(column) ** 2 for column in rest.T)
     basis = rest
     found: list[int] = []
     best, kept = price(float(left @ left), n, sigma, 0), 0
     for _ in range(MOST_JUMPS):
         usable = free > NEW * whole
-        taken = np.where(usable, (left @ steps) ** 2 / np.where(usable, free, 1.0), 0.0)
+        taken = np.where(usable, responses.against(left) ** 2 / np.where(usable, free, 1.0), 0.0)
         j = int(np.argmax(taken))
         if taken[j] <= 0:
             break
-        new = steps[:, j] - basis @ (basis.T @ steps[:, j])
+        column = responses.columns(j)[:, 0]
+        new = column - basis @ (basis.T @ column)
         new /= np.linalg.norm(new)
         basis = np.column_stack([basis, new])
         left = left - new * (new @ left)
-        free = free - (new @ steps) ** 2
+        free = free - responses.against(new) ** 2
         found.append(j)
         now = price(float(left @ left), n, sigma, len(found))
         if now < best:
@@ -135,14 +177,15 @@ def _chosen(pv: FloatArray, steps: FloatArray, rest: FloatArray, sigma: float) -
     return found[:kept]
 
 
-def _moved(pv: FloatArray, steps: FloatArray, rest: FloatArray, chosen: list[int]) -> list[int]:
+def _moved(pv: FloatArray, responses: _Responses, rest: FloatArray, chosen: list[int]) -> list[int]:
     """Every jump at its best row nearby, the others held where they are."""
     at = list(chosen)
     for i, j in enumerate(at):
-        others = np.concatenate([rest, steps[:, at[:i] + at[i + 1 :]]], axis=1)
+        others = np.concatenate([rest, responses.columns(at[:i] + at[i + 1 :])], axis=1)
         q, _ = np.linalg.qr(others)
-        near = np.arange(max(j - MOVED_ROWS, 0), min(j + MOVED_ROWS + 1, steps.shape[1]))
-        columns = steps[:, near] - q @ (q.T @ steps[:, near])
+        near = np.arange(max(j - MOVED_ROWS, 0), min(j + MOVED_ROWS + 1, len(pv) - 1))
+        columns = responses.columns(near)
+        columns -= q @ (q.T @ columns)
         size = np.einsum("ij,ij->j", columns, columns)
         usable = size > NEW * len(pv)
         taken = np.where(usable, (pv @ columns) ** 2 / np.where(usable, size, 1.0), 0.0)

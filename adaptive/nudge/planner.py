@@ -1,10 +1,14 @@
 """When to bump the setpoint, by how much, and when it goes back: one enum of phases, one of inputs, one table.
 
     WATCHING -> ANNOUNCED -> GOING -> HOLDING -> RETURNING -> WATCHING
+                               ^_________|  to and fro
 
 A bump is a step of the setpoint and, once the loop has come to rest, the step back: two ordinary responses, which go
 the ordinary way through admission, proof and trial. A record of loads alone leaves open what is load and what is
 process (docs/online.md has the Cramer-Rao bounds); a step whose cause is known does not.
+
+A loop that loads move all the time is never at rest, and one step shows its loads as much as its process. There the
+bump goes to and fro about the old setpoint, at even times, and the responses are joined (signals/to_and_fro.py).
 
 The planner moves nothing itself: it hands out the setpoint that is to be sent. It believes only what comes back in
 the samples. A setpoint that is neither the old one nor the bump's is a person's or another loop's: it stays, and the
@@ -17,6 +21,7 @@ from enum import StrEnum
 
 from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS
 
 SECONDS_PER_HOUR = 3600.0
 SAME = 0.05
@@ -29,6 +34,10 @@ SHORTEST_SAMPLES = 20
 """Samples for which a bump is held at least, or its response would not have begun."""
 CALM = 0.5
 """Share of a bump by which pv may be off the setpoint when it begins."""
+RESTLESS = 0.02
+"""Share of the samples outside the noise band, since the last evidence, from which loads move a loop all the time."""
+HALF_TIMES = 6.0
+"""Times that the error takes to fall to half of a bump, for which each setpoint of a bump to and fro is held."""
 
 
 class NudgePhase(StrEnum):
@@ -51,6 +60,7 @@ class NudgeInput(StrEnum):
     TAKEN = "the controller has taken it"
     NOT_TAKEN = "the controller has not taken it"
     AT_REST = "the loop has come to rest"
+    NEXT = "it goes to the other side, to and fro"
     TOO_LONG = "it has lasted as long as it may"
     EXCURSION = "the control error is larger than a bump should make it"
     LIMITED = "the output stands at a limit"
@@ -72,6 +82,7 @@ COURSE: dict[tuple[NudgePhase, NudgeInput], NudgePhase] = {
     (P.GOING, E.TAKEN): P.HOLDING,
     **{(P.GOING, cause): P.RETURNING for cause in TROUBLE if cause is not E.AT_REST},
     (P.GOING, E.OTHERS): P.WATCHING,
+    (P.HOLDING, E.NEXT): P.GOING,
     **{(P.HOLDING, cause): P.RETURNING for cause in TROUBLE if cause is not E.NOT_TAKEN},
     (P.HOLDING, E.OTHERS): P.WATCHING,
     (P.RETURNING, E.LEFT_OUT): P.RETURNING,
@@ -141,8 +152,11 @@ class NudgePlanner:
         """When the setpoint was bumped, sample times."""
         self.size, self._dt_s = settings.percent / 100 * pv_span, sample_time_s
         self._quiet_since_s: float | None = None
-        self._sp = self._before = self._to = self._since_s = self._sent_s = 0.0
+        self._sp = self._before = self._from = self._to = self._since_s = self._sent_s = 0.0
         self._up, self._told_small, self._left = True, False, False
+        self._seen = self._outside = self._more = 0
+        self._rested = False
+        self._hold_s = math.inf
 
     @property
     def out(self) -> bool:
@@ -152,6 +166,7 @@ class NudgePlanner:
     def evidence(self, t_s: float) -> None:
         """Something has shown the process: the waiting begins anew."""
         self._quiet_since_s = t_s
+        self._seen, self._outside, self._rested = 0, 0, False
 
     def look(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
         """Take a sample; what it leads to, if anything."""
@@ -162,6 +177,7 @@ class NudgePlanner:
         self._since_s = min(self._since_s, sample.t_s)
         moved = sample.sp != self._sp
         self._sp = sample.sp
+        self._count(sample, around)
         if self.phase is NudgePhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
@@ -217,29 +233,53 @@ class NudgePlanner:
     def _is_free(self, sample: LoopSample, around: LoopAround) -> bool:
         """Whether the loop is fit for a bump."""
         large = self.size >= self.settings.least_bands * around.band
-        calm = around.at_rest and abs(sample.sp - sample.pv) <= max(CALM * self.size, around.band)
+        near = abs(sample.sp - sample.pv) <= max(CALM * self.size, around.band)
+        calm = near and (around.at_rest or self._restless)
         ready = sample.mode == LoopMode.AUTO and not sample.limited and self.settings.is_time(around.hour)
         return bool(around.wanted) and large and calm and ready
 
+    def _count(self, sample: LoopSample, around: LoopAround) -> None:
+        """Whether a sample is outside the noise band; what the evidence itself has left is passed over."""
+        assert self._quiet_since_s is not None
+        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
+        self._rested = self._rested or around.at_rest or sample.t_s - self._quiet_since_s > half_s
+        if self._rested:
+            self._seen += 1
+            self._outside += abs(sample.sp - sample.pv) > around.band
+
+    @property
+    def _restless(self) -> bool:
+        """Whether loads move the loop all the time."""
+        return self._outside > RESTLESS * self._seen
+
     def _aim(self, sp: float, around: LoopAround) -> float | None:
-        """Where the setpoint would go: up and down in turn, as far as there is room."""
+        """Where the setpoint would go: up and down in turn, as far as there is room; to and fro needs it on both."""
         sides = (sp + self.size, sp - self.size) if self._up else (sp - self.size, sp + self.size)
+        if self._restless and not all(around.low <= to <= around.high for to in sides):
+            return None
         return next((to for to in sides if around.low <= to <= around.high), None)
 
     def _announced(self, sample: LoopSample, around: LoopAround) -> NudgeNews:
         """Tell of a bump to come."""
         to = self._aim(sample.sp, around)
         assert to is not None
-        self._before, self._to = sample.sp, to
+        self._before, self._from, self._to = sample.sp, sample.sp, to
+        self._more = WHOLE_STEPS if self._restless else 0
+        way = "until the loop is at rest, and back"
+        if self._more:
+            way = (
+                f"and {2 * sample.sp - to:g} in turn, {self._more + 1} times in all, and back, for loads move this loop"
+            )
         reason = (
             f"{around.wanted}: in {self.settings.announce_s:.0f} s the setpoint goes from {self._before:g} to {to:g} "
-            "until the loop is at rest, and back; move the setpoint, or take the loop to manual, to put it off"
+            f"{way}; move the setpoint, or take the loop to manual, to put it off"
         )
         return self._enter(NudgeInput.DUE, NudgePhase.ANNOUNCED, sample.t_s, reason)
 
     def _cause(self, sample: LoopSample, around: LoopAround) -> NudgeInput | None:
         """What a sample says while a bump is announced or out."""
         here, there = (abs(sample.sp - x) <= SAME * self.size for x in (self._before, self._to))
+        other = abs(sample.sp - 2 * self._before + self._to) <= SAME * self.size
         since = sample.t_s - self._since_s
         match self.phase:
             case NudgePhase.ANNOUNCED if not here:
@@ -251,9 +291,9 @@ class NudgePlanner:
                 return NudgeInput.LEFT_OUT
             case NudgePhase.RETURNING if here and since > SENT_AGAIN_SAMPLES * self._dt_s:
                 return NudgeInput.BACK
-            case NudgePhase.RETURNING if here or there:
+            case NudgePhase.RETURNING if here or there or other:
                 return None
-            case NudgePhase.GOING if here:
+            case NudgePhase.GOING if abs(sample.sp - self._from) <= SAME * self.size:
                 return NudgeInput.NOT_TAKEN if since > NOT_TAKEN_SAMPLES * self._dt_s else None
             case NudgePhase.GOING if there:
                 return NudgeInput.TAKEN
@@ -280,9 +320,20 @@ class NudgePlanner:
             return NudgeInput.LIMITED
         if abs(sample.sp - sample.pv) > self.settings.excursion * self.size:
             return NudgeInput.EXCURSION
-        if since > self.settings.longest_s:
+        if sample.t_s - self.made[-1] > self.settings.longest_s:
             return NudgeInput.TOO_LONG
+        if self._more:
+            return self._to_and_fro(sample, since)
+        if self._from != self._before:  # the last setpoint to and fro is held as long as the others
+            return NudgeInput.AT_REST if since >= self._hold_s - self._dt_s / 2 else None
         return NudgeInput.AT_REST if around.at_rest and since > SHORTEST_SAMPLES * self._dt_s else None
+
+    def _to_and_fro(self, sample: LoopSample, since: float) -> NudgeInput | None:
+        """Whether it is time for the other side; the first setpoint tells how long each is held."""
+        if math.isinf(self._hold_s) and abs(sample.sp - sample.pv) < self.size / 2:
+            longest = self.settings.longest_s / (WHOLE_STEPS + 2)
+            self._hold_s = min(max(HALF_TIMES * since, SHORTEST_SAMPLES * self._dt_s), longest)
+        return NudgeInput.NEXT if since >= self._hold_s - self._dt_s / 2 else None
 
     def _taken(self, cause: NudgeInput, t_s: float) -> NudgeNews | None:
         """The table's answer."""
@@ -291,11 +342,14 @@ class NudgePlanner:
 
     def _enter(self, cause: NudgeInput, new: NudgePhase, t_s: float, reason: str) -> NudgeNews:
         """What entering a phase brings with it."""
+        if cause is NudgeInput.NEXT:
+            self._from, self._to, self._more = self._to, 2 * self._before - self._to, self._more - 1
         self.phase, self._since_s = new, t_s
         setpoint = {NudgePhase.GOING: self._to, NudgePhase.RETURNING: self._before}.get(new)
         if setpoint is not None:
             self._sent_s = t_s
-        if new is NudgePhase.GOING:
+        if cause is NudgeInput.BEGUN:
+            self._hold_s = math.inf
             self.made.append(t_s)
             self._up = self._to < self._before
         if new is NudgePhase.WATCHING:

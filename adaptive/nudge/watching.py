@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.nudge.planner import SECONDS_PER_HOUR, LoopAround, NudgeNews, NudgePlanner
 from retuner.adaptive.nudge.settings import HOURS, NudgeSettings
 from retuner.adaptive.region_model.update import Agreement
@@ -44,8 +45,9 @@ class Nudger:
         return self.planner.look(sample, self._around(sample, free=free))
 
     def decided(self, decision: Decision) -> None:
-        """A decision that taught something is evidence."""
-        if decision.agreement is not None and decision.agreement is not Agreement.SILENT and decision.records:
+        """A setpoint response that taught something is evidence; what loads alone teach leaves the process open."""
+        taught = decision.agreement is not None and decision.agreement is not Agreement.SILENT and decision.records
+        if taught and decision.response is not None and decision.response.sp_changed:
             self.planner.evidence(decision.t_s)
 
     def _around(self, sample: LoopSample, *, free: bool) -> LoopAround:
@@ -69,6 +71,8 @@ class Nudger:
             return f'nothing is known of the process in region "{name}"'
         if not model.identifiable:
             return f'what is known of the process in region "{name}" does not carry settings'
+        if not retuner.excitation.get(region, Excitation()).setpoints:
+            return f'what is known of the process in region "{name}" rests on loads alone'
         if model.records < retuner.settings.behaving_records:
             return f'region "{name}" has shown its process once only'
         return ""

@@ -4,10 +4,12 @@ No equation is quite a plant's, no curve quite its own, and what is wrong with e
 were another there: a lag twice too long on the way up and too short on the way down. So the stretches are allowed to
 differ, ln p = curve + d_j with d_j ~ N(0, V), V diagonal, and V is what makes what is left likeliest:
 
-    ln L(V) = sum_j  1/2 g_j' (V^-1 + I_j)^-1 g_j - 1/2 ln det(I + V I_j),     g_j = -A_j' r_j / c,  I_j = A_j' A_j / c
+    ln L(V) = sum_j  1/2 g_j' (V^-1 + I_j)^-1 g_j - 1/2 ln det(I + V I_j)
+    g_j = -A_j' r_j / c,  I_j = A_j' A_j / c
 
-with A_j = dr_j/d(ln p) of a whole stretch (random effects: Laird and Ware 1982). The covariance of the coefficients is
-then that of curves through local models which differ by V, instead of one that believes every sample of every stretch.
+with A_j = dr_j/d(ln p) of a whole stretch (random effects: Laird and Ware 1982). What the stretches say together is
+then a parabola of the coefficients, that of curves through local models which differ by V, instead of one that believes
+every sample of every stretch.
 """
 
 from collections.abc import Sequence
@@ -27,10 +29,19 @@ ROUNDS = 3
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """differences : standard deviation of each ln p between the stretches. covariance : of the coefficients."""
+    """differences : standard deviation of each ln p between the stretches.
+
+    normal, right : of the coefficients z, prior included: what is left is z' normal z / 2 - right' z and a constant.
+    """
 
     differences: tuple[float, ...]
-    covariance: FloatArray
+    normal: FloatArray
+    right: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the coefficients."""
+        return np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +52,29 @@ class _Piece:
     score: FloatArray
     coefficients: FloatArray
     mixed: FloatArray
+    pull: FloatArray
+
+    @classmethod
+    def of(cls, a: FloatArray, j: FloatArray, r: FloatArray) -> "_Piece":
+        """a : dr/d(ln p). j : dr/dz."""
+        return cls(a.T @ a, -a.T @ r, j.T @ j, a.T @ j, -j.T @ r)
 
     def likelihood(self, v: FloatArray) -> float:
         """ln L of these variances."""
-        s = np.sqrt(v)
-        inner = np.eye(len(v)) + s[:, None] * self.information * s
+        s, inner = self._within(v)
         pulled = s * self.score
         return 0.5 * float(pulled @ np.linalg.solve(inner, pulled)) - 0.5 * float(np.linalg.slogdet(inner)[1])
 
-    def known(self, v: FloatArray) -> FloatArray:
-        """What it says of the coefficients when its ln p may differ by v."""
-        s = np.sqrt(v)
-        inner = np.eye(len(v)) + s[:, None] * self.information * s
+    def known(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What it says of the coefficients when its ln p may differ by v: information and score."""
+        s, inner = self._within(v)
         share = s[:, None] * self.mixed
-        return self.coefficients - share.T @ np.linalg.solve(inner, share)
+        solved = np.linalg.solve(inner, np.concatenate([share, (s * self.score)[:, None]], axis=1))
+        return self.coefficients - share.T @ solved[:, :-1], self.pull - share.T @ solved[:, -1]
+
+    def _within(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        s = np.sqrt(v)
+        return s, np.eye(len(v)) + s[:, None] * self.information * s
 
 
 def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
@@ -63,14 +83,17 @@ def agreement(form: Form, now: At, sizes: Sequence[int], c: float) -> Agreement:
     sizes : rows of r by stretch. c : variance of r over that of white noise.
     """
     assert now.jacobian is not None
-    whole = np.stack([now.jacobian[:, place.start] / LEVEL_STD for place in form.places], axis=1)
-    pieces = []
-    for first, end in pairwise(np.cumsum([0, *sizes]).tolist()):
-        a, j, r = whole[first:end], now.jacobian[first:end], now.r[first:end]
-        pieces.append(_Piece(a.T @ a / c, -a.T @ r / c, j.T @ j / c, a.T @ j / c))
+    whole = np.stack([now.jacobian[:, place.start] / LEVEL_STD for place in form.places], axis=1) / np.sqrt(c)
+    j, r = now.jacobian / np.sqrt(c), now.r / np.sqrt(c)
+    ends = np.cumsum([0, *sizes]).tolist()
+    pieces = [_Piece.of(whole[first:end], j[first:end], r[first:end]) for first, end in pairwise(ends)]
     v = _likeliest(pieces, len(form.places))
-    information = np.eye(form.size) + sum(piece.known(v) for piece in pieces)
-    return Agreement(tuple(np.sqrt(v).tolist()), np.asarray(np.linalg.inv(information), dtype=np.float64))
+    normal, right = np.zeros((form.size, form.size)), np.zeros(form.size)
+    for piece in pieces:
+        information, score = piece.known(v)
+        normal += information
+        right += information @ now.z + score
+    return Agreement(tuple(np.sqrt(v).tolist()), normal + np.eye(form.size), right)
 
 
 def _likeliest(pieces: Sequence[_Piece], count: int) -> FloatArray:

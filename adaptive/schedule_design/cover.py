@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from retuner.adaptive.schedule_design.places import DesignLimits, Place
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -100,63 +102,114 @@ def _times(gains: PidGains, factor: float) -> PidGains:
     return PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor)
 
 
+KEPT = 6
+"""Ways to one knot that are followed further, those that leave the edges most room."""
+
+Knot = tuple[int, PidGains]
+"""A place's index, and its set."""
+
+
 def knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
     """The fewest knots; None when `most` do not suffice."""
-    usable = [i for i, place in enumerate(places) if place.known]
-    ways: dict[int, tuple[int, ...]] = {}
-    for i in usable:
-        if all(place.keeps(places[i].own, limits) for place in places[:i]):
-            ways[i] = (i,)
+    rows = [_row(places, factor, limits) for factor in CALMER]
+    reached: dict[Knot, list[Knot]] = {}
+    ways: list[tuple[Knot, ...]] = [
+        (knot,) for row in rows for knot in row if all(p.keeps(knot[1], limits) for p in places[: knot[0]])
+    ]
     for _ in range(most):
-        ends = [way for i, way in ways.items() if all(p.keeps(places[i].own, limits) for p in places[i + 1 :])]
-        for way in sorted(ends):
-            layout = _knotted(places, way)
-            if layout is not None:
-                return layout
-        ways = _longer(places, usable, ways, limits)
+        for way in ways:
+            i, gains = way[-1]
+            if all(p.keeps(gains, limits) for p in places[i + 1 :]):
+                layout = _knotted(places, way)
+                if layout is not None:
+                    return layout
+        for end in {way[-1] for way in ways} - reached.keys():
+            reached[end] = [knot for row in rows for knot in _within_reach(places, end, row, limits)]
+        ways = _longer(places, ways, reached)
     return None
 
 
+def _row(places: Sequence[Place], factor: float, limits: DesignLimits) -> list[Knot]:
+    """The known places with their own gains times a factor, where these keep the limits."""
+    found = [(i, _times(p.own, factor)) for i, p in enumerate(places) if p.known]
+    return [(i, gains) for i, gains in found if places[i].keeps(gains, limits)]
+
+
+NEARER = 4
+"""Places short of the farthest that are tried as well: edges must fit between knots."""
+
+
+def _within_reach(places: Sequence[Place], end: Knot, row: Sequence[Knot], limits: DesignLimits) -> list[Knot]:
+    """The knots of a row to which a way from `end` is open: the farthest, found by bisection, and some nearer ones."""
+    ahead = [knot for knot in row if knot[0] > end[0]]
+    low, high = -1, len(ahead)  # open up to low, closed from high on
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if _open(places, end, ahead[middle], limits) else (low, middle)
+    nearer = ahead[max(low - NEARER, 0) : max(low, 0)]
+    return [*(knot for knot in nearer if _open(places, end, knot, limits)), *ahead[max(low, 0) : low + 1]]
+
+
 def _longer(
-    places: Sequence[Place], usable: Sequence[int], ways: dict[int, tuple[int, ...]], limits: DesignLimits
-) -> dict[int, tuple[int, ...]]:
-    """Every way one knot farther."""
-    found: dict[int, tuple[int, ...]] = {}
-    for end, way in ways.items():
-        for j in usable:
-            if j > end and j not in found and _open(places, end, j, limits):
-                found[j] = (*way, j)
-    return found
+    places: Sequence[Place], ways: Sequence[tuple[Knot, ...]], reached: dict[Knot, list[Knot]]
+) -> list[tuple[Knot, ...]]:
+    """Every way one knot farther; to each knot those that leave the edges most room."""
+    found: dict[Knot, list[tuple[float, tuple[Knot, ...]]]] = {}
+    for way in ways:
+        for knot in reached[way[-1]]:
+            room = _room([places[i].x for i, _ in (*way, knot)])
+            if room is not None:
+                found.setdefault(knot, []).append((room[1] - room[0], (*way, knot)))
+    return [way for several in found.values() for _, way in sorted(several, key=lambda one: -one[0])[:KEPT]]
 
 
-def _open(places: Sequence[Place], i: int, j: int, limits: DesignLimits) -> bool:
+def _open(places: Sequence[Place], one: Knot, two: Knot, limits: DesignLimits) -> bool:
     """Whether every place between two knots is served by the mean of both."""
+    (i, low), (j, high) = one, two
     x0, x1 = places[i].x, places[j].x
     between = places[i + 1 : j]
     return all(
-        p.keeps(mean_of(places[i].own, places[j].own, (p.x - x0) / (x1 - x0)), limits)
+        p.keeps(mean_of(low, high, (p.x - x0) / (x1 - x0)), limits)
         for p in sorted(between, key=lambda p: abs(p.x - (x0 + x1) / 2))
     )
 
 
-def _knotted(places: Sequence[Place], way: Sequence[int]) -> Layout | None:
-    """Edges whose middles are the knots; None where there are none in order.
+def _room(centres: Sequence[float]) -> tuple[float, float] | None:
+    """Where the lowest of the edges may lie whose middles are the knots; None where there are none in order.
 
     With the lowest edge e_0 free, e_(i+1) = 2 c_i - e_i; every edge must lie between its knots.
     """
-    centres = [places[i].x for i in way]
-    sets = tuple(places[i].own for i in way)
-    if len(centres) == 1:
-        return Layout(Lookup.HARD, (places[0].x, places[-1].x), sets)
-    low, high = -float("inf"), centres[0]  # of e_0; e_i = offset + sign e_0
+    low, high = 2 * centres[0] - centres[-1], centres[0]  # of e_0; e_i = offset + sign e_0
     offset, sign = 0.0, 1.0
     for c0, c1 in pairwise(centres):
         offset, sign = 2 * c0 - offset, -sign
         a, b = sorted(((c0 - offset) / sign, (c1 - offset) / sign))
         low, high = max(low, a), min(high, b)
-    if low > -float("inf") and high - low < LEAST_PART * (centres[-1] - centres[0]):
-        return None
-    edges = [(low + high) / 2 if low > -float("inf") else high - (centres[1] - centres[0]) / 2]
+    return (low, high) if high - low >= LEAST_PART * (centres[-1] - centres[0]) else None
+
+
+EDGES_TRIED = 39
+"""Places of the lowest edge that are tried: that counts with which the outer edges stand out least."""
+
+
+def _edges(centres: Sequence[float], lowest: float) -> list[float]:
+    """Edges from the lowest on."""
+    edges = [lowest]
     for c in centres:
         edges.append(2 * c - edges[-1])
+    return edges
+
+
+def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
+    """Edges whose middles are the knots; None where there are none in order."""
+    centres = [places[i].x for i, _ in way]
+    sets = tuple(gains for _, gains in way)
+    if len(centres) == 1:
+        return Layout(Lookup.HARD, (places[0].x, places[-1].x), sets)
+    room = _room(centres)
+    if room is None:
+        return None
+    low, high = places[0].x, places[-1].x
+    tried = [_edges(centres, e) for e in np.linspace(*room, EDGES_TRIED + 2).tolist()[1:-1]]
+    edges = min(tried, key=lambda e: max(low - e[0], 0.0) ** 2 + max(e[-1] - high, 0.0) ** 2)
     return Layout(Lookup.INTERPOLATED, tuple(edges), sets, (0.0,) * (len(centres) - 1))

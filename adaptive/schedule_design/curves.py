@@ -1,32 +1,29 @@
 """From stretches to curves: one joint fit, and evidence for what changes along the way at all.
 
-    constant process -> load steps -> every parameter free to bend -> a second lag -> load steps anew -> which shapes?
+    constant process -> load steps -> a second lag -> every parameter free to bend -> the installed characteristic of co
 
-The shapes are weighed by their evidence in Laplace's approximation (MacKay 1992, section 2), every parameter by itself:
-
-    ln E(S) = -1/2 min (|r|^2 / c + |z|^2) - 1/2 ln det(I + J_S' J_S / c) - 2 nats for each step from constant to bent
-
-c counts what is left above white noise and what is correlated in it, so that a model which does not explain a record
-does not become sure of a bend.
+Each of these is fitted as rich as it may become; agreement.py says what the stretches tell together, weighing.py which
+shapes follow. With or without a second lag, with or without a characteristic: that the evidence decides, under one
+noise, in Laplace's approximation (MacKay 1992, section 2). c counts what is left above white noise and what is
+correlated in it, so that a model which does not explain a record does not become sure of a bend.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from retuner.adaptive.schedule_design.agreement import agreement
+from retuner.adaptive.schedule_design.characteristic import Characteristic
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined
+from retuner.adaptive.schedule_design.rest import Rest
 from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Shape
 from retuner.adaptive.schedule_design.start import starts, with_loads
 from retuner.adaptive.schedule_design.stretches import Stretch
+from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 
-SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)
-SIMPLER = 2.0
-"""Nats that a step from constant to line to bent must bring beyond its evidence."""
 SECOND_LAG = 0.35
 """Share of theta with which a second lag starts."""
 
@@ -38,34 +35,53 @@ Progress = Callable[[str, float], None]
 class Curves:
     """What the records say of the process along a variable.
 
-    form, z, covariance : the curves and how well their coefficients are known. joint, noise, now : the fit behind them.
-    log_likelihood : of the white remainder, by which variables are compared. evidence : ln E of the shapes over that of
-    a constant process.
+    form, z : the curves. rich, covariance : the richest form, and how well its coefficients are known round these.
+    joint, noise, now : the fit behind them. log_likelihood : of the white remainder, by which variables are compared.
+    evidence : ln E of the shapes over that of a constant process. weight : ln E among other structures. rest : the co
+    that holds each place.
     """
 
     form: Form
     z: FloatArray
+    rich: Form
     covariance: FloatArray
     joint: Joint
     noise: Noise
     now: At
     log_likelihood: float
     evidence: float
+    weight: float
+    rest: Rest
 
     def ln(self, x: FloatArray) -> FloatArray:
-        """ln b, ln theta, ln tau (, ln tau2) at places, shape (n, parameters)."""
-        return np.stack([curve[:, 0] for curve in self.form.curves(x, self.z[:, None])], axis=1)
+        """ln b, ln theta, ln tau (, ln tau2) at places, shape (n, parameters), at the co that holds each."""
+        found = np.stack([curve[:, 0] for curve in self.form.curves(x, self.z[:, None])], axis=1)
+        if self.form.felt is not None:
+            found[:, 0] += self.form.felt.columns(self.rest.co(x)) @ self.z[self.form.felt_place]
+        return found
 
     def ln_covariance(self, x: float) -> FloatArray:
         """Their covariance at one place."""
-        rows = np.zeros((len(self.form.shapes), self.form.size))
-        for i, (place, shape) in enumerate(zip(self.form.places, self.form.shapes, strict=True)):
-            rows[i, place] = self.form.axis.columns(np.array(x), shape)
-        return np.asarray(rows @ self.covariance @ rows.T, dtype=np.float64)
+        rich, felt = self.rich, self.form.felt
+        rows = np.zeros((len(rich.shapes), rich.size))
+        for i, (place, shape) in enumerate(zip(rich.places, rich.shapes, strict=True)):
+            rows[i, place] = rich.axis.columns(np.array(x), shape)
+        held = self.rest.co(np.array([x]))
+        if rich.felt is not None:
+            rows[0, rich.felt_place] = rich.felt.columns(held)[0]
+        loads = 0.0
+        if felt is not None:
+            beside = felt.columns(held + self.rest.std) - felt.columns(held)
+            loads = float((beside @ self.z[self.form.felt_place])[0])
+        found = rows @ self.covariance @ rows.T
+        found[0, 0] += loads**2
+        return np.asarray(found, dtype=np.float64)
 
 
-def curves(stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress: Progress) -> Curves:
-    """The curves of some stretches over an axis. sign : of the process gain, where it is known.
+def curves(
+    stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress: Progress, *, pushed: bool = False
+) -> Curves:
+    """The curves of some stretches over an axis. sign : of the process gain, where it is known. pushed : see Form.
 
     Raises
     ------
@@ -76,36 +92,69 @@ def curves(stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress:
         raise ValueError("no stretch of the records is long enough and moves both pv and co: nothing to learn from")
     joint = Joint.of(stretches)
     progress("one process for all", 0.0)
-    first = [_settled(joint, form, np.zeros(form.size), 1) for form in starts(stretches, axis, sign)]
+    first = [_settled(joint, form, np.zeros(form.size), 1) for form in starts(stretches, axis, sign, pushed=pushed)]
     constant = max(first, key=_innovations)
     progress("a second lag", 0.2)
     constants = [constant, _settled(constant[0], *_with_second_lag(constant[1], constant[3].z), 1)]
-    progress("curves", 0.35)
+    progress("curves", 0.3)
     bent = [_settled(fit[0], *_bent(fit), 2) for fit in constants]
-    progress("which of them change", 0.7)
+    progress("the installed characteristic", 0.55)
+    felt = _characteristic(stretches)
+    bent += [_settled(fit[0], *_felt(fit, felt), 1) for fit in bent if felt is not None]
+    progress("which of them change", 0.75)
     noise = max(bent, key=_innovations)[2]
     rich = [_under(noise, *fit[:2], fit[3].z) for fit in bent]
-    chosen = [_under(noise, fit[0], *fit[1].with_shapes(chosen_shapes(fit[1], fit[3]), fit[3].z)) for fit in rich]
-    level = [_under(noise, *fit[:2], fit[3].z) for fit in constants]
-    return _weighed(level, [*chosen, *rich], max(1.0, *(inflation(fit[3]) for fit in rich)))
-
-
-def _weighed(level: Sequence["Fit"], others: Sequence["Fit"], c: float) -> Curves:
-    """The fit with the most evidence, all of them under one noise."""
-    constant = max(evidence_of(fit, c) for fit in level)
-    best = max([*level, *others], key=lambda fit: evidence_of(fit, c))
-    joint, form, noise, now = best
-    covariance = agreement(form, now, [len(left) for left in now.left], c).covariance
-    return Curves(form, now.z, covariance, joint, noise, now, _innovations(best), evidence_of(best, c) - constant)
+    c = max(1.0, *(inflation(fit[3]) for fit in rich))
+    return max((_chosen(fit, c) for fit in rich), key=lambda found: found.weight)
 
 
 Fit = tuple[Joint, Form, Noise, At]
 
 
+def _chosen(rich: Fit, c: float) -> Curves:
+    """The shapes for which most speaks, fitted. rich : with every shape as rich as it may become."""
+    joint, form, noise, now = rich
+    told = weighed(form, agreement(form, now, [len(left) for left in now.left], c))
+    felt = None if form.felt is None or told.felt is Shape.CONSTANT else replace(form.felt, shape=told.felt)
+    fit = _under(noise, joint, *form.with_shapes(told.shapes, now.z, felt))
+    return Curves(
+        form=fit[1],
+        z=fit[3].z,
+        rich=form,
+        covariance=told.covariance,
+        joint=fit[0],
+        noise=noise,
+        now=fit[3],
+        log_likelihood=_innovations(fit),
+        evidence=told.evidence,
+        weight=evidence_of(fit, c),
+        rest=Rest.of(joint.stretches),
+    )
+
+
 def _bent(fit: Fit) -> tuple[Form, FloatArray]:
-    """Slope gain, dead time and lag free to bend; a second lag stays what it is everywhere."""
+    """Everything free to bend."""
     _, form, _, now = fit
-    return form.with_shapes([*(Shape.BENT,) * 3, *(Shape.CONSTANT,) * (len(form.shapes) - 3)], now.z)
+    return form.with_shapes((Shape.BENT,) * len(form.shapes), now.z)
+
+
+def _felt(fit: Fit, felt: Characteristic) -> tuple[Form, FloatArray]:
+    """The same with co acting through a characteristic."""
+    _, form, _, now = fit
+    return form.with_shapes(form.shapes, now.z, felt)
+
+
+LEAST_TRAVEL = 1e-6
+"""Of co, as a share of its size, below which it has no characteristic."""
+
+
+def _characteristic(stretches: Sequence[Stretch]) -> Characteristic | None:
+    """Over what co does in the records."""
+    rates = [np.diff(s.fired(s.t_s)) / np.diff(s.t_s) for s in stretches]
+    low, high = min(float(np.min(r)) for r in rates), max(float(np.max(r)) for r in rates)
+    if not high - low > LEAST_TRAVEL * max(abs(low), abs(high)):
+        return None
+    return Characteristic(Axis(low, high), Shape.BENT)
 
 
 def _settled(joint: Joint, form: Form, z: FloatArray, rounds: int) -> Fit:
@@ -152,10 +201,11 @@ LOAD_PRICE = 6.0
 
 def _innovations(fit: Fit) -> float:
     """ln likelihood by the size of the innovations, each stretch with its own: what variables are compared by."""
-    joint, _, _, now = fit
+    joint, form, _, now = fit
     noise = noise_of(now.left, 1e-12)
     sizes = np.array([len(x) for x in now.left])
-    return float(-np.sum(sizes * np.log(noise.sigma))) - LOAD_PRICE * sum(map(len, joint.loads)) / 2
+    bought = sum(map(len, joint.loads)) / 2 + (len(sizes) if form.pushed else 0)
+    return float(-np.sum(sizes * np.log(noise.sigma))) - LOAD_PRICE * bought
 
 
 def evidence_of(fit: Fit, c: float) -> float:
@@ -164,6 +214,7 @@ def evidence_of(fit: Fit, c: float) -> float:
     assert now.jacobian is not None
     occam = float(np.linalg.slogdet(np.eye(form.size) + now.jacobian.T @ now.jacobian / c)[1])
     steps = sum(SHAPES.index(shape) for shape in form.shapes) + (len(form.shapes) - 3)
+    steps += 0 if form.felt is None else SHAPES.index(form.felt.shape)
     loads = sum(map(len, joint.loads)) / 2
     return -0.5 * (float(now.r @ now.r) / c + float(now.z @ now.z) + occam) - SIMPLER * steps - LOAD_PRICE * loads
 
@@ -173,31 +224,3 @@ def inflation(now: At) -> float:
     r = now.r
     rho = min(max(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0), 0.98)
     return max(float(r @ r) / max(len(r), 1), 0.2) * (1 + rho) / (1 - rho)
-
-
-def chosen_shapes(form: Form, now: At) -> tuple[Shape, ...]:
-    """The shapes with the most evidence, as far as the misfit is a parabola.
-
-    form, now : a fit with every shape as rich as it may become.
-    """
-    assert now.jacobian is not None
-    c = inflation(now)
-    a = np.concatenate([now.jacobian / math.sqrt(c), np.eye(form.size)])
-    target = np.concatenate([now.jacobian @ now.z - now.r, np.zeros(form.size)]) / math.sqrt(c)
-    normal, right, whole = a.T @ a, a.T @ target, float(target @ target)
-
-    def evidence(shapes: Sequence[Shape]) -> float:
-        kept = np.concatenate(
-            [
-                np.arange(p.start, p.start + min(int(s), int(m)))
-                for p, s, m in zip(form.places, shapes, form.shapes, strict=True)
-            ]
-        )
-        sub = normal[np.ix_(kept, kept)]
-        least = whole - float(right[kept] @ np.linalg.solve(sub, right[kept]))
-        steps = sum(SHAPES.index(s) for s in shapes)
-        return -0.5 * least - 0.5 * float(np.linalg.slogdet(sub)[1]) - SIMPLER * steps
-
-    options = [[s for s in SHAPES if s <= most] for most in form.shapes]
-    ranked = {shapes: evidence(shapes) for shapes in product(*options)}
-    return max(ranked, key=ranked.__getitem__)

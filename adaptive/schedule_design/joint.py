@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from retuner.adaptive.schedule_design.characteristic import Characteristic
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
 from retuner.adaptive.schedule_design.shapes import Axis, Shape
 from retuner.adaptive.schedule_design.stretches import Stretch
@@ -34,18 +35,22 @@ PARAMETERS = ("b", "theta", "tau", "tau2")
 class Form:
     """What is fitted. shapes : of ln b, ln theta, ln tau and, where there is a second lag, ln tau2.
 
-    centre : of the prior of each. sign : of the process gain. axis : see Axis.
+    centre : of the prior of each. sign : of the process gain. axis : see Axis. felt : how co acts; its coefficients
+    stand last in z. pushed : the variable comes from outside and moves pv by itself as well: it enters as a load does,
+    with a size of its own in each stretch.
     """
 
     axis: Axis
     shapes: tuple[Shape, ...]
     centre: tuple[float, ...]
     sign: int
+    felt: Characteristic | None = None
+    pushed: bool = False
 
     @property
     def size(self) -> int:
         """Number of coefficients z."""
-        return sum(self.shapes)
+        return sum(self.shapes) + (0 if self.felt is None else self.felt.size)
 
     @property
     def places(self) -> tuple[slice, ...]:
@@ -60,13 +65,25 @@ class Form:
             for centre, shape, place in zip(self.centre, self.shapes, self.places, strict=True)
         ]
 
-    def with_shapes(self, shapes: Sequence[Shape], z: FloatArray) -> tuple["Form", FloatArray]:
+    @property
+    def felt_place(self) -> slice:
+        """Where the coefficients of the characteristic stand in z."""
+        return slice(sum(self.shapes), self.size)
+
+    def arriving(self, batch: Batch, local: Local, z: FloatArray) -> FloatArray:
+        """What arrives between the rows at these dead times for each variant of z, as the process feels it."""
+        return self.sign * batch.arriving(np.exp(local.theta), self.felt, z[self.felt_place])
+
+    def with_shapes(
+        self, shapes: Sequence[Shape], z: FloatArray, felt: Characteristic | None = None
+    ) -> tuple["Form", FloatArray]:
         """The same with other shapes, and z carried over: what is new is zero, what goes is lost."""
+        sizes = [*map(int, shapes), 0 if felt is None else felt.size]
         carried = []
-        for place, new in zip(self.places, shapes, strict=True):
-            old = z[place][: int(new)]
-            carried.append(np.pad(old, (0, int(new) - len(old))))
-        return replace(self, shapes=tuple(shapes)), np.concatenate(carried)
+        for place, new in zip([*self.places, self.felt_place], sizes, strict=True):
+            old = z[place][:new]
+            carried.append(np.pad(old, (0, new - len(old))))
+        return replace(self, shapes=tuple(shapes), felt=felt), np.concatenate(carried)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +118,8 @@ class Joint:
 class At:
     """The misfit at one z. r : whitened, scaled, shape (n,). left : pv that is not explained, one array a stretch.
 
-    jacobian : dr/dz, shape (n, size), or None. starts, sizes : slope at the start, and sizes of the loads in co units.
+    jacobian : dr/dz, shape (n, size), or None. starts, sizes : slope at the start, and sizes of the loads in co units,
+    behind them that of the variable's push, where it has one.
     """
 
     z: FloatArray
@@ -154,9 +172,9 @@ def _at_batch(
 ) -> At:
     """The same for one batch."""
     now = local_at(form, batch, z[:, None])
-    arriving = form.sign * batch.arriving(np.exp(now.theta))
+    arriving = form.arriving(batch, now, z[:, None])
     y = response(now, arriving, batch.h_s)[..., 0]
-    columns = _columns(batch, loads, now)
+    columns = _columns(batch, loads, now, pushed=form.pushed)
     rs, lefts, bases, starts, sizes = [], [], [], [], []
     for j, stretch in enumerate(batch.stretches):
         n = len(stretch)
@@ -168,7 +186,7 @@ def _at_batch(
         lefts.append(batch.pv[:n, j] - y[:n, j] - columns[j][:n] @ coefficients)
         bases.append(q)
         starts.append(coefficients[1])
-        sizes.append(coefficients[2 : 2 + len(loads[j])])
+        sizes.append(coefficients[2:])
     found = At(z, np.concatenate(rs), tuple(lefts), None, np.array(starts), tuple(sizes))
     if not derivatives:
         return found
@@ -186,10 +204,12 @@ def _jacobian(
     """dr/dz with what is solved for linearly held, then projected."""
     variants = np.concatenate([now.z[:, None], now.z[:, None] + STEP * np.eye(form.size)], axis=1)
     local = local_at(form, batch, variants)
-    arriving = form.sign * batch.arriving(np.exp(local.theta))
+    arriving = form.arriving(batch, local, variants)
     for j, rows in enumerate(loads):
-        for row, size in zip(rows, now.sizes[j], strict=True):
+        for row, size in zip(rows, now.sizes[j][: len(rows)], strict=True):
             arriving[row:, j] += size
+        if form.pushed:
+            arriving[:, j] += now.sizes[j][-1] * batch.pushes[:, j, None]
     start = np.repeat(now.starts[:, None], variants.shape[1], axis=1)
     y = response(local, arriving, batch.h_s, start)
     moved = (y[..., 1:] - y[..., :1]) / STEP
@@ -200,21 +220,23 @@ def _jacobian(
     return np.concatenate(found)
 
 
-def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local) -> list[FloatArray]:
-    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps.
+def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local, *, pushed: bool) -> list[FloatArray]:
+    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps, the push.
 
     Of each load also the one a row later, so that its time need not be a row's.
     """
-    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0)
+    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0) + pushed
     steps = np.zeros((rows - 1, len(batch.stretches), most))
     for j, entered in enumerate(loads):
         for i, row in enumerate(entered, 1):
             steps[row:, j, i] = 1.0
+        if pushed:
+            steps[:, j, 1 + len(entered)] = batch.pushes[:, j]
     start = np.zeros(steps.shape[1:])
     start[:, 0] = 1.0
     y = response(now.repeated(most), steps, batch.h_s, start)
     ones = np.ones((rows, 1))
-    return [np.concatenate([ones, y[:, j, : 1 + len(entered)]], axis=1) for j, entered in enumerate(loads)]
+    return [np.concatenate([ones, y[:, j, : 1 + len(entered) + pushed]], axis=1) for j, entered in enumerate(loads)]
 
 
 def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
@@ -255,9 +277,10 @@ def _step(form: Form, now: At, damping: float) -> FloatArray:
     gradient = now.jacobian.T @ now.r + now.z
     step = -np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64)
     places = form.axis.grid(9)
-    farthest = max(
-        float(np.max(np.abs(c - m))) for c, m in zip(form.curves(places, step[:, None]), form.centre, strict=True)
-    )
+    moves = [c - m for c, m in zip(form.curves(places, step[:, None]), form.centre, strict=True)]
+    if form.felt is not None:
+        moves.append(form.felt.columns(form.felt.axis.grid(9)) @ step[form.felt_place, None])
+    farthest = max(float(np.max(np.abs(moved))) for moved in moves)
     return np.asarray(step * min(1.0, LARGEST_MOVE / max(farthest, 1e-12)), dtype=np.float64)
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive.schedule_design.characteristic import Characteristic, summed
 from retuner.adaptive.schedule_design.stretches import Stretch
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -66,17 +67,30 @@ class Batch:
         inside = np.stack([np.arange(rows) < len(s) for s in stretches], axis=1)
         return cls(tuple(stretches), pv, x, inside, np.array([s.signals.h_s for s in stretches]))
 
-    def arriving(self, theta_s: FloatArray) -> FloatArray:
+    @property
+    def pushes(self) -> FloatArray:
+        """How far the variable is from where it was at the start of each stretch, shape (rows - 1, stretches)."""
+        return np.asarray((self.x[1:] + self.x[:-1]) / 2 - self.x[0], dtype=np.float64)
+
+    def arriving(
+        self, theta_s: FloatArray, characteristic: Characteristic | None = None, z: FloatArray | None = None
+    ) -> FloatArray:
         """Mean co that arrives between row i and i + 1, shape (rows - 1, stretches, variants).
 
-        theta_s : at every row, shape (rows, stretches, variants).
+        theta_s : at every row, shape (rows, stretches, variants). characteristic, z : through which it acts, with its
+        coefficients for each variant; left out, as it is.
         """
         found = np.empty((theta_s.shape[0] - 1, *theta_s.shape[1:]))
+        which, sums = np.zeros(theta_s.shape[2], dtype=int), [s.signals.fired[:, None] for s in self.stretches]
+        if characteristic is not None and z is not None and len(z):
+            kinds, which = np.unique(z, axis=1, return_inverse=True)
+            sums = summed(characteristic, self.stretches, kinds)
         for j, stretch in enumerate(self.stretches):
             h = float(self.h_s[j])
             t = stretch.t_s[0] + h * np.arange(theta_s.shape[0])
             ends = t[:, None] - theta_s[:, j]
-            fired = stretch.fired(ends)
+            of = sums[j]
+            fired = np.stack([stretch.summed(of[:, k], e) for k, e in zip(which.ravel(), ends.T, strict=True)], axis=1)
             span = np.diff(ends, axis=0)
             found[:, j] = np.diff(fired, axis=0) / np.maximum(span, 0.1 * h)
         return found

@@ -54,9 +54,16 @@ def finite(sample: LoopSample) -> bool:
     return all(map(math.isfinite, sample[:4]))
 
 
+def all_finite(values: FloatArray) -> bool:
+    """Whether all values are finite: the extremes tell, as neither passes over a nan. No array is made for it."""
+    return not len(values) or (math.isfinite(values.min()) and math.isfinite(values.max()))
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """Consecutive samples as arrays of shape (n,): what a fit works on.
+
+    noise_std : standard deviation of pv's noise where it is known from elsewhere, pv units; 0 where only pv tells it.
 
     Raises
     ------
@@ -68,21 +75,24 @@ class Window:
     sp: FloatArray
     pv: FloatArray
     co: FloatArray
+    noise_std: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.t_s)
+        if not 0 <= self.noise_std < math.inf:
+            raise ValueError(f"noise_std = {self.noise_std} must be 0 or more")
         if n < 3:
             raise ValueError(f"a window needs at least 3 samples, this one has {n}")
         for name in ("t_s", "sp", "pv", "co"):
             values: FloatArray = getattr(self, name)
             if values.shape != (n,):
                 raise ValueError(f"{name} has shape {values.shape}, t_s has ({n},)")
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                raise ValueError(f"{name}[{bad[0]}] = {values[bad[0]]} is not a finite number")
-        back = np.flatnonzero(np.diff(self.t_s) <= 0)
-        if back.size:
-            i = int(back[0])
+            if not all_finite(values):
+                bad = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise ValueError(f"{name}[{bad}] = {values[bad]} is not a finite number")
+        later = self.t_s[1:] > self.t_s[:-1]
+        if not later.all():
+            i = int(np.argmin(later))
             raise ValueError(f"time does not increase: t_s[{i}] = {self.t_s[i]}, t_s[{i + 1}] = {self.t_s[i + 1]}")
 
     @classmethod
@@ -90,6 +100,10 @@ class Window:
         """Collect samples into a window."""
         t_s, sp, pv, co = (np.array([s[i] for s in samples], dtype=np.float64) for i in range(4))
         return cls(t_s, sp, pv, co)
+
+    def part(self, rows: slice) -> "Window":
+        """Some of its samples."""
+        return Window(self.t_s[rows], self.sp[rows], self.pv[rows], self.co[rows], self.noise_std)
 
     def condensed(self, most: int) -> "Window":
         """The same record in at most `most` samples: every n-th pv, and co averaged over the n intervals between.
@@ -102,7 +116,8 @@ class Window:
         starts = np.arange(0, len(self.t_s), n)
         held_s = np.diff(self.t_s, append=2 * self.t_s[-1] - self.t_s[-2])
         co = np.add.reduceat(self.co * held_s, starts) / np.add.reduceat(held_s, starts)
-        return Window(self.t_s[starts], self.sp[starts], self.pv[starts], np.asarray(co, dtype=np.float64))
+        held = np.asarray(co, dtype=np.float64)
+        return Window(self.t_s[starts], self.sp[starts], self.pv[starts], held, self.noise_std)
 
     @property
     def sample_time_s(self) -> float:

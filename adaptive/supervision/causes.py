@@ -1,11 +1,16 @@
 """Where the pipeline asks the diagnosis: what else than the tuning is behind a response, and whether a change is sure.
 
+Before that: does the controller act the wrong way, and is the response one of several that belong together?
+
 A swing without a setpoint step is put to its rivals before anything is learned of it; a record that its model leaves
 open, after; and a change that follows from a case that is not clear, before the gains change.
 """
 
+import math
+from dataclasses import replace
+
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, swing_cause, swings
+from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, stretch, swing_cause, swings
 from retuner.adaptive.diagnosis.second_opinion import (
     SWINGING,
     TOWARDS_SAFETY,
@@ -25,9 +30,12 @@ from retuner.adaptive.diagnosis.swing_checks import (
     swings_anyway,
     touches_limits,
 )
+from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Agreement, Learned
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
 
@@ -40,13 +48,65 @@ __all__ = [
     "foreign_swing",
     "hidden",
     "is_sure",
+    "joining",
     "looked_at_lately",
     "not_as_modelled",
     "swings_between_limits",
+    "wrong_way",
 ]
 
 FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATION})
 """Causes that leave nothing in a record from which the process could be learned."""
+
+
+TAKEN_SAMPLES = 5
+"""Samples after which the recogniser has taken a setpoint step at the latest."""
+PART = "to_and_fro"
+"""Code: the response is a part of what is judged as a whole."""
+
+
+def joining(found: Findings) -> None:
+    """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
+    record = found.record
+    steps = to_and_fro(record.samples)
+    if steps is None or record.entered_s > record.samples[steps.whole[0]].t_s:  # in another region
+        return
+    began_s, seen = record.response.t_start_s, len(steps.whole)
+    closed_s = record.samples[steps.closed].t_s if steps.closed is not None else math.inf
+    after = closed_s - record.samples[steps.whole[-1]].t_s
+    if began_s > closed_s + after:
+        return
+    late_s = began_s - record.samples[steps.whole[-1]].t_s
+    last = abs(late_s) <= TAKEN_SAMPLES * found.settings.sample_time_s
+    if seen < WHOLE_STEPS or not (last and record.response.sp_changed):
+        found.stop(PART, f"one of {WHOLE_STEPS} setpoint steps to and fro: they are judged together, at the last one")
+        return
+    one = joined(record.samples, steps, found.settings.band_sigmas)
+    if one is None:
+        found.stop(PART, "the setpoint steps to and fro show nothing together: the output stood at a limit, or no step")
+        return
+    found.joined = WHOLE_STEPS
+    found.question = replace(
+        found.question, record=replace(record, response=one.response, window=one.window, samples=tuple(one.samples))
+    )
+
+
+def wrong_way(found: Findings) -> Diagnosis | None:
+    """That the controller acts the wrong way, where the response and what came before it show that; else None.
+
+    It is asked before anything else: pv far out of its range, or an output at its limit, is what comes of it.
+    """
+    record, settings = found.record, found.settings
+    response, swing = record.response, settings.swing
+    since_s = response.t_start_s - swing.lookback * (response.t_end_s - response.t_start_s)
+    seen = stretch(record.samples, since_s, swing.same_gains)
+    if len(seen) < FEWEST:
+        return None
+    return acts_wrong_way(Window.of(seen), record.in_force.direction, settings.diagnosis.fit)
+
+
+FEWEST = 20
+"""Samples of which a sign may be told."""
 
 
 def foreign_swing(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
@@ -55,7 +115,7 @@ def foreign_swing(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
     What was said of an oscillation before does not stand against a swing that grows, or goes from limit to limit.
     """
     record, settings = found.record, found.settings
-    if found.growth is not None:
+    if found.growth is not None or found.joined:
         return None, None
     if not _reopened(record, settings):
         again = goes_on(record.response, record.standing, settings.swing) or on_top(

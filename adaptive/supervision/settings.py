@@ -49,6 +49,8 @@ class RetunerSettings:
     units : how the controller keeps gains; None for one that keeps them as they are.
     behaving_records : records that must be in the model before a loop that behaves is moved; 1 to 10, default 2.
     behaving_gain : share of the IAE above which what a change would leave is not much of a gain; 0 to 1, default 0.6.
+    worth_iae : IAE after over before from which a loop that does not swing is made slower only if it is over its Ms
+        limit on every model; 1 to 2, default 1.02.
     gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
         lost, so long a pause comes once in 400,000.
     """
@@ -72,6 +74,7 @@ class RetunerSettings:
     lead_samples: int = 20
     behaving_records: int = 2
     behaving_gain: float = 0.6
+    worth_iae: float = 1.02
     gap_samples: int = 8
     setpoint_weight: float = 1.0
     filter_s: float = 0.0

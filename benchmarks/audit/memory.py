@@ -3,6 +3,7 @@
     python benchmarks/audit/memory.py --loops 100 1000 10000 --rows 2000 --keep FOLDER
 
 The loops are walks of noise in wide Parquet files of 250 loops each. A line a number of loops; the folder keeps pages.
+CPU of the main process is what more workers cannot take over.
 """
 
 import argparse
@@ -20,13 +21,16 @@ import pyarrow.parquet as pq
 A_FILE = 250
 """Loops of a file."""
 MEASURED = """
-import json, resource, sys
+import json, resource, sys, time
+begun = time.monotonic()
 from retuner.cli import main
 status = main(sys.argv[1:])
 of = lambda who: resource.getrusage(who)
 own, theirs = of(resource.RUSAGE_SELF), of(resource.RUSAGE_CHILDREN)
 sys.stderr.write(json.dumps({"status": status, "main_mb": own.ru_maxrss // 1024, "worker_mb": theirs.ru_maxrss // 1024,
-                             "cpu_s": round(own.ru_utime + theirs.ru_utime, 1)}) + "\\n")
+                             "main_cpu_s": round(own.ru_utime + own.ru_stime, 1),
+                             "worker_cpu_s": round(theirs.ru_utime + theirs.ru_stime, 1),
+                             "wall_s": round(time.monotonic() - begun, 1)}) + "\\n")
 """
 
 
@@ -57,7 +61,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as made:
         for loops in given.loops:
             folder = (given.keep or Path(made)) / str(loops)
-            make(folder / "plant", loops, given.rows, given.seed)
+            if not (folder / "plant").is_dir():
+                make(folder / "plant", loops, given.rows, given.seed)
             arguments = ["audit", folder / "plant", "--out", folder / "audit", "--stretches", 0, "--jobs", given.jobs]
             run = subprocess.run(
                 [sys.executable, "-c", MEASURED, *map(str, arguments)],

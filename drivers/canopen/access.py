@@ -16,6 +16,7 @@ from retuner.drivers.profiles.access import (
     Acknowledged,
     Alive,
     Denied,
+    Doubted,
     Heard,
     ProfileError,
     Runs,
@@ -163,7 +164,8 @@ class CanOpenAccess:
         """An answer by SDO."""
         answer = self._sdo.take(message)
         if answer is None:
-            return (Alive(),)
+            doubled, self._sdo.doubled = self._sdo.doubled.removeprefix(WRITTEN), ""
+            return (Alive(), Doubted(doubled)) if doubled in self.units.names else (Alive(),)
         name = answer.transfer.name
         if answer.refused:
             where = text_of(answer.transfer.variable)

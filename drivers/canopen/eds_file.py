@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import canopen
 from canopen.objectdictionary import datatypes
 
+from retuner.drivers.canopen.eds_text import plain_text
 from retuner.drivers.profiles.access import ProfileError
 from retuner.schedule.vendor_units import SINGLE_MAX, Holds
 
@@ -66,7 +67,7 @@ def read_eds(path: Path, node: int) -> Dictionary:
         raise ProfileError(f"{path}: cannot be read: {reason}; give the device's EDS file", ("eds",)) from None
     if len(raw) > LARGEST:
         raise ProfileError(f"{path}: is larger than {LARGEST >> 20} MB; is it an EDS?", ("eds",))
-    text = io.StringIO(raw.decode("latin-1"))
+    text = io.StringIO(plain_text(raw))
     text.name = f"{path.stem}.eds"
     try:
         with contextlib.redirect_stderr(io.StringIO()):

@@ -39,7 +39,7 @@ class SdoQueue:
     """One node's SDO server, asked by one host.
 
     node : its number. reply_s : how long an answer is awaited; after that the question is dropped, and whoever asked
-    asks again.
+    asks again. doubled : the name of a question that was answered twice, and differently, since it was last cleared.
     """
 
     def __init__(self, node: int, reply_s: float) -> None:
@@ -47,6 +47,8 @@ class SdoQueue:
         self._waiting: deque[Transfer] = deque()
         self._open: Transfer | None = None
         self._deadline_s: float | None = None
+        self._last: tuple[Transfer, bytes] | None = None
+        self.doubled = ""
 
     def ask(self, name: str, variable: Variable, data: bytes | None = None) -> None:
         """Queue a question; one that waits already is not asked twice."""
@@ -85,27 +87,39 @@ class SdoQueue:
     def take(self, message: can.Message) -> Answer | None:
         """An answer to the open question; None for anything else."""
         data, transfer = bytes(message.data), self._open
-        if message.arbitration_id != 0x580 + self._node or len(data) != 8 or transfer is None:
+        if message.arbitration_id != 0x580 + self._node or len(data) != 8:
             return None
-        variable = transfer.variable
-        if int.from_bytes(data[1:3], "little") != variable.index or data[3] != variable.subindex:
+        if transfer is None or not _is_about(transfer, data):
+            self._compare(data)
             return None
         if data[0] == ABORT:
-            return self._ended(Answer(transfer, None, abort_text(int.from_bytes(data[4:8], "little"))))
+            return self._ended(Answer(transfer, None, abort_text(int.from_bytes(data[4:8], "little"))), data)
         command = data[0] & COMMAND
         if transfer.data is not None:
-            return self._ended(Answer(transfer, None, "")) if command == DOWNLOADED else None
+            return self._ended(Answer(transfer, None, ""), data) if command == DOWNLOADED else None
         if command != UPLOADED:
             return None
         if not data[0] & EXPEDITED:
-            return self._ended(Answer(transfer, None, abort_text(NO_SEGMENTS)))
-        size = 4 - (data[0] >> 2 & 3) if data[0] & SIZED else len(variable) // 8
-        return self._ended(Answer(transfer, data[4 : 4 + size], ""))
+            return self._ended(Answer(transfer, None, abort_text(NO_SEGMENTS)), data)
+        size = 4 - (data[0] >> 2 & 3) if data[0] & SIZED else len(transfer.variable) // 8
+        return self._ended(Answer(transfer, data[4 : 4 + size], ""), data)
 
-    def _ended(self, answer: Answer) -> Answer:
+    def _ended(self, answer: Answer, data: bytes) -> Answer:
         """The open question has its answer."""
+        self._last = answer.transfer, data
         self._open = self._deadline_s = None
         return answer
+
+    def _compare(self, data: bytes) -> None:
+        """A second answer to the question before: one node gives one."""
+        if self._last is not None and _is_about(self._last[0], data) and self._last[1] != data:
+            self.doubled = self._last[0].name
+
+
+def _is_about(transfer: Transfer, data: bytes) -> bool:
+    """Whether an answer names the object of this question."""
+    variable = transfer.variable
+    return int.from_bytes(data[1:3], "little") == variable.index and data[3] == variable.subindex
 
 
 def abort_text(code: int) -> str:

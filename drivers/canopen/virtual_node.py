@@ -9,6 +9,7 @@ from typing import Any
 
 import can
 import canopen
+from canopen.network import PeriodicMessageTask
 
 from retuner.drivers.canopen.access import CanOpenAccess
 from retuner.drivers.canopen.eds_file import EdsFile, Variable, holds
@@ -19,6 +20,19 @@ from retuner.schedule.vendor_units import VendorUnits
 HEARTBEAT = 0x700
 OPERATIONAL, PRE_OPERATIONAL = 5, 127
 BEAT_SAMPLES = 5
+
+
+class _Unsent(PeriodicMessageTask):
+    """A frame that the package would repeat by the machine's clock; here the samples are the clock."""
+
+    def _start(self) -> None:
+        """No thread begins."""
+
+    def stop(self) -> None:
+        """There is none to stop."""
+
+    def update(self, data: bytes) -> None:
+        """Nor one to change."""
 
 
 class _OffLine(canopen.Network):
@@ -33,6 +47,10 @@ class _OffLine(canopen.Network):
         self.sent.append(
             can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=remote, data=bytes(data))
         )
+
+    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> PeriodicMessageTask:
+        """Nothing: an EDS that has a heartbeat (1017) would begin one here; the node's samples send theirs."""
+        return _Unsent(can_id, data, period, self.bus, remote)
 
 
 class VirtualCanOpenNode:

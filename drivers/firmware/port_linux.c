@@ -1,7 +1,10 @@
 /* The device as a process on Linux, with a simulated plant: on SocketCAN in real time, or on a pipe in lock-step.
 
        retuner-firmware -i vcan0 [-n NODE] [-t SAMPLE_TIME_S] [-x SPEED] [-s STORE_FILE] [-k KEY_FILE] [-e EPOCH]
+                        [-g DEAD_SAMPLES] [-w NOISE]
        retuner-firmware -p ...
+
+   The plant answers after so many samples (0 to 63), and its sensor is wrong by up to so much.
 
    On a pipe every line on stdin is a frame, 021#0123456789ABCDEF as candump -L writes it, or the word sample: make one
    controller sample. Each is answered by the frames that it brings about, one a line, and an empty line. */
@@ -32,6 +35,8 @@
 #define PLANT_GAIN 1.2f
 #define PLANT_LAG_S 30.0f
 #define PLANT_OFFSET 2.0f
+#define PLANT_START_CO 40.0f
+#define DEAD_MAX 64
 
 typedef struct {
     rt_device device;
@@ -39,6 +44,10 @@ typedef struct {
     int socket; /* -1: a pipe */
     int store;  /* -1: nothing outlasts the process */
     float pv;
+    float on_its_way[DEAD_MAX]; /* outputs that the plant has not felt yet */
+    unsigned dead, samples;
+    float noise;
+    uint32_t chance;
     uint8_t key[KEY_LONGEST];
 } machine;
 
@@ -100,11 +109,24 @@ static uint64_t on_random(void *context)
 
 /* ---- the process */
 
+/* From -1 to 1; the same at every start (Marsaglia 2003, xorshift). */
+static float chance(machine *m)
+{
+    m->chance ^= m->chance << 13;
+    m->chance ^= m->chance >> 17;
+    m->chance ^= m->chance << 5;
+    return (float)m->chance / 2147483648.0f - 1.0f;
+}
+
 static void sample(machine *m, float dt)
 {
-    float aim = PLANT_OFFSET + PLANT_GAIN * (m->device.co + m->device.load);
+    float aim, felt;
+    m->on_its_way[m->samples % DEAD_MAX] = m->device.co;
+    felt = m->on_its_way[(m->samples - m->dead) % DEAD_MAX];
+    m->samples++;
+    aim = PLANT_OFFSET + PLANT_GAIN * (felt + m->device.load);
     m->pv += (aim - m->pv) * (dt / (PLANT_LAG_S + dt));
-    rt_sample(&m->device, m->pv, dt);
+    rt_sample(&m->device, m->noise > 0 ? m->pv + m->noise * chance(m) : m->pv, dt);
 }
 
 static int open_can(const char *name)
@@ -247,13 +269,18 @@ int main(int count, char **given)
     int option, is_pipe = 0;
     m.store = m.socket = -1;
     m.pv = 50.0f;
-    while ((option = getopt(count, given, "i:pn:t:x:s:k:e:")) != -1) {
+    m.chance = 2463534242u;
+    for (option = 0; option < DEAD_MAX; option++)
+        m.on_its_way[option] = PLANT_START_CO;
+    while ((option = getopt(count, given, "i:pn:t:x:s:k:e:g:w:")) != -1) {
         switch (option) {
         case 'i': interface = optarg; break;
         case 'p': is_pipe = 1; break;
         case 'n': settings.node = (uint8_t)atoi(optarg); break;
         case 't': settings.sample_time_s = (float)atof(optarg); break;
         case 'x': speed = atof(optarg); break;
+        case 'g': m.dead = (unsigned)atoi(optarg); break;
+        case 'w': m.noise = (float)atof(optarg); break;
         case 'e': epoch = atol(optarg); break;
         case 'k':
             settings.key = m.key;
@@ -270,15 +297,15 @@ int main(int count, char **given)
         }
     }
     if (is_pipe == (interface != NULL) || settings.node < 1 || settings.node > 63 || !(settings.sample_time_s > 0)
-        || !(speed > 0)) {
-        fprintf(stderr, "retuner-firmware: give -i INTERFACE or -p; -n 1 to 63; -t and -x positive\n");
+        || !(speed > 0) || m.dead >= DEAD_MAX || !(m.noise >= 0)) {
+        fprintf(stderr, "retuner-firmware: give -i INTERFACE or -p; -n 1 to 63; -t, -x positive; -g to 63; -w 0 or more\n");
         return 2;
     }
     signal(SIGTERM, on_signal);
     signal(SIGINT, on_signal);
     if (!is_pipe)
         m.socket = open_can(interface);
-    rt_boot(&m.device, &settings, &port, (uint16_t)epoch, m.slots, m.pv, 40.0f);
+    rt_boot(&m.device, &settings, &port, (uint16_t)epoch, m.slots, m.pv, PLANT_START_CO);
     if (is_pipe)
         run_pipe(&m);
     else

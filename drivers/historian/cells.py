@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.raw_table import MISSING, WITH_UNIT, RawTable
 from retuner.drivers.historian.record_form import RecordForm
@@ -96,7 +96,8 @@ def numbers(table: RawTable, place: int, decimal: str, form: RecordForm) -> Floa
     if isinstance(column, np.ndarray):
         if column.dtype.kind == "M":
             raise RecordingError(f"{table.source}: {table.names[place]} holds times; a number is wanted")
-        return np.where(np.isfinite(column), column, np.nan)
+        values: FloatArray = column.astype(np.float64, copy=False)
+        return values if all_finite(values) else np.where(np.isfinite(values), values, np.nan)
     missing = MISSING | {word.strip().lower() for word in form.bad}
     found = np.empty(len(column))
     for i, field in enumerate(column):

@@ -60,7 +60,7 @@ def column_of(name: str, series: object) -> Column:
     if values.dtype.kind in "iuf":
         return values.astype(np.float64)
     if values.dtype.kind == "M":
-        return values.astype("datetime64[ns]")
+        return values
     if values.dtype.kind == "O":
         return _objects(name, values)
     return [str(value) for value in values]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.recorded.recording import RecordingError
 
@@ -36,6 +36,8 @@ def in_order(t_s: FloatArray, source: str) -> tuple[np.ndarray, FloatArray, list
         Time goes back too often for rows that were put in a wrong place.
     """
     told: list[Assumption] = []
+    if all_finite(t_s) and bool(np.all(t_s[1:] > t_s[:-1])):
+        return np.arange(len(t_s)), t_s, told
     places = np.flatnonzero(np.isfinite(t_s))
     if len(places) < len(t_s):
         told.append(Assumption(f"{len(t_s) - len(places)} rows without a stamp: left out"))
@@ -94,7 +96,7 @@ def joined(pv: Trend, others: dict[str, Trend]) -> tuple[FloatArray, dict[str, F
     known = np.ones(len(t_s), dtype=bool)
     values: dict[str, FloatArray] = {"pv": pv.values}
     for role, trend in others.items():
-        if not trend.held and np.array_equal(trend.t_s, t_s):
+        if not trend.held and (trend.t_s is t_s or np.array_equal(trend.t_s, t_s)):
             values[role] = trend.values
             continue
         at, same = np.searchsorted(trend.t_s, t_s, side="right") - 1, np.zeros(len(t_s), dtype=bool)
@@ -106,6 +108,8 @@ def joined(pv: Trend, others: dict[str, Trend]) -> tuple[FloatArray, dict[str, F
             continue
         known &= inside & (t_s <= _until(trend))
         told.append(Assumption(f"{role} has rows of its own: held between them"))
+    if known.all():
+        return t_s, values, told
     return t_s[known], {role: v[known] for role, v in values.items()}, told
 
 

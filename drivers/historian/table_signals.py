@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, all_finite
 from retuner.drivers.historian.assumption import Assumption, quoted
 from retuner.drivers.historian.cells import decimal_mark, good, numbers, unit_beside
 from retuner.drivers.historian.raw_table import VALUE, RawTable, repeated
@@ -31,6 +33,8 @@ OWN_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
     {"sp": frozenset({"sp", "sv"}), "pv": frozenset({"pv"}), "co": frozenset({"co", "op", "out", "output"})}
 )
 """What control systems call a signal itself, beside which a read-back or a target may stand."""
+TICKS = MappingProxyType({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9})
+"""Of a second, by the unit that moments are kept in."""
 SILENT = frozenset({"sp", "pv", "co"})
 """Column names that need no telling."""
 
@@ -48,10 +52,11 @@ class TableSignals:
 
 @dataclass(frozen=True, slots=True)
 class _Clock:
-    """The rows that are kept in the order of time, and their stamps."""
+    """The rows that are kept in the order of time, and their stamps; as_they_stand : all rows, in their order."""
 
     rows: np.ndarray
     t_s: FloatArray
+    as_they_stand: bool
 
 
 def signals_of(table: RawTable, form: RecordForm, *, in_automatic: bool = False) -> TableSignals:
@@ -129,6 +134,8 @@ def _signal_places(
             if place is not None:
                 places.setdefault(tag, {})[role] = place
                 _refuse_repeated(table, place)
+    for wanted in places.values():
+        wanted |= {name: table.names.index(name) for name in form.others if name in table.names}
     return places or _by_file_name(table, found, form)
 
 
@@ -178,10 +185,10 @@ def _clock(
     """Rows in the order of time."""
     if form.dt_s is not None:
         rows = np.arange(len(table.places))
-        return _Clock(rows, (rows * form.dt_s).astype(np.float64)), []
+        return _Clock(rows, (rows * form.dt_s).astype(np.float64), as_they_stand=True), []
     stamps = _stamps(table, found, form, decimal)
     rows, t_s, told = in_order(stamps.t_s, table.source)
-    return _Clock(rows, t_s), [*stamps.assumed, *told]
+    return _Clock(rows, t_s, t_s is stamps.t_s), [*stamps.assumed, *told]
 
 
 def _stamps(
@@ -207,13 +214,23 @@ def _stamps(
         _refuse_other_clocks(table, times)
     column = table.columns[place]
     if isinstance(column, np.ndarray) and column.dtype.kind == "M":
-        return Stamps(np.where(np.isnat(column), np.nan, column.astype("datetime64[ns]").astype(np.int64) / 1e9))
+        return Stamps(_seconds(column))
     text = [] if isinstance(column, np.ndarray) else [field.strip() for field in column]
     if text and _written_out(text):
         apart = table.columns[date] if date is not None and "-" not in text[0] and text[0].count(":") else None
         days = [str(d) for d in apart] if apart is not None else None
         return from_text(text, days, form, table.source, begins)
     return _counted(table, place, decimal, form)
+
+
+def _seconds(moments: npt.NDArray[Any]) -> FloatArray:
+    """Moments in seconds since 1970, nan where one is missing."""
+    unit, many = np.datetime_data(moments.dtype)
+    if unit not in TICKS:
+        return _seconds(moments.astype("datetime64[ns]"))
+    t_s: FloatArray = moments.view(np.int64) / (TICKS[unit] / many)
+    missing = np.isnat(moments)
+    return np.where(missing, np.nan, t_s) if missing.any() else t_s
 
 
 def _counted(table: RawTable, place: int, decimal: str, form: RecordForm) -> Stamps:
@@ -306,20 +323,25 @@ def _trends(
     form: RecordForm,
     told: list[Assumption],
 ) -> dict[str, Trend]:
-    """Signals of one loop without what is missing."""
+    """Signals of one loop without what is missing; nothing is copied where nothing is."""
     trends = {}
+    plain_clock = clock.as_they_stand and bool(good_rows.all())
     for role, place in roles.items():
         _tell_unit(table, place, role, told)
         values = numbers(table, place, decimal, form)
-        known = (np.isfinite(values) & good_rows)[clock.rows]
-        held = role != "pv" and _stored_by_exception(table, place)
-        missing = int(np.sum(~np.isfinite(values[clock.rows])))
+        everything = plain_clock and all_finite(values)
+        held = role != "pv" and not everything and _stored_by_exception(table, place)
+        missing = 0 if everything else int(np.sum(~np.isfinite(values[clock.rows])))
         if missing and not held:
             told.append(Assumption(f"{missing} values of {role} missing: left out"))
-        if table.names[place] not in SILENT and role not in form.columns:
+        if table.names[place] not in {*SILENT, role} and role not in form.columns:
             name = quoted(table.names[place])
             told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))
-        trends[role] = Trend(clock.t_s[known], values[clock.rows][known], held)
+        if everything:
+            trends[role] = Trend(clock.t_s, values, held)
+        else:
+            known = (np.isfinite(values) & good_rows)[clock.rows]
+            trends[role] = Trend(clock.t_s[known], values[clock.rows][known], held)
     return trends
 
 

@@ -64,7 +64,13 @@ class Denied(NamedTuple):
     reason: str
 
 
-Told = Heard | Stopped | Runs | Started | Alive | Acknowledged | Denied
+class Doubted(NamedTuple):
+    """Two answers came to one question about this gain, and they differ: two controllers, or somebody who forges."""
+
+    name: str
+
+
+Told = Doubted | Heard | Stopped | Runs | Started | Alive | Acknowledged | Denied
 
 
 class Access(Protocol):

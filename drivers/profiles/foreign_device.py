@@ -31,7 +31,7 @@ from retuner.drivers.device import (
     WriteUnknown,
 )
 from retuner.drivers.host.connection import Contact
-from retuner.drivers.profiles.access import Access, Acknowledged, Denied, Heard, Runs, Started, Stopped, Told
+from retuner.drivers.profiles.access import Access, Acknowledged, Denied, Doubted, Heard, Runs, Started, Stopped, Told
 from retuner.drivers.profiles.bench_loop import load_frame
 from retuner.drivers.profiles.foreign_settings import ForeignSettings
 from retuner.drivers.profiles.gain_course import GainCourse
@@ -51,6 +51,8 @@ AT_LIMIT = 1e-6
 TOGETHER = 0.5
 """Samples within which values of one sample come."""
 
+AGREED = 3
+"""Whole sets that are read without a second answer before anything is believed again."""
 ROUNDS = 16
 """Questions and answers in one poll, where the answer comes at once."""
 
@@ -108,7 +110,9 @@ class ForeignDevice:
         self._up = self._there = False
         self._ask_s = self._feed_s = -math.inf
         self._seq = 0
+        self._agreed = AGREED  # sets read since two answers differed
         self._boots = 0
+        self._now_s = -math.inf
         self._events: list[Event] = []
 
     @property
@@ -124,6 +128,7 @@ class ForeignDevice:
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
         self._contact.polled(now_s)
+        self._now_s = now_s
         for _ in range(ROUNDS):
             self._receive(now_s)
             self._notice_silence(now_s)
@@ -155,6 +160,8 @@ class ForeignDevice:
                 self._stopped.pop(told.source, None)
             case Started():
                 self._on_restart()
+            case Doubted():
+                self._on_doubt(told.name)
             case Acknowledged(name="setpoint"):
                 self._events += [CommandDone("setpoint")] * self._asked_setpoint
                 self._asked_setpoint = False
@@ -231,8 +238,22 @@ class ForeignDevice:
             self._read.clear()
             self._ask_s = -math.inf
 
+    def _on_doubt(self, name: str) -> None:
+        """Two controllers under one number, or forged answers: nothing is believed until they agree for a while."""
+        self._agreed = 0
+        self._read.clear()
+        if self._up:
+            self._lose(
+                LinkState.SILENT,
+                f"two answers about {name} differ (a second node of this number? another master?); "
+                "nothing is believed or written until they agree",
+            )
+
     def _on_gains(self, numbers: Numbers) -> None:
         """The whole set, as the controller tells it."""
+        self._agreed += 1
+        if self._agreed <= AGREED:
+            return
         busy = self._course.busy
         self._course.on_read(numbers)
         if busy:
@@ -262,8 +283,7 @@ class ForeignDevice:
 
     def _connect(self, now_s: float) -> None:
         """The first connection, or another one: heard, and the gains known."""
-        heard = now_s - self._contact.heard_s <= self.settings.silent_s
-        if not heard or self.link.state is LinkState.DOWN:
+        if not self._hears(now_s):
             return
         if self.running is None and not self._access.reads_back:
             self._believe(self._numbers or self._first_numbers())
@@ -279,6 +299,11 @@ class ForeignDevice:
             self._up = self._contact.made = True
             known = "active gains read back" if self._access.reads_back else "gains assumed, cannot be read back"
             self._events.append(LinkChanged(LinkState.UP, f"controller found, {known}"))
+
+    def _hears(self, now_s: float) -> bool:
+        """Whether the controller is heard just now, its gains known or not."""
+        heard = now_s - self._contact.heard_s <= self.settings.silent_s
+        return heard and self.link.state is not LinkState.DOWN
 
     def _require_fitting(self, gains: PidGains) -> None:
         """At the first connection, refuse a controller that runs what nobody knows of and nobody could write over."""
@@ -324,6 +349,7 @@ class ForeignDevice:
         self._latest.pop("mode", None)
         self._stopped.clear()
         self._access.forget()
+        self._course.leave(reason)
         self._ask_s = -math.inf
         self._events.append(LinkChanged(state, reason))
 
@@ -355,8 +381,9 @@ class ForeignDevice:
             self._access.put({"setpoint": self._setpoint})
 
     def _write_on(self, now_s: float) -> None:
-        """What the write under way wants to send."""
-        sending = self._course.due(now_s) if self._up else None
+        """What the write under way wants to send; after a silence it asks what runs, and only then is it connected."""
+        there = self._up or (self._access.reads_back and self._hears(now_s))
+        sending = self._course.due(now_s) if there else None
         if sending is not None:
             if sending.write:
                 self._access.put(sending.write)
@@ -376,6 +403,8 @@ class ForeignDevice:
         self._believe(outcome.numbers)
         if self.running is None:
             return
+        if not self._up:  # first that it is there again, then what became of the write
+            self._connect(self._now_s)
         done = WriteDone(self._seq, self.running.gains, self.running)
         self._events.append(done if outcome.done else WriteFailed(self._seq, outcome.reason, self.running))
 

@@ -38,6 +38,7 @@ class CourseInput(Enum):
     EXHAUSTED = "no try is left"
     REFUSED = "refused by the controller"
     RESTARTED = "the controller restarted"
+    LEFT = "nothing is heard of it any more, or two answer: it is left as it is"
     READ = "what runs was read"
 
 
@@ -49,16 +50,19 @@ COURSE: dict[tuple[CoursePhase, CourseInput], CoursePhase] = {
     (P.WRITING, C.EXHAUSTED): P.UNDOING,
     (P.WRITING, C.REFUSED): P.UNDOING,
     (P.WRITING, C.RESTARTED): P.READING,
+    (P.WRITING, C.LEFT): P.READING,
     (P.CHECKING, C.NEXT): P.WRITING,
     (P.CHECKING, C.LAST): P.IDLE,
     (P.CHECKING, C.AGAIN): P.WRITING,
     (P.CHECKING, C.EXHAUSTED): P.UNDOING,
     (P.CHECKING, C.REFUSED): P.UNDOING,
     (P.CHECKING, C.RESTARTED): P.READING,
+    (P.CHECKING, C.LEFT): P.READING,
     (P.UNDOING, C.TAKEN): P.READING,
     (P.UNDOING, C.AGAIN): P.UNDOING,
     (P.UNDOING, C.EXHAUSTED): P.READING,
     (P.UNDOING, C.RESTARTED): P.READING,
+    (P.UNDOING, C.LEFT): P.READING,
     (P.READING, C.AGAIN): P.READING,
     (P.READING, C.READ): P.IDLE,
 }
@@ -198,6 +202,12 @@ class GainCourse:
             self.reason = "the controller restarted"
             self._move(CourseInput.RESTARTED)
 
+    def leave(self, reason: str) -> None:
+        """Nobody can be written to for now; what runs is read when somebody can. Without read-back it is sent then."""
+        if self.busy and self._reads_back:
+            self.reason = reason
+            self._move(CourseInput.LEFT)
+
     def on_read(self, numbers: Numbers) -> None:
         """The whole set was read, after it was asked for here."""
         phase = self.machine.phase
@@ -209,21 +219,22 @@ class GainCourse:
             self.outcome = Outcome(done, dict(numbers), self.reason or "no answer")
 
     def _check(self, numbers: Numbers) -> None:
-        """The message just written, as it was read back."""
+        """The message just written, as it was read back; whatever else was proved has to stand as well."""
         step = self._steps[self._at]
         wrong = [name for name in step if numbers[name] != step[name]]
         if wrong:
             self.reason = f"{wrong[0]} was read back as {numbers[wrong[0]]:.9g}, written was {step[wrong[0]]:.9g}"
             return  # it is asked again, and written again, when its time is over
-        if self._at + 1 < len(self._steps):
-            self._at += 1
-            self._move(CourseInput.NEXT)
-        elif all(numbers[name] == self._new[name] for name in self._new):
-            self._move(CourseInput.LAST)
-            self.outcome = Outcome(True, dict(numbers), "")
-        else:
+        so_far = {**self._old, **{name: one[name] for one in self._steps[: self._at + 1] for name in one}}
+        if any(numbers[name] != so_far[name] for name in self._new):
             self.reason = "gains were changed by someone else meanwhile"
             self._move(CourseInput.EXHAUSTED)
+        elif self._at + 1 < len(self._steps):
+            self._at += 1
+            self._move(CourseInput.NEXT)
+        else:
+            self._move(CourseInput.LAST)
+            self.outcome = Outcome(True, dict(numbers), "")
 
     def unknown(self) -> str:
         """Why what runs is not known, once, when nobody has answered for a while; else nothing."""

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,7 @@ class Recording:
     pv: FloatArray
     co: FloatArray
     sp: FloatArray | None = None
+    _window: Window = field(init=False, repr=False, compare=False)
 
     @property
     def summary(self) -> str:
@@ -72,12 +73,15 @@ class Recording:
         return f"Recording({self.summary})"
 
     def __post_init__(self) -> None:
+        sp = self.sp
+        if sp is None:
+            sp = np.full(len(self.pv), self.pv[0] if len(self.pv) else 0.0)
         try:
-            self.window()
+            object.__setattr__(self, "_window", Window(self.t_s, sp, self.pv, self.co))
         except ValueError as error:
             raise RecordingError(f"{self.source}: {error}") from error
         for name, values in (("t", self.t_s), ("sp", self.sp), ("pv", self.pv), ("co", self.co)):
-            if values is not None and np.max(np.abs(values)) > LARGEST:
+            if values is not None and max(-values.min(), values.max()) > LARGEST:
                 i = int(np.argmax(np.abs(values)))
                 raise RecordingError(
                     f"{self.source}: sample {i + 1}: {name} = {values[i]:g} is beyond {LARGEST:g}; "
@@ -86,10 +90,7 @@ class Recording:
 
     def window(self) -> Window:
         """The whole record for a fit; where it has no setpoint, the first pv stands in."""
-        sp = self.sp
-        if sp is None:
-            sp = np.full(len(self.pv), self.pv[0] if len(self.pv) else 0.0)
-        return Window(self.t_s, sp, self.pv, self.co)
+        return self._window
 
 
 def require_setpoint(recording: Recording) -> None:

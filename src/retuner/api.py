@@ -200,8 +200,8 @@ def window_of(
         return (t if isinstance(t, LoopRecord) else read(t)).recording.window()
     if sp is None or pv is None or co is None:
         raise ValueError("give t, sp, pv and co, or a record of retuner.read")
-    times = seconds(cast("Times", t))
-    return Window(times, *(np.asarray(v, dtype=np.float64) for v in (sp, pv, co)))
+    setpoint, value, output = (np.asarray(v, dtype=np.float64) for v in (sp, pv, co))
+    return Window(seconds(cast("Times", t)), setpoint, value, output)
 
 
 def seconds(t: Times) -> npt.NDArray[np.float64]:

@@ -7,7 +7,7 @@ from test_coincident_loads import recorded
 from retuner import api
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing
-from retuner.adaptive.indexes.plateaus import as_steps, plateaus, rough_sigma
+from retuner.adaptive.indexes.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
@@ -92,3 +92,15 @@ def test_a_real_healthy_flow_loop():
     found = stand_still(Window(*recorded("FIC46002_1102_1.csv")), None, SETTINGS)
     assert found is not None
     assert not found.stands
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.4, 3.0, 100.0])
+def test_sums_against_all_responses_are_those_of_their_columns(lag: float) -> None:
+    n, rng = 60, np.random.default_rng(4)
+    responses, x = _Responses(n, lag), rng.normal(size=n)
+    columns = responses.columns(np.arange(n - 1))
+
+    assert columns.shape == (n, n - 1)
+    assert columns[:20, 20].max() == 0  # nothing before the jump
+    np.testing.assert_allclose(responses.against(x), x @ columns, atol=1e-12)
+    np.testing.assert_allclose(responses.squares(), (columns**2).sum(axis=0), atol=1e-12)

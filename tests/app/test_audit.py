@@ -11,7 +11,7 @@ import pytest
 from audit_work import dies_or_works
 
 from retuner.audit.catalogue import Task, catalogue, files_of
-from retuner.audit.loop_row import AuditSettings, Row, audit_task, drawn
+from retuner.audit.loop_row import AuditSettings, Row, audit_task, drawn, is_fault
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import change, ranked, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine
@@ -91,10 +91,35 @@ def test_a_real_valve_is_sent_to_the_workshop_and_never_retuned() -> None:
 
 
 def test_a_record_that_cannot_be_used_is_a_row_with_the_reason(plant: Path) -> None:
-    rows = audit_task(Task(("D",), (plant / "D.PV.csv", plant / "D.OP.csv")), AuditSettings(1))
-    assert "no setpoint" in str(rows[0]["failed"])
     rows = audit_task(Task(("half",), (plant / "half.csv",), separate=True), AuditSettings(1))
     assert "half.csv" in str(rows[0]["failed"])
+
+
+def test_a_loop_without_setpoint_is_screened_for_what_can_be_told_without_it(plant: Path) -> None:
+    task = Task(("D",), (plant / "D.PV.csv", plant / "D.OP.csv"))
+    (row,) = audit_task(task, AuditSettings(1))
+
+    assert row["action"] == "export its setpoint"
+    assert "no setpoint on record" in str(row["reason"])
+    assert row["stretches"] == []
+    assert (row["loss_per_day"], row["screen"]["iae_per_day"], row["screen"]["harris"]) == (None, None, None)
+    assert row["screen"]["effort_per_day"] > 0
+    (row,) = audit_task(task, AuditSettings(1, RecordForm(sp=50.0)))
+    assert row["screen"]["iae_per_day"] > 0
+    assert len(row["stretches"]) == 1
+
+
+def test_a_loop_without_setpoint_that_oscillates_asks_for_a_visit(tmp_path: Path) -> None:
+    t = 10.0 * np.arange(3000)
+    wave = 50 + 3 * np.sin(2 * np.pi * t / 400) + RNG.normal(0, 0.1, len(t))
+    rows = [f"{a:g},{b:.4f},{c:.4f}" for a, b, c in zip(t, wave, 60 - wave, strict=True)]
+    path = tmp_path / "blind.csv"
+    path.write_text("t,pv,co\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    (row,) = audit_task(Task(("blind",), (path,), separate=True), AuditSettings(1))
+
+    assert (row["cause"], row["action"]) == ("unknown", "inspect")
+    assert row["screen"]["period_s"] == pytest.approx(400, rel=0.02)
+    assert is_fault(row)
 
 
 def test_a_trend_is_drawn_without_losing_a_peak() -> None:

@@ -15,7 +15,9 @@ import pytest
 
 from retuner.adaptive.guard import change_factor
 from retuner.cli import main
+from retuner.config.described import vendor_units
 from retuner.config.loading import load_config, load_session
+from retuner.drivers.protocol.checksum import to_wire
 from retuner.gain_export.c_header import c_header
 from retuner.gain_export.numbers import numbers_of
 from retuner.gain_export.structured_text import structured_text
@@ -253,6 +255,37 @@ def test_tuned_gains_go_back_and_every_comment_stays(tmp_path: Path, capsys: pyt
     assert len(changed) == 5  # kc and tau_i_s twice, and a tau_d_s that was not there
     assert main(["export", str(gains), "--into", str(path)]) == 0
     assert path.read_text() == text
+
+
+def test_numbers_go_back_in_the_fewest_digits_that_the_controller_tells_apart(tmp_path: Path) -> None:
+    path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
+    path.write_text(CONFIG)
+    tuned = (
+        load_config(path)
+        .gain_table()
+        .with_gains("low", to_wire(PidGains(0.3, 0.3 / 70.0)))
+        .with_gains("high", PidGains(1.234567890123, 0.04321098765, 3.0))
+    )
+    gains.write_text(to_toml(tuned))
+    assert main(["export", str(gains), "--into", str(path)]) == 0
+    assert "kc = 0.3 " in path.read_text()
+    assert "tau_i_s = 70.0 " in path.read_text()
+    numbers = re.findall(r"= ([0-9.]+)", path.read_text()[path.read_text().index("[[schedule.region]]") :])
+    assert max(len(number.replace(".", "").strip("0")) for number in numbers) <= 9
+    assert [to_wire(one) for one in load_config(path).gains()] == [to_wire(one) for one in tuned.gains]
+
+
+def test_a_drive_of_whole_numbers_gets_the_shortest_number_that_rounds_to_its_own(tmp_path: Path) -> None:
+    path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
+    path.write_text((Path(__file__).parents[2] / "examples" / "cia402.toml").read_text())
+    config = load_config(path)
+    units = vendor_units(config)
+    assert units is not None
+    held = units.rounded(PidGains(0.98765, 0.7123456))
+    gains.write_text(to_toml(config.gain_table().with_gains("all", held)))
+    assert main(["export", str(gains), "--into", str(path)]) == 0
+    assert units.rounded(load_config(path).gains()[0]) == held
+    assert len(re.findall(r"\ntau_i_s = ([0-9.]+)", path.read_text())[0]) <= 6
 
 
 def test_tuned_gains_against_the_action_are_refused_by_their_key(

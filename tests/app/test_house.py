@@ -21,14 +21,14 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
-        "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
-        "nudge", "schedule_design", "audit",
+        "fit", "identification", "schedule_design", "region_model", "guard", "trial", "diagnosis", "without_model",
+        "supervision", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
         "conformance",
-        "historian",
         "profiles", "dbc", "canopen",
+        "historian",
     )),
     "vocabulary", "errors", "files", "stopping", "streams", "verbosity", "templates", "conversions", "tuning", "api",
     "scheduling", "config", "ledger", "decisions", "pid_controller", "",

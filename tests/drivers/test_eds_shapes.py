@@ -2,14 +2,20 @@
 
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import can
 import pytest
 
+from retuner.adaptive.process.model import LinearProcess
 from retuner.drivers.canopen.access import CanOpenAccess, NodeSettings
 from retuner.drivers.canopen.eds_file import EdsFile, holds, read_eds
+from retuner.drivers.canopen.virtual_node import VirtualCanOpenNode
+from retuner.drivers.controller.firmware_settings import VirtualDeviceSettings
+from retuner.drivers.plants.linear_plant import LinearPlant
 from retuner.drivers.profiles.access import Acknowledged, Denied, Heard, ProfileError
+from retuner.drivers.profiles.bench_loop import BenchLoop
 from retuner.drivers.profiles.mapping import DeviceMapping, GainAt, ObjectOf
 from retuner.schedule.gains import PidGains
 from retuner.schedule.vendor_units import Quantity
@@ -116,6 +122,47 @@ def test_the_host_keeps_its_own_heartbeat(tmp_path: Path) -> None:
     beats = [frame for k in range(31) for frame in access.due(0.1 * k) if frame.arbitration_id == 0x764]
     assert {bytes(frame.data) for frame in beats} == {b"\5"}
     assert len(beats) in {3, 4}  # in 3 s, with tenths that are no binary fractions
+
+
+OBJECT_2001 = group("2001", "Output", 9, 2)
+OTHER_HANDS = {
+    "a byte-order mark": lambda text: ("\ufeff" + text).encode(),
+    "UTF-16": lambda text: text.encode("utf-16"),
+    "lone carriage returns": lambda text: text.replace("\n", "\r").encode(),
+    "the end-of-file mark of DOS": lambda text: (text + "\x1a").encode(),
+    "SUB in capitals": lambda text: text.replace("sub", "SUB").encode(),
+    "parts of an object without a section": lambda text: text.replace(OBJECT_2001, "").encode(),
+    "an empty baud rate": lambda text: text.replace("[DeviceInfo]\n", "[DeviceInfo]\nBaudRate_500=\n").encode(),
+    "Latin-1": lambda text: text.replace("=Speed", "=Geschwindigkeit \xfc").encode("latin-1"),
+}
+
+
+@pytest.mark.parametrize("shape", OTHER_HANDS)
+def test_files_as_other_tools_write_them_say_the_same(shape: str, tmp_path: Path) -> None:
+    path = tmp_path / "node.eds"
+    path.write_bytes(OTHER_HANDS[shape](EDS + PDO.format(cob="0x180")))
+    by_number = replace(MAPPING, co=ObjectOf("2001:1", 0.1))
+    access = CanOpenAccess(EdsFile(read_eds(path, 9), path.name, 9), by_number)
+    told = access.take(can.Message(arbitration_id=0x189, is_extended_id=False, data=struct.pack("<bh", -3, -250)))
+    assert [one for one in told if isinstance(one, Heard)] == [Heard("pv", -3.0), Heard("co", -25.0)]
+
+
+def test_names_keep_their_accents(tmp_path: Path) -> None:
+    for code in ("utf-8", "latin-1"):
+        path = tmp_path / "node.eds"
+        path.write_bytes(EDS.replace("=Speed", "=Vitesse r\xe9elle").encode(code))
+        assert EdsFile(read_eds(path, 9), path.name, 9).variable("Vitesse r\xe9elle", ()).index == 0x2000
+
+
+def test_a_virtual_node_whose_eds_has_a_heartbeat_runs_by_its_samples(tmp_path: Path) -> None:
+    text = (EDS + PDO.format(cob="0x180")).replace("SupportedObjects=8", "SupportedObjects=9\n9=0x1017")
+    file = read(tmp_path, text + variable("1017", "Producer heartbeat time", 6, "rw", "DefaultValue=1000"))
+    settings = VirtualDeviceSettings(PidGains(2.0, 3.0), node=9)
+    loop = BenchLoop(settings, LinearPlant(LinearProcess(1.0, (5.0,)), start_pv=50.0))
+    node = VirtualCanOpenNode(file, MAPPING, loop)
+    node.receive(can.Message(arbitration_id=0, is_extended_id=False, data=[1, 9]))
+    beats = [message for _ in range(10) for message in node.step() if message.arbitration_id == 0x709]
+    assert [bytes(message.data) for message in beats] == [b"\5", b"\5"]
 
 
 WRONG = [

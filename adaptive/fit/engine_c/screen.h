@@ -1,5 +1,5 @@
-/* The numbers of a whole record for an audit (adaptive/audit/record_sums.py says what each is): two runs over the
- * samples, the first for levels and extremes, the second for all that is counted against them. */
+/* The numbers of a whole record for an audit (adaptive/audit/record_sums.py says what each is): levels and
+ * extremes first, then all that is counted against them; what can be added in any order is on eight lanes. */
 
 #ifndef RETUNER_SCREEN_H
 #define RETUNER_SCREEN_H
@@ -67,13 +67,6 @@ static double slow_std(const double *x, Py_ssize_t n, Py_ssize_t width) {
     return many ? sqrt(fmax(squares / (double)many - level * level, 0)) : 0;
 }
 
-/* Sums of e_i e_(i-j) for samples begin to end; e : the error without its mean, LAGS samples more in front. */
-WIDE static void covariances(const double *e, Py_ssize_t begin, Py_ssize_t end, double *sums) {
-    for (Py_ssize_t i = begin; i < end; i++)
-        for (int j = 0; j <= LAGS; j++)
-            sums[j] += e[i] * e[i - LAGS + j];
-}
-
 static void error_moments(const double *sp, const double *pv, Py_ssize_t n, Sums *s) {
     double e[BLOCK + LAGS] = {0}, sums[LAGS + 1] = {0};
     for (Py_ssize_t first = 0; first < n; first += BLOCK) {
@@ -81,10 +74,11 @@ static void error_moments(const double *sp, const double *pv, Py_ssize_t n, Sums
         memmove(e, e + BLOCK, LAGS * sizeof *e);
         for (Py_ssize_t i = 0; i < many; i++)
             e[LAGS + i] = sp[first + i] - pv[first + i] - s->error_mean;
-        covariances(e, LAGS, LAGS + many, sums);
+        for (int j = 0; j <= LAGS; j++)
+            sums[j] += dot(e + LAGS, e + LAGS - j, many);
     }
     for (int j = 0; j <= LAGS; j++)
-        s->covariance[j] = n > j ? sums[LAGS - j] / (double)(n - j) : 0;
+        s->covariance[j] = n > j ? sums[j] / (double)(n - j) : 0;
     s->error_variance = s->covariance[0];
 }
 
@@ -95,43 +89,114 @@ typedef struct {
     Py_ssize_t width;
 } Measure;
 
-WIDE static void counted(const double *restrict t, const double *restrict sp, const double *restrict pv,
-                         const double *restrict co, Py_ssize_t n, const Measure *by, double pv_mean,
-                         Sums *restrict s) {
-    double longest = by->longest, band = by->band, shortest = by->shortest;
-    double enough = STRAIGHT_PART * (s->pv_high - s->pv_low), step = 0, way = 0, level = 0, squares = 0;
-    double still = 0, low = 0, high = 0;
-    for (Py_ssize_t i = 0; i < n; i++) {
-        double error = sp[i] - pv[i], held = 0;
-        squares += (pv[i] - pv_mean) * (pv[i] - pv_mean);
-        if (i + 1 < n) {
-            double dt = t[i + 1] - t[i], next = pv[i + 1] - pv[i], move = co[i + 1] - co[i];
-            held = dt < longest ? dt : longest, s->held += held, s->gaps += dt > longest, s->size += fabs(error) * held;
-            s->travel += fabs(move), s->moves += move != 0, s->sp_moves += sp[i + 1] != sp[i];
-            s->repeated += next == 0, s->straight += i > 0 && fabs(next - step) <= enough;
-            step = next;
-            if (move != 0) {
-                s->still += still >= shortest ? still : 0;
-                still = 0;
-            } else
-                still += 1;
-            double to = band > 0 ? nearbyint((co[i + 1] - co[0]) / band) : co[i + 1], on = band > 0 ? to - level : move;
-            s->turns += on * way < 0;
-            way = on > 0 ? 1 : on < 0 ? -1 : way;
-            level = to;
+/* What needs no memory of the samples before, on eight running sums whose order is fixed; of intervals that are not the
+ * first, so that a step of pv has one before it. */
+enum {
+    SUM_HELD,
+    SUM_GAPS,
+    SUM_SIZE,
+    SUM_TRAVEL,
+    SUM_MOVES,
+    SUM_SP_MOVES,
+    SUM_REPEATED,
+    SUM_STRAIGHT,
+    SUM_SQUARES,
+    SUM_KINDS
+};
+
+WIDE static void added(const double *restrict t, const double *restrict sp, const double *restrict pv,
+                       const double *restrict co, Py_ssize_t many, double longest, double enough, double pv_mean,
+                       double sums[SUM_KINDS][8]) {
+    for (Py_ssize_t i = 0; i < many; i += 8)
+        for (int j = 0; j < 8; j++) {
+            Py_ssize_t at = i + j;
+            double dt = t[at + 1] - t[at], next = pv[at + 1] - pv[at], move = co[at + 1] - co[at];
+            double held = dt < longest ? dt : longest, level = pv[at] - pv_mean;
+            sums[SUM_HELD][j] += held, sums[SUM_GAPS][j] += dt > longest ? 1.0 : 0.0;
+            sums[SUM_SIZE][j] += fabs(sp[at] - pv[at]) * held, sums[SUM_TRAVEL][j] += fabs(move);
+            sums[SUM_MOVES][j] += move != 0 ? 1.0 : 0.0, sums[SUM_SP_MOVES][j] += sp[at + 1] != sp[at] ? 1.0 : 0.0;
+            sums[SUM_REPEATED][j] += next == 0 ? 1.0 : 0.0;
+            sums[SUM_STRAIGHT][j] += fabs(next - (pv[at] - pv[at - 1])) <= enough ? 1.0 : 0.0;
+            sums[SUM_SQUARES][j] += level * level;
         }
-        if (co[i] == s->co_low)
+}
+
+/* The intervals by eights, the first one and those that are left over by themselves. */
+static void add_up(const double *t, const double *sp, const double *pv, const double *co, Py_ssize_t n,
+                   const Measure *by, double pv_mean, Sums *s) {
+    double sums[SUM_KINDS][8] = {{0}}, all[SUM_KINDS] = {0}, enough = STRAIGHT_PART * (s->pv_high - s->pv_low);
+    Py_ssize_t whole = (n - 2) - (n - 2) % 8;
+    added(t + 1, sp + 1, pv + 1, co + 1, whole, by->longest, enough, pv_mean, sums);
+    for (int k = 0; k < SUM_KINDS; k++)
+        for (int j = 0; j < 8; j++)
+            all[k] += sums[k][j];
+    for (Py_ssize_t i = 0; i < n; i = i == 0 ? whole + 1 : i + 1) {
+        all[SUM_SQUARES] += (pv[i] - pv_mean) * (pv[i] - pv_mean);
+        if (i + 1 == n)
+            break;
+        double dt = t[i + 1] - t[i], next = pv[i + 1] - pv[i], move = co[i + 1] - co[i];
+        double held = dt < by->longest ? dt : by->longest;
+        all[SUM_HELD] += held, all[SUM_GAPS] += dt > by->longest, all[SUM_SIZE] += fabs(sp[i] - pv[i]) * held;
+        all[SUM_TRAVEL] += fabs(move), all[SUM_MOVES] += move != 0, all[SUM_SP_MOVES] += sp[i + 1] != sp[i];
+        all[SUM_REPEATED] += next == 0, all[SUM_STRAIGHT] += i > 0 && fabs(next - (pv[i] - pv[i - 1])) <= enough;
+    }
+    s->held = all[SUM_HELD], s->gaps = all[SUM_GAPS], s->size = all[SUM_SIZE], s->travel = all[SUM_TRAVEL];
+    s->moves = all[SUM_MOVES], s->sp_moves = all[SUM_SP_MOVES], s->repeated = all[SUM_REPEATED];
+    s->straight = all[SUM_STRAIGHT];
+    s->pv_variance = all[SUM_SQUARES] / (double)n;
+}
+
+/* Way of co over each of many intervals, moves within the band not counted: -1, 0, 1. */
+WIDE static void ways(const double *restrict co, double zero, double band, Py_ssize_t many, int32_t *restrict way) {
+    double level[BLOCK + 1];
+    for (Py_ssize_t i = 0; i <= many; i++)
+        level[i] = band > 0 ? rint((co[i] - zero) / band) : co[i];
+    for (Py_ssize_t i = 0; i < many; i++)
+        way[i] = (level[i + 1] > level[i]) - (level[i + 1] < level[i]);
+}
+
+/* Turns of co, and how long it stands still: a long stretch counts whole. Masks stand for branches that noise would
+ * make unforeseeable. */
+static void turns_and_stills(const double *co, Py_ssize_t n, const Measure *by, Sums *s) {
+    int32_t way[BLOCK], last = 0, turned = 0;
+    Py_ssize_t since = 0, shortest = (Py_ssize_t)ceil(fmin(by->shortest, (double)n)), stood = 0;
+    for (Py_ssize_t first = 0; first < n - 1; first += BLOCK) {
+        Py_ssize_t many = n - 1 - first < BLOCK ? n - 1 - first : BLOCK;
+        ways(co + first, co[0], by->band, many, way);
+        for (Py_ssize_t i = 0; i < many; i++) {
+            int32_t moved = -(way[i] != 0);
+            turned += way[i] * last < 0;
+            last = (last & ~moved) | (way[i] & moved);
+        }
+        for (Py_ssize_t i = first; i < first + many; i++) {
+            Py_ssize_t moved = -(Py_ssize_t)(co[i + 1] != co[i]), stands = i - since;
+            stood += stands & moved & -(Py_ssize_t)(stands >= shortest);
+            since = (since & ~moved) | ((i + 1) & moved);
+        }
+    }
+    stood += n - 1 - since >= shortest ? n - 1 - since : 0;
+    s->still = (double)stood, s->turns = (double)turned;
+}
+
+/* Samples at the extremes of co. */
+static void extremes(const double *restrict t, const double *restrict sp, const double *restrict pv,
+                     const double *restrict co, Py_ssize_t n, double longest, Sums *restrict s) {
+    double low = 0, high = 0, lowest = s->co_low, highest = s->co_high;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        int is_low = co[i] == lowest, is_high = co[i] == highest;
+        if (!(is_low | is_high) && low + high == 0)
+            continue;
+        double dt = i + 1 < n ? t[i + 1] - t[i] : 0, held = dt < longest ? dt : longest, error = sp[i] - pv[i];
+        if (is_low)
             at_extreme(&s->low, &low, held, error);
         else
             end_run(&s->low, low), low = 0;
-        if (co[i] == s->co_high)
+        if (is_high)
             at_extreme(&s->high, &high, held, error);
         else
             end_run(&s->high, high), high = 0;
     }
     end_run(&s->low, low), end_run(&s->high, high);
-    s->still += still >= shortest ? still : 0;
-    s->pv_variance = squares / (double)n;
 }
 
 static void screen(const double *t, const double *sp, const double *pv, const double *co, Py_ssize_t n,
@@ -140,7 +205,9 @@ static void screen(const double *t, const double *sp, const double *pv, const do
     memset(s, 0, sizeof *s);
     levels(sp, pv, co, n, s, &pv_mean);
     error_moments(sp, pv, n, s);
-    counted(t, sp, pv, co, n, by, pv_mean, s);
+    add_up(t, sp, pv, co, n, by, pv_mean, s);
+    turns_and_stills(co, n, by, s);
+    extremes(t, sp, pv, co, n, by->longest, s);
     s->pv_slow = slow_std(pv, n, by->width), s->co_slow = slow_std(co, n, by->width);
 }
 

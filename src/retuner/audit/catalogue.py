@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from retuner.drivers.historian.loop_record import FILES_OF_A_FOLDER
+from retuner.drivers.historian.loop_record import FILES_OF_A_FOLDER, TRAFFIC, traffic_names
 from retuner.drivers.historian.parquet_tables import MOST_ROWS, long_names, parquet_shape
 from retuner.drivers.historian.raw_table import read_text_table
 from retuner.drivers.historian.record_form import SIGNALS, RecordForm
@@ -20,6 +20,17 @@ from retuner.drivers.recorded.recording import RecordingError
 
 BEGIN_BYTES = 65_536
 """As much of a text file tells its form."""
+ANY_FAULT = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What costs a file or a loop itself and no other: bad input, and faults of this program in a record like no other."""
 WHOLE = frozenset({"pv", "co"})
 FEW, MANY = 4, 64
 """Loops of a task at most, of wide Parquet files and of long ones, which are looked through for each task."""
@@ -70,6 +81,11 @@ class Catalogue:
         return tuple(tag for task in self.tasks for tag in task.tags)
 
 
+def told_fault(error: BaseException) -> str:
+    """A fault in a line; one that is none of the input's says its kind, for whoever mends this program."""
+    return f"{'' if isinstance(error, RecordingError) else f'{type(error).__name__}: '}{error}"
+
+
 def files_of(sources: Iterable[Path]) -> list[Path]:
     """The files of folders and patterns, in order; names that begin with a point are not the plant's.
 
@@ -81,7 +97,8 @@ def files_of(sources: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for source in sources:
         if source.is_dir():
-            inside = (p for p in source.rglob("*") if p.suffix.lower() in FILES_OF_A_FOLDER and p.is_file())
+            known = FILES_OF_A_FOLDER + TRAFFIC
+            inside = (p for p in source.rglob("*") if p.suffix.lower() in known and p.is_file())
             found += sorted(p for p in inside if not any(part.startswith(".") for part in p.relative_to(source).parts))
         elif source.is_file():
             found.append(source)
@@ -106,8 +123,8 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
     for path in files:
         try:
             held[path] = _held(path, form)
-        except RecordingError as error:
-            refused.append((path, str(error)))
+        except ANY_FAULT as error:
+            refused.append((path, told_fault(error)))
         else:
             if not held[path].signals:
                 refused.append((path, f"{path}: neither its columns nor its name tell a loop's pv or co"))
@@ -166,6 +183,8 @@ def _of_parquet(files: tuple[Path, ...], tags: Sequence[str], held: Sequence[_He
 
 def _held(path: Path, form: RecordForm) -> _Held:
     """What a file holds."""
+    if path.suffix.lower() in TRAFFIC:
+        return _Held(*_roles(traffic_names(path, form), form))
     if path.suffix.lower() != ".parquet":
         table = read_text_table(path, replace(form, words={}, signals={}), BEGIN_BYTES)
         if not _is_long(table.names):

@@ -8,27 +8,32 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
 from retuner.adaptive.audit.loop_screen import LoopScreen, joined_screen, screen_loop
-from retuner.adaptive.audit.tracks import swing_track, trend_track
+from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
 from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, loop_verdict
 from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import RecordDiagnosis, diagnose_record
-from retuner.audit.catalogue import Task
+from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
 from retuner.drivers.historian.loop_record import LoopRecord, loop_in_pieces, read_loop_record, read_loops
 from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of a row's keys."""
+OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
+"""Causes by which a loop oscillates of itself."""
 DRAWN = 1_200
 """Points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each."""
 DRAWN_OF_A_STRETCH = 600
+HALF = 0.5
+"""No confidence is told of what is no likelier than not."""
 Row = dict[str, object]
 Trend = dict[str, list[float]]
 """Times and signals of a picture."""
@@ -62,8 +67,8 @@ def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
         return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
         read = read_loops(task.files, settings.form, task.tags)
-    except RecordingError as error:
-        return [failed(tag, str(error)) for tag in task.tags]
+    except ANY_FAULT as error:
+        return [failed(tag, told_fault(error)) for tag in task.tags]
     missing = RecordingError(f"{task.files[0]}: no values that are known")
     return [_row(tag, _the_only(read.get(tag, missing)), settings) for tag in task.tags]
 
@@ -97,13 +102,10 @@ def _row(tag: str, read: Iterator[LoopRecord], settings: AuditSettings, *, commo
     seen = _Seen()
     try:
         for record in read:
-            if record.recording.sp is None:
-                return failed(tag, f"{record.recording.source}: no setpoint; name its column, or give --sp")
             seen.add(record, settings)
         return _judged(tag, seen, common_clock=common_clock)
-    except (RecordingError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        kind = "" if isinstance(error, RecordingError) else f"{type(error).__name__}: "
-        return failed(tag, f"{kind}{error}")
+    except ANY_FAULT as error:
+        return failed(tag, told_fault(error))
 
 
 @dataclass(slots=True)
@@ -115,39 +117,60 @@ class _Seen:
     trends: list[tuple[float, Trend]] = field(default_factory=list)
     assumed: dict[str, None] = field(default_factory=dict)
     begin_s: float | None = None
+    end_s: float = 0.0
     tracks: Row = field(default_factory=dict)
 
     def add(self, record: LoopRecord, settings: AuditSettings) -> None:
-        """Screen a record and diagnose its telling stretches."""
-        window = record.recording.window()
-        screen = screen_loop(window)
+        """Screen a record and diagnose its telling stretches; without a setpoint nothing can be diagnosed."""
+        known = record.recording.sp is not None
+        window = record.recording.window() if known else _about_its_mean(record)
+        screen = screen_loop(window, setpoint=known)
         if not self.screens:
             self.begin_s = record.begin_s
         later_s = record.begin_s - self.begin_s if record.begin_s is not None and self.begin_s is not None else 0.0
-        for stretch in stretches_of_interest(window, screen.period_s, settings.stretches):
+        for stretch in stretches_of_interest(window, screen.period_s, settings.stretches if known else 0):
             found = diagnose_record(stretch)
             told = found.diagnosis
             begin_s, end_s = float(stretch.t_s[0]) + later_s, float(stretch.t_s[-1]) + later_s
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
-            self.parts.append((seen, _stretch(stretch, seen, found), found))
+            file = Path(record.recording.source).name
+            self.parts.append((seen, {"file": file, **_stretch(stretch, seen, found)}, found))
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
-            self.tracks = _tracks(window, record.begin_s or 0.0, screen)
+            self.tracks = _tracks(window, record.begin_s or 0.0, screen, _own_period_s(self.parts))
+        self.end_s = max(self.end_s, later_s + float(window.t_s[-1]))
         self.screens.append(screen)
         self.trends.append((later_s, drawn(window, DRAWN)))
         self.assumed |= dict.fromkeys(a.what for a in record.assumed)
 
 
-def _tracks(window: Window, begin_s: float, screen: LoopScreen) -> Row:
-    """What is kept of a record to compare it with those of other loops."""
-    t_s = window.t_s + begin_s
+def _about_its_mean(record: LoopRecord) -> Window:
+    """A record without setpoint; the mean of pv stands in."""
+    known = record.recording
+    return Window(known.t_s, np.full(len(known.pv), float(np.mean(known.pv))), known.pv, known.co)
+
+
+def _own_period_s(parts: Sequence[tuple[StretchVerdict, Row, RecordDiagnosis]]) -> float | None:
+    """About the period with which a loop that is named too strong oscillates: four times its dead time."""
+    for _, _, found in parts:
+        if found.diagnosis.cause in OWN_SWING and found.estimate is not None:
+            model = found.estimate.log.model()
+            return 4 * (model.theta_s + model.tau2_s / 2)
+    return None
+
+
+def _tracks(window: Window, begin_s: float, screen: LoopScreen, own_s: float | None) -> Row:
+    """What is kept of a record to compare it with those of other loops. own_s : of a loop that is too strong."""
+    t_s, error = window.t_s + begin_s, window.sp - window.pv
     swings = screen.period_s is not None and screen.swinging >= SWINGS
-    track = swing_track(t_s, window.sp - window.pv, screen.period_s).to_dict() if swings and screen.period_s else None
-    return {"swing": track, "trend": trend_track(t_s, window.sp, window.co).to_dict()}
+    track = swing_track(t_s, error, screen.period_s).to_dict() if swings and screen.period_s else None
+    damped = damped_track(t_s, error, own_s).to_dict() if own_s and not swings else None
+    trend = trend_track(t_s, window.sp, window.co).to_dict()
+    return {"swing": track, "damped": damped, "damped_s": own_s, "trend": trend}
 
 
 def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
     """The row of a loop whose records were seen."""
-    screen = joined_screen(seen.screens)
+    screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
     verdict = loop_verdict(screen, [part[0] for part in seen.parts])
     harmonics = (part[2].diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
     return {
@@ -174,22 +197,25 @@ def _one_trend(trends: Sequence[tuple[float, Trend]]) -> Trend:
 def _told(tag: str, seen: _Seen, screen: LoopScreen, verdict: LoopVerdict) -> Row:
     """What a table shows of a loop."""
     begin_s, since = seen.begin_s, verdict.since_s
+    named = verdict.cause != Cause.UNKNOWN
+    avoidable = verdict.avoidable if named or 0 < verdict.avoidable < 1 else None
     return {
         "schema": SCHEMA,
         "tag": tag,
         "records": len(seen.screens),
         "begin": _moment(begin_s, 0.0),
+        "end": _moment(begin_s, seen.end_s),
         "cause": str(verdict.cause),
-        "confidence": verdict.confidence,
+        "confidence": verdict.confidence if named or verdict.confidence > HALF else None,
         "action": str(verdict.action),
         "reason": verdict.reason,
         "since": _moment(begin_s, since) if since is not None else None,
         "since_s": since,
         "seen": verdict.seen,
         "looked_at": verdict.looked_at,
-        "avoidable": verdict.avoidable,
+        "avoidable": avoidable,
         "rank": verdict.rank,
-        "loss_per_day": verdict.avoidable**0.5 * screen.iae_per_day,
+        "loss_per_day": avoidable**0.5 * screen.iae_per_day if avoidable is not None and screen.setpoint else None,
         "screen": screen.to_dict(),
         "assumed": list(seen.assumed),
     }
@@ -246,7 +272,11 @@ def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) ->
 
 def _short(values: FloatArray, digits: int = 6) -> list[float]:
     """Values with as many digits as a picture shows."""
-    return [float(f"{v:.{digits}g}") for v in values]
+    size = np.abs(values)
+    places = digits - 1 - np.floor(np.log10(size, out=np.zeros(len(size)), where=size > 0)).astype(int)
+    up, down = 10.0 ** np.maximum(places, 0), 10.0 ** np.maximum(-places, 0)
+    short: list[float] = (np.round(values / down * up) * down / up).tolist()
+    return short
 
 
 def is_fault(row: Row) -> bool:

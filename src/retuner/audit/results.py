@@ -8,20 +8,24 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped
+from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
-from retuner.adaptive.audit.verdict import SWINGS
+from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
-from retuner.audit.loop_row import SCHEMA, Row, is_fault
+from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 
-PICTURES = ("trend", "stretches")
 TRACKS = "tracks"
+NOT_LISTED = frozenset({"trend", "stretches", TRACKS})
+"""What is large of a row: its pictures, and what only the comparison of loops needs."""
 SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Cause.UNKNOWN, Cause.STICTION)})
 """Causes that a swing in step with a root's takes the place of."""
 ROOT_SURE = 0.9
@@ -39,9 +43,17 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     ----------
     rows : of an audit. before : of an earlier one, to say what changed.
     """
-    listed = [{k: v for k, v in row.items() if k not in PICTURES} for row in rows]
-    groups = common_swings([s for s in map(_swinging, listed) if s is not None])
-    masters = _masters(listed)
+    listed: list[Row] = []
+    swinging: list[Swinging] = []
+    damped: list[Swinging] = []
+    trends: dict[str, TrendTrack] = {}
+    for row in rows:
+        swing, trend = _tracks(row)
+        damped += _damped(row)
+        listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
+        swinging += [swing] if swing is not None else []
+        trends |= {str(row["tag"]): trend} if trend is not None else {}
+    groups, masters = [*interactions(damped), *common_swings(swinging)], cascades(trends)
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
@@ -53,8 +65,6 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
-    for row in listed:
-        row.pop(TRACKS, None)
     _from_the_root(listed, group_of)
     _in_order(listed)
     listed.sort(key=lambda row: (-_number(row, "rank"), str(row["tag"])))
@@ -63,28 +73,27 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     return listed, groups
 
 
-def _swinging(row: Row) -> Swinging | None:
-    """A loop that swings, for the groups."""
+def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
+    """A loop that swings, for the groups, and its trend, for the cascades; as arrays, which ten thousand loops need."""
+    held = row.get(TRACKS)
+    tracks: Mapping[str, dict[str, Any]] = held if isinstance(held, Mapping) else {}
+    trend = TrendTrack.of_dict(tracks["trend"]) if tracks.get("trend") else None
     screen = row.get("screen")
     if not isinstance(screen, Mapping) or not screen.get("period_s") or screen["swinging"] < SWINGS:
-        return None
-    cause = row["cause"]
-    own = cause in {str(c) for c in TUNING_CAUSES}
-    tracks = row.get(TRACKS)
-    told = tracks.get("swing") if isinstance(tracks, Mapping) else None
-    track = SwingTrack.of_dict(told) if told else None
+        return None, trend
+    own = row["cause"] in {str(c) for c in TUNING_CAUSES}
+    track = SwingTrack.of_dict(tracks["swing"]) if tracks.get("swing") else None
     sticks = _number(row, "sticks")
-    return Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
+    swing = Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
+    return swing, trend
 
 
-def _masters(rows: Sequence[Row]) -> dict[str, str]:
-    """The master of each slave of a cascade: the loop whose output the slave's setpoint follows."""
-    tracks = {}
-    for row in rows:
-        held = row.get(TRACKS)
-        if isinstance(held, Mapping) and held.get("trend"):
-            tracks[str(row["tag"])] = TrendTrack.of_dict(held["trend"])
-    return cascades(tracks)
+def _damped(row: Row) -> list[Swinging]:
+    """A loop that is too strong by itself, and whose oscillation dies away; none otherwise."""
+    held = row.get(TRACKS)
+    if not isinstance(held, Mapping) or not held.get("damped") or row["cause"] not in {str(c) for c in OWN_SWING}:
+        return []
+    return [Swinging(str(row["tag"]), held["damped_s"], 0.0, own=True, track=SwingTrack.of_dict(held["damped"]))]
 
 
 def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
@@ -121,6 +130,11 @@ def _in_order(rows: Sequence[Row]) -> None:
         if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
             others = row["swings_with"] if isinstance(row["swings_with"], list) else []
             row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
+        elif row["interaction"] and row["cause"] in {str(cause) for cause in OWN_SWING}:
+            held = row["swings_with"]
+            against = ", ".join(map(str, held[:3])) if isinstance(held, list) else ""
+            row["reason"] = f"it and {against} act on each other: both oscillate after every upset. {row['reason']}"
+            row["action"], row["settings"] = f"swings against {against}: slow one of them down", None
 
 
 def _number(row: Row, name: str) -> float:
@@ -159,22 +173,61 @@ def write_joined(path: Path, found: Catalogue) -> None:
 
 
 def summary(rows: Sequence[Row], refused: int) -> str:
-    """The audit in a sentence."""
-    counted = Counter(str(row["action"]) for row in rows)
-    parts = ", ".join(f"{count} {action}" for action, count in counted.most_common())
-    more = f"; {refused} files are no record" if refused else ""
-    return f"{len(rows)} loops: {parts}{more}."
+    """The audit in some sentences: what deserves a visit, what is in order, what cannot be told or was not judged."""
+    calm = {str(Cause.OK), str(Cause.NOISE)}
+    visits = Counter(_kind_of_visit(row) for row in rows if is_fault(row))
+    worth, quiet = sum(visits.values()), sum(row["cause"] in calm for row in rows)
+    broken = sum("failed" in row for row in rows)
+    untold = len(rows) - worth - quiet - broken
+    kinds = ", ".join(f"{count} {kind}" for kind, count in visits.most_common())
+    told = [f"{worth} of {len(rows)} loops deserve a visit{': ' * bool(kinds)}{kinds}"]
+    told += [f"{quiet} {'is' if quiet == 1 else 'are'} in order"] * bool(quiet)
+    told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to tell; each says what would"] * bool(untold)
+    told += [f"{broken} could not be judged"] * bool(broken)
+    told += [f"{refused} {'file is' if refused == 1 else 'files are'} no record"] * bool(refused)
+    return ". ".join(told) + "."
+
+
+def _kind_of_visit(row: Row) -> str:
+    """What is to be done, without the names of other loops."""
+    own = str(row["tag"])
+    if row.get("root") not in {None, own}:
+        return "wait for another loop"
+    return "retune against each other" if row.get("interaction") else str(row["action"]).split(" first, then ")[-1]
+
+
+def about(rows: Iterable[Row], sources: Sequence[Path]) -> dict[str, object]:
+    """What an audit is of: its folders, the time that its records span where they have a calendar, when, by what."""
+    spans = [(str(row["begin"]), str(row["end"])) for row in rows if row.get("begin")]
+    return {
+        "sources": [str(path) for path in sources],
+        "begin": min((span[0] for span in spans), default=None),
+        "end": max((span[1] for span in spans), default=None),
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
+        "program": f"retuner {version('retuner')}",
+    }
 
 
 def write_results(
-    folder: Path, rows: Iterable[Row], before: Sequence[Row], refused: Sequence[tuple[Path, str]]
+    folder: Path,
+    rows: Iterable[Row],
+    before: Sequence[Row],
+    refused: Sequence[tuple[Path, str]],
+    sources: Sequence[Path] = (),
 ) -> list[Row]:
-    """Write the page, audit.json, and audit.parquet where pyarrow is installed; the ranked rows."""
+    """Write the page, audit.json, and audit.parquet where pyarrow is installed; the ranked rows.
+
+    Parameters
+    ----------
+    folder : of the audit. rows : of its loops. before : of an earlier audit. refused : files with the reason. sources :
+    what was audited.
+    """
     listed, groups = ranked(_with_pictures(folder, rows), before)
     told = summary(listed, len(refused))
     document = {
         "schema": SCHEMA,
         "summary": told,
+        "about": about(listed, sources),
         "rows": listed,
         "groups": [asdict(group) for group in groups],
         "refused": [{"file": str(path), "reason": reason} for path, reason in refused],
@@ -188,11 +241,15 @@ def write_results(
 
 
 def _with_pictures(folder: Path, rows: Iterable[Row]) -> Iterable[Row]:
-    """The rows, each written with its trends into a file of its own on the way."""
+    """The rows, each written with its trends into a file of its own on the way.
+
+    A power cut may cost such a file, not the row: the same command writes it again.
+    """
     (folder / "loops").mkdir(exist_ok=True)
     for number, row in enumerate(rows, start=1):
         row["file"] = f"{number}.js"
-        write_whole(folder / "loops" / f"{number}.js", f"loop({_script(row)});\n")
+        shown = {name: value for name, value in row.items() if name != TRACKS}
+        (folder / "loops" / f"{number}.js").write_text(f"loop({_script(shown)});\n", encoding="utf-8")
         yield row
 
 
@@ -212,11 +269,20 @@ def _for_the_page(row: Row) -> Row:
     period_s = screen.get("period_s") if isinstance(screen, Mapping) else None
     shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "loss_per_day", "since", "change", "file")
     looked_at = _number(row, "looked_at")
-    share = _number(row, "seen") / looked_at if looked_at else None
+    share = _number(row, "seen") / looked_at if looked_at and row.get("seen") else None
     told = {name: row[name] for name in ("master", "slaves", "swings_with", "root", "upsets") if row.get(name)}
     if is_fault(row) and _number(row, "place") <= MOST_FIRST:
         told["why"] = row.get("reason", "")
+    told["cause"] = _named(row)
     return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share} | told
+
+
+def _named(row: Row) -> str:
+    """The cause, or the condition of a record in which no loop is at work."""
+    screen = row.get("screen")
+    condition = screen.get("condition") if isinstance(screen, Mapping) else None
+    known = row["cause"] != str(Cause.UNKNOWN) or row.get("confidence") is None
+    return str(row["cause"] if known or condition not in {str(c) for c in FOR_CONDITION} else condition)
 
 
 def _write_parquet(path: Path, rows: Sequence[Row]) -> None:

@@ -1,10 +1,11 @@
 """Tuned gains back into the configuration that they began in: only the numbers change, every comment stays.
 
 tomlkit keeps a document as it was written. Each region keeps its form; where the tuned set has none in it (a series
-form needs tau_I of at least four tau_D), the form becomes ideal, and that is told.
+form needs tau_I of at least four tau_D), the form becomes ideal, and that is told. The numbers have as few digits as
+give the controller the very set: the same float32, or the same numbers of a device of its own kind.
 """
 
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from tomlkit.exceptions import TOMLKitError
 
 from retuner.adaptive.guard import change_factor
 from retuner.config import Config
+from retuner.config.described import vendor_units
 from retuner.config.loading import UnusableError, load_session, parse_session
+from retuner.drivers.protocol.checksum import to_wire
 from retuner.errors import UserError
 from retuner.schedule.controller_units import ControllerUnits, Dialled
 from retuner.schedule.gains import PidGains
@@ -21,8 +24,11 @@ from retuner.schedule.table import GainTable
 from retuner.schedule.vendor_units import Quantity
 
 SAME = 1.0 + 1e-9
-"""Factor within which gains that went through a form and back are the same."""
+"""Factor within which gains that went through a form and back are the same, where no controller can hold them."""
 NO_INTEGRAL = "none"
+DIGITS = range(1, 18)
+"""Significant digits that are tried; 17 tell every float64."""
+Same = Callable[[PidGains, PidGains], bool]
 
 
 def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
@@ -42,6 +48,7 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         )
     place = session.place(table.loop if session.several else None)
     config, several = session.loops[place], session.several
+    same = _sameness(config)
     names = [region.name for region in config.schedule.regions]
     if sorted(names) != sorted(table.regions.names):
         raise UserError(
@@ -50,14 +57,27 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         )
     try:
         document = tomlkit.parse(text)
-        told = [
-            line for region in _regions(document, place if several else None) for line in _put(region, table, config)
-        ]
+        regions = _regions(document, place if several else None)
+        told = [line for region in regions for line in _put(region, table, config, same)]
     except (TOMLKitError, KeyError, TypeError) as error:
         raise UserError(f"{path}: its regions cannot be found to be written: {error}") from None
     written = tomlkit.dumps(document)
-    _require_same(path, written, table, place)
+    _require_same(path, written, table, place, same)
     return written, told
+
+
+def _sameness(config: Config) -> Same:
+    """Whether two sets are one set on the configured controller."""
+    units = vendor_units(config)
+    held = to_wire if units is None else units.rounded
+
+    def same(one: PidGains, other: PidGains) -> bool:
+        try:
+            return held(one) == held(other)
+        except ValueError:
+            return change_factor(one, other) <= SAME
+
+    return same
 
 
 def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMapping[str, Any]]:
@@ -70,12 +90,12 @@ def _regions(document: Mapping[str, Any], loop: int | None) -> list[MutableMappi
     return list(own["region"])
 
 
-def _put(region: MutableMapping[str, Any], table: GainTable, config: Config) -> list[str]:
+def _put(region: MutableMapping[str, Any], table: GainTable, config: Config, same: Same) -> list[str]:
     """The gains of one region, in the units in which it has them."""
     name = str(region["name"])
     meant = next(one for one in config.schedule.regions if one.name == name)
     units = config.units_in(meant)
-    shown = _shown(table.gains_of(name), units)
+    shown = _shown(table.gains_of(name), units, same)
     before = [region.get(dial.key) for dial in units.dials]
     none = NO_INTEGRAL if units.dials[1].quantity is Quantity.TN else 0.0
     values = (shown.gain, none if shown.integral is None else shown.integral, shown.derivative)
@@ -94,11 +114,32 @@ def _put(region: MutableMapping[str, Any], table: GainTable, config: Config) -> 
     return [f"{name}: {one} -> {two} ({region.get('form', 'series')})"]
 
 
-def _shown(gains: PidGains, units: ControllerUnits) -> Dialled:
-    """The set in the region's units, or in the ideal form."""
+def _shown(gains: PidGains, units: ControllerUnits, same: Same) -> Dialled:
+    """The set in the region's units, or in the ideal form, in the fewest digits that make it again."""
     if gains.kp == 0:
         raise UserError("a region has no proportional gain, which [[schedule.region]] cannot say")
-    return units.numbers(gains)
+    exact = units.numbers(gains)
+    own = units.of_region(units.dials, exact.form)
+    return next((short for short in _shortened(exact) if _makes(own, short, gains, same)), exact)
+
+
+def _shortened(exact: Dialled) -> Iterator[Dialled]:
+    """The numbers in ever more digits."""
+    for digits in DIGITS:
+        gain, derivative = (float(f"{number:.{digits}g}") for number in (exact.gain, exact.derivative))
+        yield exact._replace(
+            gain=gain,
+            integral=None if exact.integral is None else float(f"{exact.integral:.{digits}g}"),
+            derivative=derivative,
+        )
+
+
+def _makes(units: ControllerUnits, numbers: Dialled, gains: PidGains, same: Same) -> bool:
+    """Whether these numbers are the set."""
+    try:
+        return same(units.gains(numbers.gain, numbers.integral, numbers.derivative), gains)
+    except ValueError:  # a rounded number may leave the form
+        return False
 
 
 def _set(region: MutableMapping[str, Any], key: str, value: object) -> None:
@@ -117,7 +158,7 @@ def _text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else str(value)
 
 
-def _require_same(path: Path, text: str, table: GainTable, loop: int) -> None:
+def _require_same(path: Path, text: str, table: GainTable, loop: int, same: Same) -> None:
     """What was written must be read back as the table's gains."""
     try:
         config = parse_session(text).loops[loop]
@@ -125,7 +166,7 @@ def _require_same(path: Path, text: str, table: GainTable, loop: int) -> None:
         flaw = unusable.findings[0]
         raise UserError(f"{path}: with the tuned gains it would be refused: {flaw.key} {flaw.message}") from None
     for region, gains in zip(config.schedule.regions, config.gains(), strict=True):
-        if change_factor(gains, table.gains_of(region.name)) > SAME:
+        if not same(gains, table.gains_of(region.name)):
             raise UserError(
                 f"{path}: region {region.name} would not be read back as the tuned gains; nothing was changed"
             )

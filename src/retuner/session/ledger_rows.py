@@ -185,7 +185,8 @@ def _order(retuner: Retuner, body: Mapping[str, Any], t_s: float) -> Decision | 
 
 def record_of(body: Mapping[str, Any]) -> Window:
     """The record of a commanded step as rows keep it; errors as Window."""
-    return Window(*(np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co")))
+    t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in ("t", "sp", "pv", "co"))
+    return Window(t_s, sp, pv, co)
 
 
 def gains_of(body: Mapping[str, Any]) -> PidGains:

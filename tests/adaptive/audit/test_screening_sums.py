@@ -78,3 +78,14 @@ def test_a_limit_that_binds_costs_on_one_side() -> None:
     assert screen.one_sided > 0.9
     free = screen_loop(replace(record, co=np.cumsum(rng.normal(size=n))))
     assert (free.at_limits, free.loss_at_limits) == (0.0, 0.0)
+
+
+@given(st.integers(3, 130), st.integers(0, 5))
+def test_a_record_of_any_length_is_screened(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wave = np.sin(np.arange(n) * rng.uniform(0.05, 3.0))
+    co = rng.choice([wave, rng.normal(size=n), np.zeros(n), np.arange(n) % 2.0])
+    screen = screen_loop(Window(10.0 * np.arange(n), np.zeros(n), wave + 0.1 * rng.normal(size=n), co))
+
+    assert screen.samples == n
+    assert 0 <= screen.swinging <= 1

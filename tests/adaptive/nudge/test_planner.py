@@ -1,6 +1,7 @@
 """Setpoint bumps: when they begin, what ends them, and that the old setpoint always comes back."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -28,11 +29,14 @@ class Bench:
     def __init__(self, wanted: NudgeSettings = ALLOWED, dt: float = 1.0) -> None:
         self.planner, self.dt = NudgePlanner(wanted, 100.0, dt), dt
         self.t, self.sp, self.news = 0.0, 50.0, list[NudgeNews]()
+        self.wander = 0.0
 
     def run(self, samples: int, around: LoopAround = CALM, *, deaf: bool = False, **sample: object) -> None:
         for _ in range(samples):
             self.t += self.dt
-            seen = LoopSample(self.t, self.sp, self.sp, 30.0, LoopMode.AUTO, False, self.sp)._replace(**sample)
+            seen = LoopSample(self.t, self.sp, self.sp + self.wander, 30.0, LoopMode.AUTO, False, self.sp)._replace(
+                **sample
+            )
             news = self.planner.look(seen, around)
             if news is not None:
                 self.news.append(news)
@@ -209,6 +213,71 @@ def test_evidence_begins_the_waiting_anew() -> None:
 def test_settings_outside_their_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"nudge: {name}"):
         NudgeSettings(**{name: value})
+
+
+def restless() -> Bench:
+    """A loop that is never at rest, with its bump begun."""
+    bench = Bench()
+    bench.wander = 0.2
+    bench.run(3600 + 62, around(at_rest=False))
+    return bench
+
+
+def test_a_loop_that_is_never_at_rest_is_bumped_to_and_fro_at_even_times() -> None:
+    bench = restless()
+    assert "goes from 50 to 51 and 49 in turn, 5 times in all, and back" in bench.news[0].reason
+    since, seen = bench.t, [bench.sp]
+    times = []
+    for _ in range(130):
+        bench.run(1, around(at_rest=False))
+        if bench.sp != seen[-1]:
+            seen.append(bench.sp)
+            times.append(bench.t - since)
+    assert seen == [51.0, 49.0, 51.0, 49.0, 51.0, 50.0]
+    assert max(abs(b - a - (times[1] - times[0])) for a, b in pairwise(times[1:])) <= 1.0
+    assert len(bench.planner.made) == 1
+
+
+def test_what_the_evidence_has_left_makes_no_loop_restless() -> None:
+    bench = Bench()
+    bench.wander = 0.2
+    bench.run(1500, around(at_rest=False))
+    bench.wander = 0.0
+    bench.run(2200)
+    assert "until the loop is at rest, and back" in bench.news[0].reason
+
+
+def test_to_and_fro_needs_room_on_both_sides() -> None:
+    bench = Bench()
+    bench.wander = 0.2
+    bench.run(4000, around(at_rest=False, high=50.5))
+    assert bench.news == []
+
+
+@pytest.mark.parametrize("after", [5, 25, 40, 61, 100])
+def test_wherever_to_and_fro_ends_the_old_setpoint_comes_back(after: int) -> None:
+    bench = restless()
+    bench.run(after, around(at_rest=False))
+    assert bench.sp in {51.0, 49.0}
+    bench.run(1, around(at_rest=False), limited=True)
+    assert (bench.causes[-1], bench.sp) == (NudgeInput.LIMITED, 50.0)
+    bench.run(SENT_AGAIN_SAMPLES + 2, around(at_rest=False))
+    assert not bench.planner.out
+
+
+def test_to_and_fro_that_is_cut_off_on_its_way_to_the_other_side_comes_back() -> None:
+    bench = restless()
+    while bench.causes[-1] is not NudgeInput.NEXT:
+        bench.run(1, around(at_rest=False), deaf=bench.causes[-1] is NudgeInput.NEXT)
+    bench.sp = 51.0  # the controller has not taken 49 yet
+    news = bench.planner.end(bench.t)
+    assert news is not None
+    assert (news.setpoint, bench.planner.out) == (50.0, True)
+    bench.run(1, around(wanted=""), deaf=True)
+    assert bench.planner.out
+    bench.sp = 50.0
+    bench.run(SENT_AGAIN_SAMPLES + 2, around(wanted=""))
+    assert not bench.planner.out
 
 
 def test_every_phase_in_which_the_setpoint_is_out_ends_with_the_session() -> None:

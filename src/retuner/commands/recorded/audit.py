@@ -65,7 +65,7 @@ def audit(options: AuditOptions) -> int:
     with ResultStore(options.out) as store:
         write_joined(options.out / JOINED, found)
         stopped = _work(found, settings, options, store)
-        rows = write_results(options.out, store.rows(), before, found.refused)
+        rows = write_results(options.out, store.rows(), before, found.refused, options.sources)
     _tell(rows, found, options)
     if stopped:
         left = len(found.tags) - len(rows)

@@ -42,6 +42,12 @@ class FormOptions:
     scale: Annotated[
         str, typer.Option(help="Raw signals: pv=4..20:0..200,co=mA:0..100 or counts.", rich_help_panel=PANEL)
     ] = ""
+    dbc: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="What the frames of bus traffic mean; may be repeated.", rich_help_panel=PANEL
+        ),
+    ] = None
     record: Annotated[
         Path | None,
         typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
@@ -64,6 +70,7 @@ def record_form(options: FormOptions) -> RecordForm:
     given: dict[str, Any] = {name: getattr(options, name) for name in texts if getattr(options, name)}
     given |= {k: v for k, v in (("sp", options.sp), ("dt_s", options.dt)) if v is not None}
     given |= {"bad": (*form.bad, options.bad)} if options.bad else {}
+    given |= {"dbc": tuple(map(str, options.dbc))} if options.dbc else {}
     with user_input("the form of the record"):
         scale = {**form.scale, **_scales(options.scale)}
         return replace(form, columns={**form.columns, **renamed(options.columns)}, scale=scale, **given)
@@ -103,8 +110,10 @@ def renamed(text: str) -> dict[str, str]:
     return found
 
 
-def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bool = False) -> LoopRecord:
-    """The record in these files.
+def read_record(
+    files: Sequence[Path], options: FormOptions, *, in_automatic: bool = False, others: Sequence[str] = ()
+) -> LoopRecord:
+    """The record in these files. others : further columns that are wanted.
 
     Raises
     ------
@@ -113,7 +122,9 @@ def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bo
     """
     names = ", ".join(map(str, files))
     with busy(f"reading {names}"):
-        read = read_loop_record(files, record_form(options), in_automatic=in_automatic)
+        form = record_form(options)
+        form = replace(form, others=tuple(dict.fromkeys((*form.others, *others))))
+        read = read_loop_record(files, form, in_automatic=in_automatic)
     LOGGER.info("read %d samples from %s", len(read.recording.t_s), names)
     return read
 

@@ -1,0 +1,99 @@
+"""Which shapes the curves have, weighed by what the stretches say together, and how well they are known in the end.
+
+Every parameter is constant, a line or bent, and so is the installed characteristic of co: the shapes are weighed by
+their evidence in Laplace's approximation (MacKay 1992, section 2) on the parabola of agreement.py,
+
+    ln E(S) = 1/2 right_S' normal_S^-1 right_S - 1/2 ln det normal_S - 2 nats for each step from constant to bent
+
+The likeliest are chosen. A band of those alone would be that of somebody who knows the shapes (a line through what is
+bent is sure, and wrong at both ends and the middle): so it is that of all of them, each with its weight (Hoeting et al.
+1999, equation 4).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from retuner.adaptive.schedule_design.agreement import Agreement
+from retuner.adaptive.schedule_design.joint import Form
+from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.signals.sample import FloatArray
+
+SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)
+Rows = np.ndarray[tuple[int], np.dtype[np.int64]]
+SIMPLER = 2.0
+"""Nats that a step from constant to line to bent must bring beyond its evidence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """shapes, felt : the likeliest, of the parameters and of the characteristic.
+
+    covariance : of the rich form's z round those. evidence : ln E over that of a process that is the same everywhere.
+    """
+
+    shapes: tuple[Shape, ...]
+    felt: Shape
+    covariance: FloatArray
+    evidence: float
+
+
+def weighed(form: Form, told: Agreement) -> Weighed:
+    """form : every shape as rich as it may become."""
+    most = [*form.shapes, Shape.CONSTANT if form.felt is None else form.felt.shape]
+    ranked = {
+        shapes: _evidence(_kept(form, shapes), told, sum(SHAPES.index(s) for s in shapes))
+        for shapes in product(*([s for s in SHAPES if s <= richest] for richest in most))
+    }
+    best = max(ranked, key=ranked.__getitem__)
+    level = max(e for shapes, e in ranked.items() if set(shapes) == {Shape.CONSTANT})
+    covariance = _covariance(form, told, ranked, best)
+    return Weighed(best[:-1], best[-1], covariance, ranked[best] - level)
+
+
+def _kept(form: Form, shapes: Sequence[Shape]) -> Rows:
+    """Rows of z that these shapes have."""
+    places = [*form.places, form.felt_place]
+    sizes = [*map(int, shapes[:-1]), int(shapes[-1]) - 1]
+    return np.concatenate([np.arange(p.start, p.start + n) for p, n in zip(places, sizes, strict=True)]).astype(
+        np.int64
+    )
+
+
+def _evidence(kept: Rows, told: Agreement, steps: int) -> float:
+    """ln E of the coefficients that are kept."""
+    sub, right = told.normal[np.ix_(kept, kept)], told.right[kept]
+    gained = float(right @ np.linalg.solve(sub, right))
+    return 0.5 * gained - 0.5 * float(np.linalg.slogdet(sub)[1]) - SIMPLER * steps
+
+
+def _covariance(
+    form: Form, told: Agreement, ranked: dict[tuple[Shape, ...], float], best: tuple[Shape, ...]
+) -> FloatArray:
+    """Round the likeliest shapes' coefficients, over all shapes with their weights."""
+    centre = _solved(_kept(form, best), told)[0]
+    total, weights = np.zeros_like(told.normal), 0.0
+    for shapes, evidence in ranked.items():
+        weight = math.exp(max(evidence - ranked[best], -700.0))
+        if weight < LEAST_WEIGHT:
+            continue
+        z, covariance = _solved(_kept(form, shapes), told)
+        total += weight * (covariance + np.outer(z - centre, z - centre))
+        weights += weight
+    return total / weights
+
+
+LEAST_WEIGHT = 1e-4
+"""Over that of the likeliest, below which shapes say nothing."""
+
+
+def _solved(kept: Rows, told: Agreement) -> tuple[FloatArray, FloatArray]:
+    """z and covariance where only some coefficients are kept; zero for the others."""
+    z, covariance = np.zeros_like(told.right), np.zeros_like(told.normal)
+    inverse = np.linalg.inv(told.normal[np.ix_(kept, kept)])
+    z[kept] = inverse @ told.right[kept]
+    covariance[np.ix_(kept, kept)] = inverse
+    return z, covariance

@@ -1,0 +1,110 @@
+"""Setpoint steps to and fro: they are found in the samples, and joined they obey the loop's own equations."""
+
+import numpy as np
+import pytest
+from loop_bench import Bench, made, scaled
+
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, Joined, joined, to_and_fro
+from retuner.adaptive.supervision.decision import Decision
+
+HOLD, SIZE, REST = 150, 0.5, 200
+LEVELS = (SIZE, -SIZE, SIZE, -SIZE, SIZE)
+
+
+def walk(size: float, seed: int = 3) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return size * np.cumsum(rng.standard_normal(REST + HOLD * (len(LEVELS) + 1)))
+
+
+def stepped(bench: Bench, levels: tuple[float, ...] = LEVELS, load: float = 0.0) -> list[LoopSample]:
+    """Samples of a loop whose setpoint goes through the levels and back to 0, with a load that walks."""
+    loads = iter(walk(load))
+    seen = []
+    for sp, n in ((0.0, REST), *((level, HOLD) for level in levels), (0.0, HOLD)):
+        for _ in range(n):
+            seen += list(bench.samples(1, sp, float(next(loads)), 10.0))
+    return seen
+
+
+def quiet(load: float = 0.0, noise: float = 0.0) -> list[LoopSample]:
+    bench = made(scaled(0.5, 0.5))
+    bench.noise = noise
+    return stepped(bench, load=load)
+
+
+def one(samples: list[LoopSample]) -> Joined:
+    found = to_and_fro(samples)
+    assert found is not None
+    together = joined(samples, found, 4.0)
+    assert together is not None
+    return together
+
+
+def test_the_steps_are_found_with_their_ends() -> None:
+    found = to_and_fro(quiet())
+    assert found is not None
+    assert (found.base, found.opened, found.closed) == (0.0, REST, REST + HOLD * len(LEVELS))
+    assert found.whole == tuple(REST + HOLD * i for i in range(1, WHOLE_STEPS + 1))
+    assert found.apart == HOLD
+
+
+@pytest.mark.parametrize("levels", [(0.5,), (0.5, 0.0, -0.5), (0.5, -0.5, 0.4, -0.5, 0.5), (0.5, -0.5, 1.0)])
+def test_other_moves_are_no_steps_to_and_fro(levels: tuple[float, ...]) -> None:
+    samples = stepped(made(scaled(1.0, 1.0)), levels)
+    assert to_and_fro(samples[: REST + HOLD * len(levels) - 5]) is None
+
+
+def test_steps_at_uneven_times_are_none() -> None:
+    samples = quiet()
+    assert to_and_fro(samples[: REST + HOLD + 30] + samples[REST + 2 * HOLD :]) is None
+
+
+def test_steps_under_other_gains_belong_to_another_loop() -> None:
+    samples = quiet()
+    changed = [s._replace(revision=int(i > REST + 2 * HOLD + 20)) for i, s in enumerate(samples)]
+    found = to_and_fro(changed)
+    assert found is None or len(found.whole) < WHOLE_STEPS
+
+
+def test_of_a_loop_without_loads_the_joined_response_is_each_of_them() -> None:
+    samples = quiet()
+    together = one(samples)
+    last = REST + WHOLE_STEPS * HOLD
+    own = {s.t_s: s for s in samples}
+    late = [s for s in together.samples if s.t_s >= samples[last].t_s]
+    assert [s.pv for s in late] == pytest.approx([own[s.t_s].pv for s in late], abs=0.02)
+    assert together.response.sp_changed
+    assert (together.samples[0].sp, together.samples[-1].sp) == (-SIZE, SIZE)
+
+
+def test_a_load_that_walks_shrinks_and_what_is_left_is_known() -> None:
+    free, loaded = one(quiet()), one(quiet(load=0.03))
+    left = np.array([a.pv - b.pv for a, b in zip(loaded.samples, free.samples, strict=True)])
+    alone = np.array([a.pv - b.pv for a, b in zip(quiet(load=0.03), quiet(), strict=True)])
+    assert left.std() < 0.7 * alone.std()
+    assert 0.4 < left.std() / loaded.noise_std < 2.5
+    assert loaded.window.noise_std == loaded.noise_std
+
+
+def test_an_output_at_its_limit_is_not_linear_and_joins_nothing() -> None:
+    samples = quiet()
+    samples[REST + 2 * HOLD] = samples[REST + 2 * HOLD]._replace(limited=1)
+    found = to_and_fro(samples)
+    assert found is not None
+    assert joined(samples, found, 4.0) is None
+
+
+def decided(load: float) -> list[Decision]:
+    bench = made(scaled(0.3, 0.3))
+    found = [bench.retuner.observe(sample) for sample in stepped(bench, load=load)]
+    return [decision for decision in found if decision is not None]
+
+
+def test_under_a_load_that_walks_they_are_judged_once_and_together() -> None:
+    decisions = decided(0.03)
+    assert [d.reason for d in decisions if d.records] == [d.reason for d in decisions if "joined:" in d.reason]
+    (whole,) = [d for d in decisions if "4 setpoint steps to and fro, joined: " in d.reason]
+    assert whole.known is not None
+    model = whole.known.model()
+    assert model.k / model.tau1_s == pytest.approx(1 / 50, rel=0.3)
