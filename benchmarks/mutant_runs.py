@@ -145,11 +145,12 @@ class Copy:
                 break
         else:
             return False
-        witness = failed or asked[0]
-        if witness not in self._sound:
-            self._sound[witness] = self._ask({"tests": [witness], "cpu_s": 120})[0] == 0
-        if not self._sound[witness]:
-            raise RuntimeError(f"{self.folder}: {witness} fails without a mutant, status {status}")
+        witnesses = [failed] if failed else asked  # nobody failed: they could not even be loaded, or did not end
+        key = " ".join(witnesses)
+        if key not in self._sound:
+            self._sound[key] = self._ask({"tests": witnesses, "cpu_s": 30 + int(MORE * total_s)})[0] == 0
+        if not self._sound[key]:
+            raise RuntimeError(f"{self.folder}: {witnesses[0]} fails without a mutant, status {status}")
         return True
 
     def _with(self, change: Change, tests: list[str], cpu_s: int) -> tuple[int, str]:
