@@ -38,7 +38,7 @@ from retuner.adaptive.supervision.causes import (
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import change_request, posterior_of, promise_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit, propose
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, behaves, half_seen, over_limit, propose
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen
@@ -314,7 +314,9 @@ def agreement(found: Findings) -> None:
     promised = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
     code, reason = "one_record", ""
     if _in_use(found).records < settings.behaving_records and not found.joined:
-        reason = behaves(record.response, verdict, promised, settings)
+        reason = behaves(record.response, verdict, promised, settings) or half_seen(
+            record.samples, record.response, verdict, settings
+        )
         reason += f"; {settings.behaving_records} records must agree before a change" if reason else ""
     if not reason:
         code, reason = "as_good", _as_good(found, verdict, promised)
@@ -342,19 +344,6 @@ def _as_good(found: Findings, verdict: Verdict, promised: Promise | None) -> str
         f"no change: Ms {verdict.ms_before:.2f} is not over {limit:g} on every model, and with the new gains the IAE "
         f"would be {cost:.2f} times as large"
     )
-
-
-def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
-    """That a loop does well enough not to be moved at once, in words; empty where it does not.
-
-    Its response did not swing, it is robust on the models, and what the change promises is not much of a gain.
-    """
-    gain = promised_cost(promised) if promised is not None else 0.0
-    seen = decay_seen(response)
-    swings = seen is not None and seen > settings.trial.harmless_decay
-    if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
-        return ""
-    return f"no change yet: the loop is acceptable (Ms {verdict.ms_before:.2f}, new IAE {gain:.0%} of the present)"
 
 
 def confirmation(found: Findings) -> None:
