@@ -18,7 +18,6 @@ from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
 from retuner.adaptive.signals.growth import grows
-from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
