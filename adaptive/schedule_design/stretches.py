@@ -170,7 +170,4 @@ def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, Float
     if not len(rows):
         return [(window, values)]
     edges = [0, *rows.tolist(), len(window.t_s)]
-    signals = (window.t_s, window.sp, window.pv, window.co)
-    return [
-        (Window(*(signal[a:b] for signal in signals)), values[a:b]) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS
-    ]
+    return [(window.part(slice(a, b)), values[a:b]) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS]
