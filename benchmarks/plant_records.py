@@ -7,7 +7,7 @@ FOLDER holds index.csv (file, tag, sampling_time_s, samples, label) and the reco
 "stiction" and "no stiction"; "no stiction" does not mean healthy. --also names a record outside it, of a loop of its
 own. The settings in force are not known: they are read off the record where it shows them.
 
-Named: called stiction, or said to stand still while co travels. Settings that are given are held to two models that do
+Named: called stiction, or said not to move while co moves. Settings that are given are held to two models that do
 not know of each other: identification's, and a plain first order with dead time fitted to pv after the setpoint steps
 alone (the recorded co as input, no load, no filter). --out keeps every answer as a line of JSON, from which --from
 draws again without a fit.
@@ -37,7 +37,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
-STANDS = "stands still while co travels"
+STANDS = "does not move while co moves"
 TAGS_A_SHEET, RECORDS_A_TAG = 4, 3
 MS_MOST = 2.5
 STEP_SHARE = 0.05

@@ -8,13 +8,15 @@ nothing in common but their periods, periods within SAME_PERIOD must do. The lik
     the strongest third harmonic              what is passed on is filtered (Thornhill, Cox & Paulonis 2003)
 
 Where several loops' tuning swings, or of two loops nothing is bent, they swing against each other: an interaction.
+So do two that read as too strong each by itself and whose oscillations after every upset keep step, though they die
+away.
 Which is earlier is not asked: feedback turns the phase of the error; roots came a fifth of a period before or after.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from retuner.adaptive.audit.tracks import SwingTrack, coherence
+from retuner.adaptive.audit.tracks import SwingTrack, by_chance, coherence
 
 SAME_PERIOD = 0.04
 """Difference of two periods, as a share, below which they are one where nothing else can be compared."""
@@ -28,6 +30,13 @@ STICKS = 0.2
 """What its stretches must say of a valve for it to be the root."""
 BENT = 0.05
 """Third harmonic over the first, from which something in a loop is not linear."""
+
+
+ONE_MODE = 1.6
+"""Ratio of the periods that two loops seem to have by themselves, up to which they may be one oscillation."""
+UNLIKELY = 1e-5
+"""Odds by chance below which two loops that are compared among many keep step."""
+AGAINST = "after every upset they oscillate in step, and each by itself reads as too strong: they act on each other"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +88,26 @@ def common_swings(loops: Sequence[Swinging]) -> list[CommonSwing]:
         groups.setdefault(_first(group_of, i), []).append(loop)
     found = [_group(group) for group in groups.values() if len(group) > 1]
     return sorted(found, key=lambda group: (-len(group.tags), group.period_s))
+
+
+def interactions(loops: Sequence[Swinging]) -> list[CommonSwing]:
+    """Loops that act on each other, though what they make dies away. loops : each named as too strong by itself."""
+    ordered = sorted((one for one in loops if one.track is not None), key=lambda one: one.period_s)
+    found = []
+    for i, loop in enumerate(ordered):
+        for other in ordered[i + 1 :]:
+            if other.period_s > ONE_MODE * loop.period_s:
+                break
+            told = _told(loop, other)
+            if told is not None and told[0] >= COHERENT and _chance(loop, other) < UNLIKELY:
+                tags = tuple(sorted((loop.tag, other.tag)))
+                found.append(CommonSwing(loop.period_s, tags, None, AGAINST, interaction=True, coherence=told[0]))
+    return found
+
+
+def _chance(a: Swinging, b: Swinging) -> float:
+    """Odds that two loops keep step by chance."""
+    return by_chance(a.track, b.track) if a.track is not None and b.track is not None else 1.0
 
 
 def _first(group_of: list[int], i: int) -> int:

@@ -102,18 +102,15 @@ class LoopScreen:
 def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool = True) -> LoopScreen:
     """Screen a whole record.
 
-    Parameters
-    ----------
     record : of any length. delay_s : dead time of the loop where it is known. setpoint : whether its sp is one, and no
-        mean of pv that stands in.
+    mean of pv that stands in.
     """
     n, parts = len(record.t_s), in_parts(record)
-    usual_s, step = float(np.median(np.diff(parts.t_s))), quantum(parts.pv)
-    pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
-    sums = record_sums(record, _measure(n, usual_s, co_noise))
+    usual_s, step, noise = parts.sample_time_s, quantum(parts.pv), (noise_sigma(parts.pv), noise_sigma(parts.co))
+    sums = record_sums(record, _measure(n, usual_s, noise[1]))
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
-    traits = _traits(record, sums, (pv_noise, co_noise), limits)
+    traits = _traits(record, sums, noise, limits)
     return LoopScreen(
         samples=n,
         span_s=sums.held_s,
@@ -127,7 +124,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
         one_sided=_one_sided(limits),
         harris=_harris(sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)),
-        noise_share=min(pv_noise**2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
+        noise_share=min(noise[0] ** 2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
         compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
         period_s=swing.wave.period * usual_s or None,

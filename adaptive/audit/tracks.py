@@ -7,12 +7,14 @@ that begin at the same moments for all:
     coherence of two loops = |sum X_s conj(Y_s)|^2 / (sum |X_s|^2  sum |Y_s|^2)
 
 Loops that swing together keep their phase over the segments, those that have the same period by chance lose it. The
-angle of the sum tells which is later (up to a period). A trend's track are its values at common moments: the setpoint
-of a cascade's slave goes with the output of its master.
+angle of the sum tells which is later (up to a period). Two loops that act on each other have one damped oscillation
+between them: whatever upsets either, both go through it in one ratio and one phase.
+
+A trend's track are its values at common moments: the setpoint of a cascade's slave goes with the output of its master.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +39,12 @@ FEWEST_POINTS = 24
 STILL = 0.5
 """Share of moments with a change from which a signal moves."""
 DIGITS = 4
+
+
+COARSE = 4
+"""Every so many frequencies of the grid one is kept where an oscillation dies away: its peak is broad."""
+WIDE = 3
+"""And so many of them either side of its own: two thirds of an octave."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +85,14 @@ def swing_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTra
     return SwingTrack({k: _amplitudes(t_s, error, 2 ** (k / OCTAVE)) for k in range(own - BESIDE, own + BESIDE + 1)})
 
 
+def damped_track(t_s: FloatArray, error: FloatArray, period_s: float) -> SwingTrack:
+    """The track of an oscillation that dies away after every upset; period_s : roughly. See swing_track."""
+    own = round(-OCTAVE / COARSE * math.log2(period_s))
+    return SwingTrack(
+        {COARSE * k: _amplitudes(t_s, error, 2 ** (COARSE * k / OCTAVE)) for k in range(own - WIDE, own + WIDE + 1)}
+    )
+
+
 def _amplitudes(t_s: FloatArray, error: FloatArray, f_hz: float) -> tuple[int, np.ndarray]:
     """Number of the first segment, and the amplitudes of the newest ones; nan where less than half is on record."""
     segment_s = CYCLES / f_hz
@@ -95,7 +111,22 @@ def _amplitudes(t_s: FloatArray, error: FloatArray, f_hz: float) -> tuple[int, n
 
 def coherence(a: SwingTrack, b: SwingTrack) -> tuple[float, float] | None:
     """Coherence, 0 to 1, and by which part of a period b is later than a, -0.5 to 0.5; None: too little in common."""
-    best: tuple[float, float, float] | None = None
+    found = max(_compared(a, b), default=None)
+    return None if found is None else (found[1], found[2])
+
+
+def by_chance(a: SwingTrack, b: SwingTrack) -> float:
+    """Odds of so large a coherence where two loops have nothing to do with each other; 1: too little in common.
+
+    Of n segments of equal weight and random phases it exceeds c with (1 - c)^(n - 1) (Goodman 1957); a few upsets carry
+    most of the weight, so n is their effective number.
+    """
+    found = max(_compared(a, b), default=None)
+    return 1.0 if found is None else (1 - found[1]) ** max(found[3] - 1, 0.0)
+
+
+def _compared(a: SwingTrack, b: SwingTrack) -> Iterator[tuple[float, float, float, float]]:
+    """Power, coherence, delay and effective number of segments at every common frequency."""
     for k in a.parts.keys() & b.parts.keys():
         first = max(a.parts[k][0], b.parts[k][0])
         x, y = (values[first - begin :] for begin, values in (a.parts[k], b.parts[k]))
@@ -105,10 +136,12 @@ def coherence(a: SwingTrack, b: SwingTrack) -> tuple[float, float] | None:
         power = float(np.sum(np.abs(x[both]) ** 2)), float(np.sum(np.abs(y[both]) ** 2))
         if np.count_nonzero(both) < FEWEST_SEGMENTS or min(power) <= 0:
             continue
-        cross = complex(np.sum(x[both] * y[both].conj()))
-        found = (power[0] * power[1], abs(cross) ** 2 / (power[0] * power[1]), math.atan2(cross.imag, cross.real))
-        best = found if best is None or found[0] > best[0] else best
-    return (best[1], best[2] / (2 * math.pi)) if best is not None else None
+        crossed = x[both] * y[both].conj()
+        cross, sizes = complex(np.sum(crossed)), np.abs(crossed)
+        effective = float(np.sum(sizes)) ** 2 / max(float(np.sum(sizes**2)), 1e-300)
+        both_powers = power[0] * power[1]
+        delay = math.atan2(cross.imag, cross.real) / (2 * math.pi)
+        yield both_powers, abs(cross) ** 2 / both_powers, delay, effective
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.confidence import counted
-from retuner.adaptive.diagnosis.rival_fits import Sticking, external, linear, sharper, sticking, turns_s
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, counted
+from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
 from retuner.adaptive.diagnosis.standing_valve import Standing, stand_still, standing_verdict
+from retuner.adaptive.diagnosis.sticking_valve import Sticking, sticking, turns_s
 from retuner.adaptive.diagnosis.stretches import over_time, stretches
 from retuner.adaptive.diagnosis.tuning_verdict import Found, linear_verdict
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way

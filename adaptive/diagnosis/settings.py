@@ -59,6 +59,8 @@ class DiagnosisSettings:
         loop's own; 1.5 to 4, default 2 (the first is the load's).
     most_overshoot : of setpoint responses, in a loop that is in order for all that they show; default 0.25.
         in_order_explained : share of pv's variance that its models must explain; default 0.9.
+    play_asked : by how much the criterion of a linear explanation may be the larger one for a valve with play to be
+        looked for from it as well; 0 to 200, default 60.
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
     """
 
@@ -96,6 +98,7 @@ class DiagnosisSettings:
     waves_a_load: float = 2.0
     most_overshoot: float = 0.25
     in_order_explained: float = 0.9
+    play_asked: float = 60.0
     majority: float = 0.75
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)

@@ -15,7 +15,9 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, CauseSettings, Diagnosis, tuning_cause
 from retuner.adaptive.diagnosis.first_step import first_step
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.sticking_valve import with_play
 from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
+from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
@@ -46,13 +48,18 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """What a verdict is about. best : the linear explanation that it rests on. fits : as identification makes them."""
+    """What a verdict is about. found : linear explanations, best first. fits : as identification makes them."""
 
     window: Window
     gains: PidGains
-    best: Candidate
+    found: list[Candidate]
     fits: Fits
     settings: DiagnosisSettings
+
+    @property
+    def best(self) -> Candidate:
+        """The explanation that the verdict rests on."""
+        return self.found[0]
 
 
 def linear_verdict(
@@ -72,7 +79,7 @@ def linear_verdict(
     if gains is None:
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
-    loop = Loop(window, gains, found[0], Fits(window, (gains.direction,), FitSettings()), settings)
+    loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings)
     told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
@@ -141,7 +148,36 @@ def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
             return _torn(loop, replace(found, estimate=estimate), rival.model, rival.sentence)
     if verdict.cause not in TUNING_CAUSES:
         return replace(found, estimate=estimate)
+    in_order = _in_order_with_play(loop, found)
+    if in_order:
+        told = replace(verdict, cause=Cause.UNKNOWN, confidence=0.5, reason=in_order)
+        return replace(found, diagnosis=told, estimate=estimate, tuning=None)
     return _with_settings(loop, replace(found, estimate=estimate), asked)
+
+
+def _in_order_with_play(loop: Loop, found: Found) -> str:
+    """Why the valve and not the tuning may be the cause, empty when it is not so.
+
+    Play in a valve slows the loop and turns its phase, and a linear fit takes it for a longer lag. A valve with play
+    that explains the record as well must agree on the cause. It hardly ever does so where there is no play.
+    """
+    assert found.tuning is not None
+    least = loop.best.criterion
+    most, limit = loop.settings.fit.choice.most_loads, least + loop.settings.play_asked
+    rivals = [with_play(candidate, most) for candidate in loop.found if candidate.criterion < limit]
+    played = min(rivals, key=lambda s: s.fit.criterion)
+    if played.fit.criterion > least:
+        return ""
+    fit = played.fit.fit
+    model = model_at(fit.misfit.type, fit.x, fit.misfit.sign).seen_by_controller(loop.window.sample_time_s)
+    other = tuning_cause(model, loop.gains, found.tuning.tuning.gains, 0.1, loop.settings.cause)
+    if other.cause == found.diagnosis.cause:
+        return ""
+    share = played.valve.stick / fit.misfit.record.co_range
+    return (
+        f"a valve with play of {share:.0%} of the range of co explains the record as well. "
+        f"With it the cause is {other.cause}: {other.reason}. Without it it is {found.diagnosis.cause}"
+    )
 
 
 def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:

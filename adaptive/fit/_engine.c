@@ -27,7 +27,7 @@
 #include "engine_c/search.h"
 #include "engine_c/valves.h"
 
-#define VERSION "2"
+#define VERSION "3"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -406,30 +406,30 @@ static PyObject *py_position(PyObject *self, PyObject *args) {
     return ended(call, Py_NewRef(Py_None));
 }
 
-/* scan(t, pv, co, numbers, valves, lags, thetas, q, y, first, stride, left, gain) */
+/* scan(t, pv, co, numbers, valves, lags, seconds, thetas, q, y, first, stride, left, gain) */
 static PyObject *py_scan(PyObject *self, PyObject *args) {
     (void)self;
-    PyObject *from[13];
-    Call *call = begun(args, from, 13);
+    PyObject *from[14];
+    Call *call = begun(args, from, 14);
     if (!call)
         return NULL;
     View *v = call->views;
     Work *w = &call->work;
-    Py_ssize_t first = PyLong_AsSsize_t(from[9]), stride = PyLong_AsSsize_t(from[10]);
+    Py_ssize_t first = PyLong_AsSsize_t(from[10]), stride = PyLong_AsSsize_t(from[11]);
     if (PyErr_Occurred() || read_record(w, v, from) || finite_view(from[4], &v[4], "valves", 0) ||
-        are_valves(&v[4]) || finite_view(from[5], &v[5], "lags", 0) || finite_view(from[6], &v[6], "thetas", 0) ||
-        positive(&v[5], "lags: above 0") || positive(&v[6], "thetas: above 0") ||
-        finite_view(from[7], &v[7], "q", 0) || finite_view(from[8], &v[8], "y", 0) ||
-        view(from[11], &v[9], "left", 1) || view(from[12], &v[10], "gain", 1))
+        are_valves(&v[4]) || finite_view(from[5], &v[5], "lags", 0) || finite_view(from[6], &v[6], "seconds", 0) ||
+        finite_view(from[7], &v[7], "thetas", 0) || positive(&v[5], "lags: above 0") ||
+        positive(&v[7], "thetas: above 0") || finite_view(from[8], &v[8], "q", 0) ||
+        finite_view(from[9], &v[9], "y", 0) || view(from[12], &v[10], "left", 1) || view(from[13], &v[11], "gain", 1))
         return ended(call, NULL);
-    if (first < 0 || first >= w->p.n || stride < 1 || v[5].n > 64 || v[6].n > 64)
+    if (first < 0 || first >= w->p.n || stride < 1 || v[5].n > 64 || v[7].n > 64)
         return refuse("scan: rows or nodes are outside their range"), ended(call, NULL);
-    Py_ssize_t rows = (w->p.n - first - 1) / stride + 1, nodes = v[5].n * v[6].n, many = v[4].n / VALVE;
-    if (sized(&v[7], 3 * v[5].n * rows, "q") || sized(&v[8], v[5].n * rows, "y") ||
-        sized(&v[9], many * nodes, "left") || sized(&v[10], many * nodes, "gain"))
+    Py_ssize_t rows = (w->p.n - first - 1) / stride + 1, nodes = v[5].n * v[7].n, many = v[4].n / VALVE;
+    if (sized(&v[6], v[5].n, "seconds") || sized(&v[8], 3 * v[5].n * rows, "q") ||
+        sized(&v[9], v[5].n * rows, "y") || sized(&v[10], many * nodes, "left") || sized(&v[11], many * nodes, "gain"))
         return ended(call, NULL);
-    Scan s = {v[4].x, v[2].x, v[5].x, v[6].x, v[7].x, v[8].x, many,    v[5].n,
-              v[6].n, first,  stride, rows,   v[9].x, v[10].x};
+    Scan s = {v[4].x, v[2].x, v[5].x, v[6].x, v[7].x, v[8].x, v[9].x,  many,
+              v[5].n, v[7].n, first,  stride, rows,   v[10].x, v[11].x};
     int failed;
     Py_BEGIN_ALLOW_THREADS
     failed = scan(w, &s);

@@ -65,6 +65,7 @@ def scan(
     numbers: Numbers,
     valves: Numbers,
     lags: Numbers,
+    seconds: Numbers,
     thetas: Numbers,
     q: Numbers,
     y: Numbers,

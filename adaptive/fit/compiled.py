@@ -111,11 +111,15 @@ Valve = tuple[float, float, float, float]
 
 
 class ScanNodes(Protocol):
-    """First-order dynamics of a scan over valves: lags and dead times, the rows looked at, what is projected out."""
+    """Dynamics of a scan over valves: lags and dead times, the rows looked at, what is projected out."""
 
     @property
     def lags_s(self) -> FloatArray:
         """Lags, s; every pair with a dead time is a node."""
+
+    @property
+    def seconds_s(self) -> FloatArray:
+        """A second lag for each of them, s, 0 for none."""
 
     @property
     def thetas_s(self) -> FloatArray:
@@ -148,7 +152,7 @@ def valves_scanned(record: Record, valves: Sequence[Valve], nodes: ScanNodes) ->
     left, gain = np.empty(shape), np.empty(shape)
     _engine.scan(
         record.clock.t_s, record.pv, record.co, numbers, array("d", chain.from_iterable(valves)), nodes.lags_s,
-        nodes.thetas_s, nodes.basis, nodes.free, nodes.rows.start, nodes.rows.step, left, gain,
+        nodes.seconds_s, nodes.thetas_s, nodes.basis, nodes.free, nodes.rows.start, nodes.rows.step, left, gain,
     )  # fmt: skip
     return left, gain
 

@@ -8,7 +8,7 @@ from effort import sized
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.rival_fits import Family, StuckValve
+from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import Window
@@ -83,6 +83,16 @@ def test_a_slowly_swinging_level_gets_the_product_of_four() -> None:
     after = found.tuning.tuning.gains
     assert 3.8 < 0.1 * after.kp**2 / after.ki < 4.2
     assert sensitivity_peak(level, after) < 1.8
+
+
+def test_play_in_the_valve_is_not_an_integral_too_strong() -> None:
+    """Ms is 1.61; play slows the loop, and the linear fit makes it 2.5 with loads that were never there."""
+    gains = times(0.6, 1.1)
+    window = loop(gains, sp=to_and_fro, valve=StuckValve(Family.KANO, 0.25, 0.0), seed=2, noise=0.03)
+    found = diagnose_window(window, gains)
+    assert not found.diagnosis.retune
+    assert found.diagnosis.cause == Cause.UNKNOWN
+    assert "a valve with play of 10% of the range of co" in found.diagnosis.reason
 
 
 def test_tuning_is_told_from_load_steps_alone() -> None:

@@ -5,7 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.diagnosis.rival_fits import Family, StuckValve
+from retuner.adaptive.diagnosis.rival_fits import linear
+from retuner.adaptive.diagnosis.settings import DiagnosisSettings
+from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve, sticking, with_play
+from retuner.adaptive.signals.sample import Window
 
 TRIANGLE = np.interp(np.arange(400) % 80, [0, 40, 80], [0.0, 10.0, 0.0])
 
@@ -51,3 +54,39 @@ def test_the_start_is_where_it_is_said_to_be() -> None:
 def test_impossible_valves_are_refused(stick: float, jump: float, start: float) -> None:
     with pytest.raises(ValueError, match=r"stiction band|start"):
         StuckValve(Family.KANO, stick, jump, start)
+
+
+CHOICE = DiagnosisSettings().fit.choice
+
+
+def recorded(valve: StuckValve | None, noise: float) -> Window:
+    """A process of one lag in manual, moved to and fro by hand; a valve stands before it."""
+    t = np.arange(600.0)
+    co = np.repeat(np.random.default_rng(4).uniform(-1, 1, 30), 20) + np.interp(t % 100, [0, 50, 100], [0.0, 1.0, 0.0])
+    moved = co if valve is None else valve.position(co)
+    pv = np.zeros(600)
+    for i in range(1, 600):
+        pv[i] = pv[i - 1] + (moved[max(i - 3, 0)] - pv[i - 1]) / 15
+    return Window(t, np.zeros(600), pv + noise * np.random.default_rng(5).standard_normal(600), co)
+
+
+def test_play_is_measured_and_none_is_found_where_there_is_none() -> None:
+    for valve in (StuckValve(Family.KANO, 0.25, 0.0), None):
+        window = recorded(valve, 0.01)
+        best = linear(window, (1,), CHOICE, 600)[0]
+        played = with_play(best, CHOICE.most_loads)
+        if valve is None:
+            assert played.fit.criterion > best.criterion
+        else:
+            assert played.fit.criterion < best.criterion - 20
+            assert played.valve.stick == pytest.approx(0.25, rel=0.1)
+
+
+@pytest.mark.parametrize("valve", [StuckValve(Family.KANO, 0.6, 0.2, 0.3), StuckValve(Family.HE, 0.5, 0.3, -0.4)])
+def test_a_valve_is_found_wherever_it_stood_first(valve: StuckValve) -> None:
+    best = linear(recorded(valve, 0.005), (1,), CHOICE, 600)[0]
+    found = sticking(best, 100.0, CHOICE.most_loads)
+    noise = best.fit.misfit.record.noise_std
+    assert best.colour.std > 5 * noise
+    assert found.fit.colour.std < 1.3 * noise
+    assert found.valve.stick == pytest.approx(valve.stick, rel=0.1)

@@ -7,7 +7,7 @@ from test_diagnose import DT, GOOD, loop, times, to_and_fro
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, first_step
-from retuner.adaptive.diagnosis.rival_fits import Family, StuckValve
+from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve
 from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, stretches
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units

@@ -5,7 +5,7 @@
 
 #include "lanes.h"
 
-static const double USEFUL = 1e-10, NOTHING_NEW = 1e-12; /* misfit.py, rival_fits.py */
+static const double USEFUL = 1e-10, NOTHING_NEW = 1e-12; /* misfit.py, sticking_valve.py */
 
 /* ---------------------------------------------------------------- projection */
 

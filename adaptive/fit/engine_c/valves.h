@@ -1,4 +1,4 @@
-/* Sticking valves: their positions, the coarse scan, and the costs round a fit (rival_fits.py). */
+/* Sticking valves: their positions, the coarse scan, and the costs round a fit (sticking_valve.py). */
 
 #ifndef RETUNER_VALVES_H
 #define RETUNER_VALVES_H
@@ -34,10 +34,11 @@ static double position(const double *valve, const double *co, Py_ssize_t n, doub
     return travel;
 }
 
-/* valves : (valve_count, VALVE). q : (lag_count, 3, rows) orthonormal basis of bias, start and trend, y : (lag_count,
+/* seconds : a second lag for each lag, 0 for none; the valve's output goes through it first, held from sample to sample.
+ * valves : (valve_count, VALVE). q : (lag_count, 3, rows) orthonormal basis of bias, start and trend, y : (lag_count,
  * rows) pv free of it, on the rows first, first + stride, ... left, gain : (valve_count, lag_count, theta_count). */
 typedef struct {
-    const double *valves, *co, *lags, *thetas, *q, *y;
+    const double *valves, *co, *lags, *seconds, *thetas, *q, *y;
     Py_ssize_t valve_count, lag_count, theta_count, first, stride, rows;
     double *left, *gain;
 } Scan;
@@ -48,16 +49,35 @@ typedef struct {
     double *e, *v;
 } Reading;
 
-static void scan_readings(Work *w, const Scan *s, const Reading *reads, double *decay, double *rise) {
+/* How a lag goes from sample to sample. scale : of what it gives. */
+static void lag_steps(Work *w, double lag, double scale, double *decay, double *rise) {
     const Problem *p = &w->p;
-    Py_ssize_t many = p->dt > 0 ? 1 : p->n, even = p->dt > 0;
+    Py_ssize_t even = p->dt > 0, many = even ? 1 : p->n;
+    w->modes = modes_of(0, 1 / lag, 0);
+    intervals(p, &w->modes, w->steps);
+    for (Py_ssize_t i = 0; i < p->n; i++) {
+        const Interval *step = w->steps + (i < many - !even ? i : 0);
+        decay[i] = step->e[0], rise[i] = scale * step->v[0];
+    }
+}
+
+/* A held input through a lag. */
+static void through_lag(const double *decay, const double *rise, const double *u, Py_ssize_t n, double *out) {
+    double now = 0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        out[i] = now;
+        now = decay[i] * now + rise[i] * u[i];
+    }
+}
+
+static void scan_readings(Work *w, const Scan *s, const Reading *reads, double *steps) {
+    const Problem *p = &w->p;
+    Py_ssize_t even = p->dt > 0;
     for (Py_ssize_t l = 0; l < s->lag_count; l++) {
-        w->modes = modes_of(0, 1 / s->lags[l], 0);
-        intervals(p, &w->modes, w->steps);
-        for (Py_ssize_t i = 0; i < p->n; i++) {
-            const Interval *step = w->steps + (i < many - !even ? i : 0);
-            decay[l * p->n + i] = step->e[0], rise[l * p->n + i] = step->v[0];
-        }
+        double *own = steps + 4 * l * p->n;
+        if (s->seconds[l] > 0)
+            lag_steps(w, s->seconds[l], 1 / s->seconds[l], own + 2 * p->n, own + 3 * p->n);
+        lag_steps(w, s->lags[l], 1, own, own + p->n);
         for (Py_ssize_t k = 0; k < s->theta_count; k++) {
             const Reading *r = reads + l * s->theta_count + k;
             w->theta = s->thetas[k];
@@ -92,35 +112,36 @@ static void scan_node(const Scan *s, Py_ssize_t lag, const Reading *r, const dou
 
 static int scan(Work *w, const Scan *s) {
     Py_ssize_t n = w->p.n, nodes = s->lag_count * s->theta_count, lags = s->lag_count;
-    size_t doubles = (size_t)(3 * lags * n + n + s->rows + 2 * nodes * s->rows);
+    size_t doubles = (size_t)(6 * lags * n + n + s->rows + 2 * nodes * s->rows);
     double *memory = malloc(doubles * sizeof *memory + (size_t)(nodes * s->rows) * sizeof(Py_ssize_t)), *next = memory;
     Reading *reads = malloc((size_t)nodes * sizeof *reads);
     if (!memory || !reads) {
         free(memory), free(reads);
         return -1;
     }
-    double *decay = next, *rise = next + lags * n, *x = next + 2 * lags * n, *u = x + lags * n, *column = u + n;
+    double *steps = next, *x = steps + 4 * lags * n, *u = x + lags * n, *moved = u + lags * n, *column = moved + n;
     next = column + s->rows;
     for (Py_ssize_t k = 0; k < nodes; k++, next += 2 * s->rows)
         reads[k].e = next, reads[k].v = next + s->rows;
     for (Py_ssize_t k = 0; k < nodes; k++)
         reads[k].at = (Py_ssize_t *)next + k * s->rows;
-    scan_readings(w, s, reads, decay, rise);
+    scan_readings(w, s, reads, steps);
     for (Py_ssize_t j = 0; j < s->valve_count; j++) {
-        double travel = position(s->valves + j * VALVE, s->co, n, u);
+        double travel = position(s->valves + j * VALVE, s->co, n, moved);
         for (Py_ssize_t l = 0; travel > 0 && l < lags; l++) {
-            const double *e = decay + l * n, *v = rise + l * n;
-            double *out = x + l * n, now = 0;
-            for (Py_ssize_t i = 0; i < n; i++) {
-                out[i] = now;
-                now = e[i] * now + v[i] * u[i];
-            }
+            const double *own = steps + 4 * l * n;
+            if (s->seconds[l] > 0)
+                through_lag(own + 2 * n, own + 3 * n, moved, n, u + l * n);
+            else
+                memcpy(u + l * n, moved, (size_t)n * sizeof *u);
+            through_lag(own, own + n, u + l * n, n, x + l * n);
         }
         for (Py_ssize_t k = 0; k < nodes; k++) {
+            Py_ssize_t l = k / s->theta_count;
             s->left[j * nodes + k] = INFINITY, s->gain[j * nodes + k] = 0;
             if (travel > 0)
-                scan_node(s, k / s->theta_count, reads + k, x + k / s->theta_count * n, u, column,
-                          s->left + j * nodes + k, s->gain + j * nodes + k);
+                scan_node(s, l, reads + k, x + l * n, u + l * n, column, s->left + j * nodes + k,
+                          s->gain + j * nodes + k);
         }
     }
     free(memory), free(reads);

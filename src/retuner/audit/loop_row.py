@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from retuner.adaptive.audit.loop_screen import LoopScreen, joined_screen, screen_loop
-from retuner.adaptive.audit.tracks import swing_track, trend_track
+from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
 from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, loop_verdict
 from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
@@ -27,6 +27,8 @@ from retuner.drivers.recorded.recording import RecordingError
 
 SCHEMA = 3
 """Version of a row's keys."""
+OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
+"""Causes by which a loop oscillates of itself."""
 DRAWN = 1_200
 """Points of a trend that are drawn: twice as many as a screen has columns, lowest and highest of each."""
 DRAWN_OF_A_STRETCH = 600
@@ -134,7 +136,7 @@ class _Seen:
             file = Path(record.recording.source).name
             self.parts.append((seen, {"file": file, **_stretch(stretch, seen, found)}, found))
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
-            self.tracks = _tracks(window, record.begin_s or 0.0, screen)
+            self.tracks = _tracks(window, record.begin_s or 0.0, screen, _own_period_s(self.parts))
         self.end_s = max(self.end_s, later_s + float(window.t_s[-1]))
         self.screens.append(screen)
         self.trends.append((later_s, drawn(window, DRAWN)))
@@ -147,12 +149,23 @@ def _about_its_mean(record: LoopRecord) -> Window:
     return Window(known.t_s, np.full(len(known.pv), float(np.mean(known.pv))), known.pv, known.co)
 
 
-def _tracks(window: Window, begin_s: float, screen: LoopScreen) -> Row:
-    """What is kept of a record to compare it with those of other loops."""
-    t_s = window.t_s + begin_s
+def _own_period_s(parts: Sequence[tuple[StretchVerdict, Row, RecordDiagnosis]]) -> float | None:
+    """About the period with which a loop that is named too strong oscillates: four times its dead time."""
+    for _, _, found in parts:
+        if found.diagnosis.cause in OWN_SWING and found.estimate is not None:
+            model = found.estimate.log.model()
+            return 4 * (model.theta_s + model.tau2_s / 2)
+    return None
+
+
+def _tracks(window: Window, begin_s: float, screen: LoopScreen, own_s: float | None) -> Row:
+    """What is kept of a record to compare it with those of other loops. own_s : of a loop that is too strong."""
+    t_s, error = window.t_s + begin_s, window.sp - window.pv
     swings = screen.period_s is not None and screen.swinging >= SWINGS
-    track = swing_track(t_s, window.sp - window.pv, screen.period_s).to_dict() if swings and screen.period_s else None
-    return {"swing": track, "trend": trend_track(t_s, window.sp, window.co).to_dict()}
+    track = swing_track(t_s, error, screen.period_s).to_dict() if swings and screen.period_s else None
+    damped = damped_track(t_s, error, own_s).to_dict() if own_s and not swings else None
+    trend = trend_track(t_s, window.sp, window.co).to_dict()
+    return {"swing": track, "damped": damped, "damped_s": own_s, "trend": trend}
 
 
 def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:

@@ -14,12 +14,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped
+from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
 from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
-from retuner.audit.loop_row import SCHEMA, Row, is_fault
+from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 
@@ -45,13 +45,15 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     """
     listed: list[Row] = []
     swinging: list[Swinging] = []
+    damped: list[Swinging] = []
     trends: dict[str, TrendTrack] = {}
     for row in rows:
         swing, trend = _tracks(row)
+        damped += _damped(row)
         listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
         swinging += [swing] if swing is not None else []
         trends |= {str(row["tag"]): trend} if trend is not None else {}
-    groups, masters = common_swings(swinging), cascades(trends)
+    groups, masters = [*interactions(damped), *common_swings(swinging)], cascades(trends)
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
@@ -84,6 +86,14 @@ def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
     sticks = _number(row, "sticks")
     swing = Swinging(str(row["tag"]), screen["period_s"], _number(row, "harmonic"), sticks, own, track)
     return swing, trend
+
+
+def _damped(row: Row) -> list[Swinging]:
+    """A loop that is too strong by itself, and whose oscillation dies away; none otherwise."""
+    held = row.get(TRACKS)
+    if not isinstance(held, Mapping) or not held.get("damped") or row["cause"] not in {str(c) for c in OWN_SWING}:
+        return []
+    return [Swinging(str(row["tag"]), held["damped_s"], 0.0, own=True, track=SwingTrack.of_dict(held["damped"]))]
 
 
 def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> None:
@@ -130,6 +140,11 @@ def _in_order(rows: Sequence[Row]) -> None:
         if row["interaction"] and row["cause"] in {str(Cause.EXTERNAL), str(Cause.UNKNOWN)}:
             others = row["swings_with"] if isinstance(row["swings_with"], list) else []
             row["action"] = f"swings against {', '.join(map(str, others[:3]))}: slow one of them down"
+        elif row["interaction"] and row["cause"] in {str(cause) for cause in OWN_SWING}:
+            held = row["swings_with"]
+            against = ", ".join(map(str, held[:3])) if isinstance(held, list) else ""
+            row["reason"] = f"it and {against} act on each other: both oscillate after every upset. {row['reason']}"
+            row["action"], row["settings"] = f"swings against {against}: slow one of them down", None
 
 
 def _number(row: Row, name: str) -> float:

@@ -5,8 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.audit.common_swing import Swinging, common_swings
-from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades, coherence, swing_track, trend_track
+from retuner.adaptive.audit.common_swing import Swinging, common_swings, interactions
+from retuner.adaptive.audit.tracks import (
+    SwingTrack,
+    TrendTrack,
+    by_chance,
+    cascades,
+    coherence,
+    damped_track,
+    swing_track,
+    trend_track,
+)
 
 T = np.arange(30_000) * 10.0
 RNG = np.random.default_rng(8)
@@ -92,3 +101,31 @@ def test_two_tunings_or_two_straight_loops_swing_against_each_other() -> None:
     assert (group.root, group.interaction) == (None, True)
     own = [Swinging(one.tag, 300.0, 0.01, own=True, track=one.track) for one in both]
     assert common_swings(own)[0].interaction
+
+
+def rings(seed: int, phase: float, times: np.ndarray) -> np.ndarray:
+    """An error that rings at 300 s after upsets at these times, and a drift that is its own."""
+    rng = np.random.default_rng(seed)
+    error = 0.02 * np.cumsum(rng.standard_normal(len(T))) + 0.3 * rng.standard_normal(len(T))
+    for at in times:
+        since = np.maximum(T - at, 0.0)
+        error += 5 * np.exp(-since / 400) * np.sin(2 * np.pi * since / 300 + phase) * (since > 0)
+    return error
+
+
+def test_two_loops_that_act_on_each_other_ring_together_after_every_upset() -> None:
+    rng = np.random.default_rng(12)
+    upsets = [rng.uniform(0, T[-1], 25) for _ in range(4)]
+    errors = [rings(1, 0.0, upsets[0]), rings(2, 1.6, upsets[0])] + [rings(i, 0.0, upsets[i]) for i in (1, 2, 3)]
+    own_s = (330.0, 280.0, 300.0, 300.0, 310.0)
+    loops = [
+        Swinging(str(i), period_s, 0.0, own=True, track=damped_track(T, error, period_s))
+        for i, (error, period_s) in enumerate(zip(errors, own_s, strict=True))
+    ]
+    groups = interactions(loops)
+    assert [group.tags for group in groups] == [("0", "1")]
+    assert groups[0].interaction
+    assert groups[0].root is None
+    plain = SwingTrack.of_dict(loops[0].track.to_dict()) if loops[0].track else None
+    assert plain is not None
+    assert by_chance(plain, damped_track(T[:50], errors[1][:50], 280.0)) == 1.0

@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from retuner.adaptive.diagnosis.rival_fits import Nodes, StuckValve, _costs, _grid, _moved, _through, _travel
+from retuner.adaptive.diagnosis.sticking_valve import Nodes, StuckValve, _costs, _grid, _moved, _through, _travel
 from retuner.adaptive.fit import engine
 from retuner.adaptive.fit.misfit import Misfit, changes_of, colour
 from retuner.adaptive.fit.record import Record

@@ -1,0 +1,485 @@
+"""A valve that sticks: the two published two-parameter models, S the stick band, J the slip jump, in units of co.
+
+    f_s = (S + J)/2 static and f_d = (S - J)/2 kinetic friction
+
+    Kano et al. (2004)   at rest: stays until |u - y| > f_s; in motion: y = u - d f_d, and rests when u stops or turns
+    He et al. (2007)     friction is overcome anew at every sample: y moves by the push less f_d whenever the push,
+                         what was left plus the change of u, exceeds f_s
+
+After a reversal Kano's valve rests until co has travelled S, He's until S to S + J, then it jumps by J; going on in
+one direction, Kano's follows and He's moves in steps of J. J = 0 is backlash. Real valves do either (Garcia 2008).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise, product
+
+import numpy as np
+
+from retuner.adaptive.diagnosis.rival_fits import WHITE
+from retuner.adaptive.fit.dynamics import Dynamics
+from retuner.adaptive.fit.engine import compiled
+from retuner.adaptive.fit.misfit import USEFUL, Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import Fit, refine
+from retuner.adaptive.fit.search import with_second_lag
+from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.loads import improved
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+
+class Family(StrEnum):
+    """Which of the two models."""
+
+    KANO = "kano"
+    HE = "he"
+
+
+@dataclass(frozen=True, slots=True)
+class StuckValve:
+    """A valve.
+
+    family : model. stick : S > 0. jump : J, 0 <= J <= 2 S (S at the most in He's model).
+    start : where the valve stands in its band when the record begins, -1 to 1 in units of f_s.
+
+    Raises
+    ------
+    ValueError
+        A number is outside its range.
+    """
+
+    family: Family
+    stick: float
+    jump: float
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        most = 2 * self.stick if self.family == Family.KANO else self.stick
+        if not (0 < self.stick < math.inf and 0 <= self.jump <= most * (1 + 1e-12)):
+            raise ValueError(f"stiction band {self.stick}, jump {self.jump}: band above 0, jump up to {most}")
+        if not -1 <= self.start <= 1:
+            raise ValueError(f"start {self.start} is outside the band, -1 to 1")
+
+    def position(self, co: FloatArray) -> FloatArray:
+        """Position of the valve for the controller output co, shape (n,)."""
+        f_static, f_kinetic = (self.stick + self.jump) / 2, (self.stick - self.jump) / 2
+        run = _kano if self.family == Family.KANO else _he
+        return np.array(run(co.tolist(), f_static, f_kinetic, self.start * f_static))
+
+    def numbers(self) -> tuple[float, float, float, float]:
+        """Family (0 Kano, 1 He), stick, jump and start, as the compiled engine takes them."""
+        return float(self.family == Family.HE), self.stick, self.jump, self.start
+
+
+def _kano(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
+    y, direction, moving = co[0] + start, 0, False
+    found = [y]
+    for before, u in pairwise(co):
+        change = u - before
+        if moving and change * direction <= 0:
+            moving = False
+        if not moving and abs(u - y) > f_static:
+            moving, direction = True, 1 if u > y else -1
+        if moving:
+            y = u - direction * f_kinetic
+        found.append(y)
+    return found
+
+
+def _he(co: list[float], f_static: float, f_kinetic: float, start: float) -> list[float]:
+    y, left = co[0] + start, -start
+    found = [y]
+    for before, u in pairwise(co):
+        push = left + u - before
+        if push > f_static or -push > f_static:
+            left = math.copysign(f_kinetic, push)
+            y += push - left
+        else:
+            left = push
+        found.append(y)
+    return found
+
+
+# The explanation of a record by a valve that sticks: which band, which jump, and which process behind it.
+#
+# The sum of squares has a valley in S that is narrower than 5 %, and many others; a wrong band makes up for a lag or a
+# dead time that the scan does not have. So bands, jumps and both valve models are scanned on a grid with one lag and
+# with two, each of the best valleys again with band, jump, lag and dead time together; then they are refined with their
+# process, scanned finely round S, J and where the valve stood when the record began, and refined again with loads.
+
+
+STICK_NODES = 45
+STICK_RANGE = (0.1, 1.2)
+"""Stick bands tried, as shares of the usual travel of co within a period."""
+JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.95)}
+"""Slip jumps tried, as shares of the stick band."""
+LAGS_PER_PERIOD = ((0.02, 0.0), (0.1, 0.0), (0.1, 0.05), (0.4, 0.03), (1.5, 0.03), (20.0, 0.03))
+THETAS_PER_PERIOD = (0.01, 0.06, 0.12, 0.2, 0.32)
+"""Dynamics tried for every band, as shares of the period: lag and second lag, dead time."""
+VALLEYS = 8
+"""Valves that are scanned again and refined, each of another valley."""
+APART = 0.09
+"""Bands of one valley differ by less than this (in logarithms)."""
+APART_JUMPS = 0.31
+"""And their jumps by less than this share of the band."""
+NEAR_STICKS, NEAR_JUMPS, NEAR_STARTS = (0.92, 0.96, 1.0, 1.04, 1.08), (-0.15, 0.0, 0.15), (-0.15, 0.0, 0.15)
+NEAR_LAGS, NEAR_THETAS = (0.6, 1.0, 1.7), (-0.03, 0.0, 0.03)
+"""The second scan: factors of band and lags; what is added to the share of the jump, to the start and to the dead time
+in periods."""
+FINE = (0.85, 0.93, 0.97, 0.99, 1.01, 1.03, 1.07, 1.15)
+"""Factors of the fine scan."""
+STARTS = tuple(i / 10 for i in range(-10, 11))
+"""Places in the band tried for the beginning of the record."""
+PLAYS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2)
+"""Play that is tried, as shares of co's range."""
+FINE_STARTS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
+"""Steps of it: the first slip comes earlier or later with it, and the beginning of the record hangs on that."""
+POLISHED = 3
+"""Of the finalists, those that are scanned and refined until nothing helps."""
+ROUNDS = 8
+"""Rounds of fine scan and refinement at the most."""
+ENOUGH = 0.5
+"""A round must lower the criterion by this."""
+UNKNOWN_START = 0.6
+"""Periods after which a valve has slipped at least once, and where it stood first no longer matters."""
+MOST_ROWS = 350
+"""Rows of the coarse scan."""
+NOTHING_NEW = 1e-12
+"""A column of whose square less than this share is its own says nothing: a valve that stood still in these rows."""
+LEAST_TRAVEL = 0.05
+"""The usual travel of co counts as at least this share of its range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sticking:
+    """A stuck valve that explains a record, and the fit of the record with it."""
+
+    valve: StuckValve
+    fit: Candidate
+
+
+def turns_s(sticking: Sticking) -> FloatArray:
+    """When the valve of an explanation turns round, in record time."""
+    record = sticking.fit.fit.misfit.record
+    moved = np.diff(sticking.valve.position(record.co))
+    rows = np.flatnonzero(moved)
+    return np.asarray(record.t_s[rows[1:][np.diff(np.sign(moved[rows])) != 0]], dtype=np.float64)
+
+
+def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
+    """The best explanation with a stuck valve.
+
+    linear : the explanation without. period_s : of the oscillation, or a typical time of the record's movement.
+    """
+    record, sign = linear.fit.misfit.record, linear.fit.misfit.sign
+    ranked = _scanned(record, sign, period_s)
+    misfit = replace(
+        linear.fit.misfit,
+        type=ProcessType.FOPDT,
+        loads=0,
+        sigma=record.noise_std,
+        ar=(),
+        ramp=False,
+        rounded=False,
+        harmonics=0,
+        most_order=WHITE,
+    )
+    firsts = [_with_lag(_fine(_refined(replace(misfit, type=type_), valve, x))) for valve, type_, x in ranked]
+    closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
+    best = min((_settled(s) for s in closest), key=lambda s: s.fit.criterion)
+    return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
+
+
+def with_play(linear: Candidate, most_loads: int) -> Sticking:
+    """The explanation by a valve with play that is best, from the process of the explanation without.
+
+    linear : that one. Play (J = 0) reads as a longer lag and an integral too strong, where it is not looked for, and as
+    load steps; so it is tried with those of the linear explanation, and with none at first.
+    """
+    kept = linear.fit.misfit
+    bare = replace(kept, loads=0, rounded=False)
+    rivals = [_fine(_played(linear.fit, kept, linear.fit.p))]
+    if kept.loads:
+        plain = _fine(_played(linear.fit, bare, linear.fit.x))
+        rivals.append(replace(plain, fit=improved(plain.fit, most_loads, Seen([plain.fit]))))
+    return min(rivals, key=lambda s: s.fit.criterion)
+
+
+def _played(fit: Fit, misfit: Misfit, p: FloatArray) -> Sticking:
+    """The best play of those that are tried, refined. fit : the linear one, from which each begins. p : of misfit."""
+    co_range = misfit.record.co_range
+    found = []
+    for share in PLAYS:
+        valves = [StuckValve(Family.KANO, share * co_range, 0.0, start) for start in STARTS]
+        costs = _costs(fit, valves)
+        found.append(_refined(misfit, valves[int(np.argmin(costs))], p))
+    return min(found, key=lambda s: s.fit.criterion)
+
+
+def _settled(at: Sticking) -> Sticking:
+    """Fine scans and refinements in turn, until neither helps."""
+    for _ in range(ROUNDS):
+        after = _fine(at)
+        if after.fit.criterion >= at.fit.criterion - ENOUGH:
+            return _with_lag(at)
+        at = after
+    return _with_lag(at)
+
+
+Ranked = tuple[StuckValve, ProcessType, FloatArray]
+"""A valve with the structure and the parameters of its process."""
+
+
+def _scanned(record: Record, sign: int, period_s: float) -> list[Ranked]:
+    """The best valves, each of another valley, with x of their process."""
+    travel, nodes = _travel(record, period_s), Nodes.of(record, period_s)
+    valves = [valve for plain in _grid(travel) for valve in _centred(plain, record, period_s)]
+    left, _ = _explained(record, sign, valves, nodes)
+    node = np.argmin(left, axis=1)
+    best = left[np.arange(len(valves)), node]
+    found: list[tuple[float, Ranked]] = []
+    for i in _valleys(valves, best):
+        lags, theta = nodes.at(int(node[i]))
+        near = nodes.near(record, lags, theta, period_s)
+        around = list(_near(valves[i]))
+        closer, gain = _explained(record, sign, around, near)
+        j, k = np.unravel_index(int(np.argmin(closer)), closer.shape)
+        found.append((float(closer[j, k]), (around[j], *near.started(int(k), float(gain[j, k])))))
+    if not found:
+        usual = np.log([record.pv_range / travel / period_s, float(nodes.thetas_s[0]), float(nodes.lags_s[0])])
+        return [(StuckValve(Family.KANO, STICK_RANGE[0] * travel, 0.0), ProcessType.FOPDT, usual)]
+    return [ranked for _, ranked in sorted(found, key=lambda f: f[0])]
+
+
+def _valleys(valves: Sequence[StuckValve], left: FloatArray) -> list[int]:
+    """Numbers of the best valves, none of them beside a better one."""
+    found: list[int] = []
+    for i in np.argsort(left, kind="stable").tolist():
+        if len(found) == VALLEYS or not math.isfinite(left[i]):
+            break
+        if not any(_beside(valves[i], valves[other]) for other in found):
+            found.append(i)
+    return found
+
+
+def _beside(a: StuckValve, b: StuckValve) -> bool:
+    """Whether two valves are of one valley."""
+    close = abs(math.log(a.stick / b.stick)) < APART and abs(a.jump / a.stick - b.jump / b.stick) < APART_JUMPS
+    return close and a.family == b.family
+
+
+def _near(valve: StuckValve) -> Iterator[StuckValve]:
+    """Valves of the second scan."""
+    most = 2.0 if valve.family == Family.KANO else 1.0
+    shares = {min(max(valve.jump / valve.stick + more, 0.0), most) for more in NEAR_JUMPS}
+    starts = {min(max(valve.start + more, -1.0), 1.0) for more in NEAR_STARTS}
+    for factor, share, start in product(NEAR_STICKS, sorted(shares), sorted(starts)):
+        yield StuckValve(valve.family, valve.stick * factor, share * valve.stick * factor, start)
+
+
+def _explained(record: Record, sign: int, valves: list[StuckValve], nodes: "Nodes") -> tuple[FloatArray, FloatArray]:
+    """Sum of squares, infinite where the gain has the wrong sign, and gain of every valve at every node."""
+    engine = compiled()
+    if engine is not None:
+        left, gain = engine.valves_scanned(record, [v.numbers() for v in valves], nodes)
+    else:
+        left, gain = _through(record, valves, nodes)
+    return np.where(gain * sign > 0, left, np.inf), np.abs(gain)
+
+
+def _grid(travel: float) -> Iterator[StuckValve]:
+    """Valves of both models."""
+    for stick in (np.geomspace(*STICK_RANGE, STICK_NODES) * travel).tolist():
+        for family, shares in JUMP_SHARES.items():
+            for share in shares:
+                yield StuckValve(family, stick, share * stick)
+
+
+def _centred(valve: StuckValve, record: Record, period_s: float) -> Iterator[StuckValve]:
+    """The valve from either of the levels between which it goes, where co goes as far beyond both.
+
+    A valve never forgets where it stood: each slip comes a band or a jump after the last. In a cycle it stands half a
+    jump above the middle of co, or half a jump below.
+    """
+    n = max(int(period_s / record.sample_time_s), 3)
+    first = record.co[:n]
+    middle = (float(np.max(first)) + float(np.min(first))) / 2
+    for side in (1, -1):
+        start = 2 * (middle + side * valve.jump / 2 - float(record.co[0])) / (valve.stick + valve.jump)
+        yield replace(valve, start=min(max(start, -1.0), 1.0))
+        if not valve.jump:
+            return
+
+
+def _travel(record: Record, period_s: float) -> float:
+    """Usual travel of co within a period."""
+    n = max(int(period_s / record.sample_time_s), 3)
+    pieces = [record.co[i : i + n] for i in range(0, max(len(record.co) - n, 1), n)]
+    return max(float(np.median([np.ptp(piece) for piece in pieces])), LEAST_TRAVEL * record.co_range)
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Dynamics of a scan, on the rows that it looks at.
+
+    lags_s, seconds_s : a lag and a second one (0 for none). thetas_s : every pair of lags with one is a node.
+    basis : shape (lags, 3, rows), orthonormal, of bias, start and trend. free : shape (lags, rows), pv without them.
+    """
+
+    lags_s: FloatArray
+    seconds_s: FloatArray
+    thetas_s: FloatArray
+    rows: slice
+    basis: FloatArray
+    free: FloatArray
+
+    @classmethod
+    def of(cls, record: Record, period_s: float) -> "Nodes":
+        """The nodes for a record with a swing."""
+        lags = [(lag * period_s, second * period_s) for lag, second in LAGS_PER_PERIOD]
+        return cls._made(record, _rows(record, period_s), lags, [share * period_s for share in THETAS_PER_PERIOD])
+
+    def near(self, record: Record, lags_s: tuple[float, float], theta_s: float, period_s: float) -> "Nodes":
+        """Nodes round one of them."""
+        lags = [(lags_s[0] * f, lags_s[1] * f) for f in NEAR_LAGS]
+        return Nodes._made(record, self.rows, lags, [theta_s + more * period_s for more in NEAR_THETAS])
+
+    @classmethod
+    def _made(cls, record: Record, rows: slice, lags: list[tuple[float, float]], thetas: list[float]) -> "Nodes":
+        dt = record.sample_time_s
+        t, pv = record.t_s[rows], record.pv[rows]
+        longest = [max(lag, dt) for lag, _ in lags]
+        basis = []
+        for lag in longest:
+            start = Dynamics(0.0, 1 / lag).step(t - t[0] + dt)
+            basis.append(np.linalg.qr(np.stack([np.ones_like(t), start / start[-1], t / t[-1]], axis=1))[0].T)
+        free = [pv - q.T @ (q @ pv) for q in basis]
+        seconds = np.array([second if second > dt else 0.0 for _, second in lags])
+        late = np.array(sorted({max(theta, dt / 2) for theta in thetas}))
+        return cls(np.array(longest), seconds, late, rows, np.array(basis), np.array(free))
+
+    def at(self, node: int) -> tuple[tuple[float, float], float]:
+        """Lags and dead time of a node."""
+        lag, theta = divmod(node, len(self.thetas_s))
+        return (float(self.lags_s[lag]), float(self.seconds_s[lag])), float(self.thetas_s[theta])
+
+    def started(self, node: int, gain: float) -> tuple[ProcessType, FloatArray]:
+        """Structure and parameters of a node. gain : slope of its first lag."""
+        (lag, second), theta = self.at(node)
+        if not second:
+            return ProcessType.FOPDT, np.log([gain, theta, lag])
+        total = lag + second
+        return ProcessType.SOPDT, np.log([gain * lag / total, theta, total, lag * second / total])
+
+
+def _rows(record: Record, period_s: float) -> slice:
+    """The rows that the coarse scan looks at: thinned, and without the time in which the valve's start still tells."""
+    n = len(record.pv)
+    first = int(UNKNOWN_START * period_s / record.sample_time_s)
+    return slice(first if first < n // 3 else 0, None, -(-n // MOST_ROWS))
+
+
+def _through(record: Record, valves: list[StuckValve], nodes: Nodes) -> tuple[FloatArray, FloatArray]:
+    """Sum of squares and slope gain with every valve's position as input, shape (valves, nodes)."""
+    many = len(nodes.lags_s) * len(nodes.thetas_s)
+    left, gain = np.full((len(valves), many), np.inf), np.zeros((len(valves), many))
+    for i, valve in enumerate(valves):
+        moved = _moved(record, valve)
+        late = [_lagging(record, moved, second) for second in nodes.seconds_s.tolist()] if np.ptp(moved) > 0 else []
+        for j in range(many) if late else ():
+            lag, theta = divmod(j, len(nodes.thetas_s))
+            q, y = nodes.basis[lag], nodes.free[lag]
+            through = Dynamics(0.0, 1 / float(nodes.lags_s[lag]))
+            column = through.held(record.clock, late[lag], float(nodes.thetas_s[theta]))[nodes.rows]
+            gain[i, j], left[i, j] = _projected(y, column, column - q.T @ (q @ column))
+    return left, gain
+
+
+def _lagging(record: Record, moved: FloatArray, lag_s: float) -> FloatArray:
+    """A valve's position through a lag, held from sample to sample; itself where there is none."""
+    return Dynamics(0.0, 1 / lag_s).held(record.clock, moved, 0.0) / lag_s if lag_s else moved
+
+
+def _projected(y: FloatArray, column: FloatArray, free: FloatArray) -> tuple[float, float]:
+    """Coefficient of a column and what it leaves of y. free : the column without what else explains y."""
+    size, whole = float(free @ free), float(y @ y)
+    if not size > NOTHING_NEW * float(column @ column):
+        return 0.0, whole
+    gain = float(y @ free) / size
+    return gain, whole - gain**2 * size
+
+
+def _moved(record: Record, valve: StuckValve) -> FloatArray:
+    """Position of the valve, counted from its first value."""
+    engine = compiled()
+    if engine is not None:
+        travelled: FloatArray = engine.valve_travel(valve.numbers(), record.co)
+        return travelled
+    position = valve.position(record.co)
+    return np.asarray(position - position[0], dtype=np.float64)
+
+
+def _refined(misfit: Misfit, valve: StuckValve, x: FloatArray) -> Sticking:
+    """One valve with its process refined."""
+    return Sticking(valve, judged(refine(replace(misfit, co=_moved(misfit.record, valve)), x)))
+
+
+def _with_lag(at: Sticking) -> Sticking:
+    """The same with a second lag, where that pays."""
+    if at.fit.fit.misfit.type != ProcessType.FOPDT:
+        return at
+    richer = judged(with_second_lag(at.fit.fit, ProcessType.SOPDT, [], 1))
+    return replace(at, fit=richer) if richer.criterion < at.fit.criterion else at
+
+
+def _fine(at: Sticking) -> Sticking:
+    """Neighbouring bands, jumps and starts with the process held, then refined from the best of them."""
+    fit: Fit = at.fit.fit
+    best, (cost,) = at.valve, _costs(fit, [at.valve])
+    for around in (_starts, _bands, _jumps, _sticks):
+        valves = around(best)
+        for valve, tried in zip(valves, _costs(fit, valves), strict=True):
+            if tried < cost:
+                best, cost = valve, tried
+    if best is at.valve:
+        return at
+    return _refined(fit.misfit, best, fit.p)
+
+
+def _costs(fit: Fit, valves: list[StuckValve]) -> list[float]:
+    """Sum of squares with lags and dead time held, and the gain, which another band changes, free as well."""
+    misfit, record, engine = fit.misfit, fit.misfit.record, compiled()
+    if engine is not None:
+        costs: list[float] = engine.valve_costs(misfit, fit.p, [v.numbers() for v in valves])
+        return costs
+    columns, _ = misfit.columns(fit.p)
+    size = np.abs(np.diag(np.linalg.qr(columns)[1]))
+    q, _ = np.linalg.qr(columns[:, size > USEFUL * np.max(size)])
+    y = record.pv - q @ (q.T @ record.pv)
+    found = []
+    for valve in valves:
+        moved = replace(misfit, co=_moved(record, valve)).moved(fit.p)
+        found.append(_projected(y, moved, moved - q @ (q.T @ moved))[1])
+    return found
+
+
+def _starts(valve: StuckValve) -> list[StuckValve]:
+    near = {min(max(valve.start + step, -1.0), 1.0) for step in FINE_STARTS}
+    return [replace(valve, start=start) for start in sorted(near.union(STARTS)) if start != valve.start]
+
+
+def _bands(valve: StuckValve) -> list[StuckValve]:
+    return [replace(valve, stick=valve.stick * f, jump=valve.jump * f) for f in FINE]
+
+
+def _sticks(valve: StuckValve) -> list[StuckValve]:
+    most = 2.0 if valve.family == Family.KANO else 1.0
+    return [replace(valve, stick=valve.stick * f) for f in FINE if valve.jump <= most * valve.stick * f]
+
+
+def _jumps(valve: StuckValve) -> list[StuckValve]:
+    most = 2.0 if valve.family == Family.KANO else 1.0
+    return [replace(valve, jump=min(max(valve.jump, 0.05 * valve.stick) * f, most * valve.stick)) for f in FINE]
