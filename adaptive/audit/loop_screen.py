@@ -35,6 +35,7 @@ from retuner.adaptive.indexes.condition import (
     escapes,
 )
 from retuner.adaptive.indexes.recording_quality import quantum
+from retuner.adaptive.indexes.setpoint_responses import idle_index
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -65,7 +66,8 @@ class LoopScreen:
     for none. compression : of pv by its recorder, 1 for none. period_s, regularity, strength : of the strongest lasting
     oscillation, None and 0 where there is none. swinging : share of the stretches looked at in which it lasts.
     condition : of the whole record. setpoint : whether one is on record; without, the mean of pv stands in, and
-    OF_THE_ERROR are not known.
+    OF_THE_ERROR are not known. idle : index of parts with constant setpoint, near 1 where the controller waits for
+    the process; None where too little stands out of the noise.
     """
 
     samples: int
@@ -89,6 +91,7 @@ class LoopScreen:
     swinging: float
     condition: Condition
     setpoint: bool = True
+    idle: float | None = None
 
     def to_dict(self) -> dict[str, object]:
         """The numbers by name; None for what is not known."""
@@ -99,18 +102,15 @@ class LoopScreen:
 def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool = True) -> LoopScreen:
     """Screen a whole record.
 
-    Parameters
-    ----------
     record : of any length. delay_s : dead time of the loop where it is known. setpoint : whether its sp is one, and no
-        mean of pv that stands in.
+    mean of pv that stands in.
     """
     n, parts = len(record.t_s), in_parts(record)
-    usual_s, step = float(np.median(np.diff(parts.t_s))), quantum(parts.pv)
-    pv_noise, co_noise = noise_sigma(parts.pv), noise_sigma(parts.co)
-    sums = record_sums(record, _measure(n, usual_s, co_noise))
+    usual_s, step, noise = parts.sample_time_s, quantum(parts.pv), (noise_sigma(parts.pv), noise_sigma(parts.co))
+    sums = record_sums(record, _measure(n, usual_s, noise[1]))
     limits, days = [side for side in (sums.low, sums.high) if sums.limit(n, side)], sums.held_s / DAY_S
     swing = lasting_swing(record.sp - record.pv, record.co) or LastingSwing(NO_WAVE, 0.0)
-    traits = _traits(record, sums, (pv_noise, co_noise), limits)
+    traits = _traits(record, sums, noise, limits)
     return LoopScreen(
         samples=n,
         span_s=sums.held_s,
@@ -124,7 +124,7 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         loss_at_limits=sum(side.size for side in limits) / sums.size if sums.size > 0 else 0.0,
         one_sided=_one_sided(limits),
         harris=_harris(sums.covariance, MOST_LIKELY_DELAY if delay_s is None else max(round(delay_s / usual_s), 1)),
-        noise_share=min(pv_noise**2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
+        noise_share=min(noise[0] ** 2 / sums.pv_variance, 1.0) if sums.pv_variance > 0 else 0.0,
         quantum=step,
         compression=1.0 if step or traits.dead_pv else n / (n - min(sums.straight, n - 1)),
         period_s=swing.wave.period * usual_s or None,
@@ -133,10 +133,11 @@ def screen_loop(record: Window, delay_s: float | None = None, *, setpoint: bool 
         swinging=swing.share,
         condition=condition_of(traits, oscillates=swing.share > 0).condition,
         setpoint=setpoint,
+        idle=_idle(parts),
     )
 
 
-OF_THE_ERROR = ("error_std", "iae_per_day", "loss_at_limits", "one_sided", "harris")
+OF_THE_ERROR = ("error_std", "iae_per_day", "loss_at_limits", "one_sided", "harris", "idle")
 OF_TIME = (
     "iae_per_day", "effort_per_day", "reversals_per_day", "in_automatic", "at_limits", "harris", "noise_share",
     "quantum", "compression", "swinging",
@@ -192,6 +193,20 @@ def in_parts(record: Window) -> Window:
     begins = np.linspace(0, n - BLOCK, BLOCKS).astype(int)
     rows = (begins[:, None] + np.arange(BLOCK)).ravel()
     return Window(record.t_s[rows], record.sp[rows], record.pv[rows], record.co[rows])
+
+
+def _idle(parts: Window) -> float | None:
+    """Idle index of the parts in which the setpoint stands, one after the other.
+
+    The process acts as its controller assumes: from sample to sample co moves with the error, as noise and loads do.
+    """
+    direction = int(np.sign(np.diff(parts.co) @ np.diff(parts.sp - parts.pv)))
+    begins = range(0, len(parts.t_s), BLOCK)
+    still = [slice(i, i + BLOCK) for i in begins if np.ptp(parts.sp[i : i + BLOCK]) == 0]
+    if not still or not direction:
+        return None
+    pv, co = (np.concatenate([signal[rows] for rows in still]) for signal in (parts.pv, parts.co))
+    return idle_index(pv, co, direction, AVERAGED) if len(pv) > 2 * AVERAGED else None
 
 
 def _in_automatic(samples: int, sums: RecordSums, limits: Sequence[AtExtreme]) -> float:

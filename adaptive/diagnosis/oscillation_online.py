@@ -11,7 +11,7 @@ cure: what a rival explains teaches the model nothing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
@@ -168,5 +168,14 @@ def hidden_cause(
     verdict = against_rivals(found[0], seen, settings).verdict
     if verdict is None:
         return None, None
+    if verdict.cause == Cause.EXTERNAL and not seen.oscillates:
+        return replace(verdict, reason=RANDOM.format(**verdict.evidence)), None
     period_s = seen.period_s or response.period_s or length_s
     return verdict, Standing(verdict.cause, period_s, response.t_end_s, verdict.reason)
+
+
+RANDOM = (
+    "loads from outside move this loop without a regular period: the model leaves {linear_left:.1f} times the noise; a "
+    "larger setpoint step, or setpoint bumps to and fro, would show the process"
+)
+"""The reason where a tone explains what the model leaves, but nothing swings regularly: any waves fit a random load."""

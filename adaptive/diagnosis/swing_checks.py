@@ -19,7 +19,7 @@ from retuner.adaptive.loop.margins import margins
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample
-from retuner.adaptive.trial.batch_responses import Loop, Upset, traces
+from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
 from retuner.adaptive.trial.response_numbers import peaks_of, swing
 from retuner.schedule.gains import PidGains
 
@@ -86,7 +86,7 @@ def _crossover(model: ProcessModel, gains: PidGains) -> tuple[float, float]:
 # A loop that came to rest is not unstable, and one that swings is not sluggish.
 #
 #     e1, e2, e3    peaks of the model's response under the gains in force, in units of the first
-#     refuted       the error came to rest, and no third peak was seen that should have stood out of the noise
+#     refuted       the error came to rest, and no third peak was seen that should have stood out of the noise by then
 #                   three peaks were seen, and the last is far smaller than the model's
 #     not sluggish  successive peaks in a ratio of more than `sluggish_decay`, and none such that the model foretells
 #
@@ -109,13 +109,17 @@ def not_seen(
         setpoint and filter of the derivative, s.
     """
     seen = [abs(peak.e) for peak in response.peaks]
-    said = [abs(e) for e in _foretold(response, model, in_force, b, tau_f_s)]
+    trace = _traced(response, model, in_force, b, tau_f_s)
+    said = [abs(e) for e in peaks_of(trace.e)[:THIRD]]
     if not seen or len(said) < THIRD or not said[0]:
         return ""
     second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
     least = settings.unseen_bands * response.band
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
-        missing = response.ending == Ending.QUIET and min(second, third) > least
+        looked = trace.e[: int((response.t_end_s - response.t_start_s) / trace.step_s) + 1]
+        by_then = peaks_of(looked)[THIRD - 1 : THIRD]  # a slow swing may pass its band for longer than rest takes
+        due = abs(by_then[0]) / said[0] * seen[0] if by_then else 0.0
+        missing = response.ending == Ending.QUIET and min(second, due) > least
         return f"{_says(third)}, and the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""
@@ -139,8 +143,13 @@ def swings_anyway(
 
 def _foretold(response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float) -> list[float]:
     """The first peaks of the error after an upset like this one, by the model."""
+    return peaks_of(_traced(response, model, in_force, b, tau_f_s).e)[:THIRD]
+
+
+def _traced(response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float) -> Trace:
+    """The error after an upset like this one, by the model."""
     upset = Upset(setpoint=1.0) if response.sp_changed else Upset(load_step=1.0)
-    return peaks_of(traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0].e)[:THIRD]
+    return traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0]
 
 
 def _says(third: float) -> str:

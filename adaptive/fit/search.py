@@ -192,9 +192,14 @@ def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: 
 
 
 def _insert(smaller: Fit, type_: ProcessType, x: FloatArray, c2: float) -> FloatArray:
-    """p of the bigger structure from x of the smaller one and a second lag."""
-    rest = smaller.p[SIZE[smaller.misfit.type] :]
-    return np.concatenate([x[: SECOND[type_]], [math.log(c2)], rest])
+    """p of the bigger structure from x of the smaller one and a second lag.
+
+    What comes through the lag comes later: a load step, whose time is free, must have come as much earlier. Without
+    that, every split of the dead time but none at all looks bad beside a load.
+    """
+    size, loads = SIZE[smaller.misfit.type], smaller.misfit.loads
+    times = np.maximum(smaller.p[size : size + loads] - c2, 0.0)
+    return np.concatenate([x[: SECOND[type_]], [math.log(c2)], times, smaller.p[size + loads :]])
 
 
 def _splits(smaller: Fit, type_: ProcessType) -> list[FloatArray]:

@@ -36,6 +36,7 @@ from retuner.adaptive.identification.estimate import (
 )
 from retuner.adaptive.identification.plausible import Plausible, plausible
 from retuner.adaptive.identification.structure_choice import ChoiceSettings, candidates
+from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -49,7 +50,7 @@ class FitSettings:
     most_samples : longer records are condensed to this many; 200 to 10000, default 1500 (a fit then takes well under a
         second, and the rest of the information is noise averaged away).
     gain_std_limit : largest standard deviation of ln |C|, the controller that follows, with which settings may be
-        given; 0.05 to 1, default 0.2 (SIMC at tau_c = theta has a gain margin of 3, so two such deviations leave a
+        given; 0.05 to 1, default 0.25 (SIMC at tau_c = theta has a gain margin of 3, so two such deviations leave a
         factor of 2).
     lag_std_limit : the same of ln(tau) where tau decides (theta < tau < 8 theta); default 0.7.
     explained_limit : smallest share of pv's variance that must be explained; default 0.5.
@@ -68,7 +69,7 @@ class FitSettings:
 
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     most_samples: int = 1500
-    gain_std_limit: float = 0.2
+    gain_std_limit: float = 0.25
     lag_std_limit: float = 0.7
     explained_limit: float = 0.5
     hopeless: float = 1.5
@@ -288,7 +289,9 @@ def _alternative(candidate: Candidate, prior: Prior | None) -> Alternative:
     inflation = inflation_of(fit)
     information, score = _compress(fit.misfit.jacobian(fit.at) / inflation, fit.at.r / inflation, fit.p, d)
     precision = information.T @ information
-    precision = precision + (_broad(d) if prior is None else prior.root.T @ prior.root)
+    known = usual(fit.misfit.type, fit.x) if prior is None else prior
+    precision = precision if known is None else precision + known.root.T @ known.root
+    precision = precision + _broad(d) if prior is None else precision
     covariance = proper_covariance(np.asarray(np.linalg.inv(precision), dtype=np.float64))
     log = LogModel(fit.x.copy(), covariance, fit.misfit.sign, fit.misfit.type)
     n = len(record.pv)

@@ -5,6 +5,9 @@
     load          one more load step, where the remainder asks for it most
     without       one load step less
     round         the loads come through a lag of their own (no real load steps, and a load record is mostly its shape)
+    plain         no drift, no such lag: what was taken in early may be needless by now
+    merge         two load steps as one that comes through a lag
+    elsewhere     one load step at another place
 
 Loads found greedily before anything else are often a cover for drift or for a missing lag, so every load must survive
 being left out after the rest has been refined.
@@ -32,6 +35,8 @@ MOST_MOVES = 14
 """Moves tried from one seed at the most."""
 MOVE_EVALUATIONS = 25
 """Evaluations of the misfit in one move; a move that needs more is no small one."""
+FEW_EVALUATIONS = 6
+"""Evaluations after which it shows where a load step is missing."""
 LEAST_GAIN = 1e-3
 """A move must lower the criterion by this."""
 START_ROUNDING = 3.0
@@ -70,8 +75,11 @@ def improved(seed: Candidate, most_loads: int, seen: Seen, most: int = MOST_MOVE
 
 def _moves(at: Candidate, most_loads: int) -> list[Move]:
     """The moves in order; each is asked where the walk stands by then."""
-    dropped = [partial(_without_load, which=j) for j in reversed(range(at.fit.misfit.loads))]
-    return [_whitened, _with_ramp, *dropped, partial(_with_load, most=most_loads), _with_rounding]
+    each = list(reversed(range(at.fit.misfit.loads)))
+    dropped = [partial(_without_load, which=j) for j in each]
+    moved = [partial(_load_elsewhere, which=j) for j in each]
+    plainer: list[Move] = [_merged, _without_ramp, _without_rounding]
+    return [_whitened, _with_ramp, *dropped, partial(_with_load, most=most_loads), _with_rounding, *plainer, *moved]
 
 
 def _whitened(at: Candidate) -> Proposal | None:
@@ -101,6 +109,48 @@ def _with_rounding(at: Candidate) -> Proposal | None:
     after = SIZE[misfit.type] + misfit.loads
     lag = np.log(START_ROUNDING * misfit.record.sample_time_s)
     return replace(misfit, rounded=True), np.concatenate([p[:after], [lag], p[after:]])
+
+
+def _without_ramp(at: Candidate) -> Proposal | None:
+    """Without the drift that something found since may have made needless."""
+    return (replace(at.fit.misfit, ramp=False), at.fit.p) if at.fit.misfit.ramp else None
+
+
+def _without_rounding(at: Candidate) -> Proposal | None:
+    """With loads that are steps again; a step comes as much later as the lag was long."""
+    misfit, p, d = at.fit.misfit, at.fit.p, SIZE[at.fit.misfit.type]
+    if not misfit.rounded:
+        return None
+    times = np.minimum(p[d : d + misfit.loads] + math.exp(p[d + misfit.loads]), misfit.record.span_s)
+    return replace(misfit, rounded=False), np.concatenate([p[:d], times, p[d + misfit.loads + 1 :]])
+
+
+def _merged(at: Candidate) -> Proposal | None:
+    """The two load steps that follow each other most closely as one that comes through a lag."""
+    misfit, p, d = at.fit.misfit, at.fit.p, SIZE[at.fit.misfit.type]
+    if misfit.loads < 2:
+        return None
+    times = np.sort(p[d : d + misfit.loads])
+    first = int(np.argmin(np.diff(times)))
+    lag = max(times[first + 1] - times[first], misfit.record.sample_time_s) / 2
+    rest = p[d + misfit.loads + int(misfit.rounded) :]
+    one = replace(misfit, loads=misfit.loads - 1, rounded=True)
+    return one, np.concatenate([p[:d], np.delete(times, first + 1), [math.log(lag)], rest])
+
+
+def _load_elsewhere(at: Candidate, which: int) -> Proposal | None:
+    """A load step taken out, and put where what is left then asks for it most."""
+    misfit, d = at.fit.misfit, SIZE[at.fit.misfit.type]
+    if misfit.loads < 2 or which >= misfit.loads:  # a single one is looked for everywhere by the coarse search
+        return None
+    without = replace(misfit, loads=misfit.loads - 1)
+    left = judged(refine(without, np.delete(at.fit.p, d + which), evaluations=FEW_EVALUATIONS))
+    found = _with_load(left, misfit.loads)
+    if found is None:
+        return None
+    after = float(found[1][d + misfit.loads - 1])
+    near = abs(after - float(at.fit.p[d + which])) < misfit.record.span_s / SCAN
+    return None if near else found
 
 
 def _without_load(at: Candidate, which: int) -> Proposal | None:

@@ -19,6 +19,7 @@ from retuner.adaptive.fit.refine import Fit, Prior, bounds, pinned, refine
 from retuner.adaptive.fit.search import long_lag
 from retuner.adaptive.fit.structure import SECOND, SIZE, THETA, model_at
 from retuner.adaptive.identification.candidate import Candidate, Priors
+from retuner.adaptive.identification.usual_dead_time import unusual, usual
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -118,7 +119,7 @@ def _valley(fit: Fit, priors: Priors, at: float) -> list[Plausible]:
                 break
             start = p.copy()
             start[THETA] = math.log(value)
-            held = pinned(d, THETA, math.log(value), prior)
+            held = pinned(d, THETA, math.log(value), usual(type_, start) if prior is None else prior)
             p = refine(fit.misfit, start, held, VALLEY_EVALUATIONS).p
             excess = _deviance(fit.misfit, p, prior) - at
             if excess > MOST_EXCESS:
@@ -139,5 +140,6 @@ def _with_loads(jacobian: FloatArray, step: FloatArray) -> FloatArray:
 
 def _deviance(misfit: Misfit, p: FloatArray, prior: Prior | None) -> float:
     """Misfit squared with the prior's share."""
-    known = prior.residuals(p[: SIZE[misfit.type]]) if prior is not None else np.zeros(0)
-    return misfit.costs([p])[0] + float(known @ known)
+    x = p[: SIZE[misfit.type]]
+    known = float(np.sum(prior.residuals(x) ** 2)) if prior is not None else unusual(misfit.type, x) ** 2
+    return misfit.costs([p])[0] + known

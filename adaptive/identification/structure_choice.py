@@ -20,6 +20,7 @@ from retuner.adaptive.fit.search import long_lag, starts, with_second_lag
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.loads import improved
+from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -91,7 +92,9 @@ def _on(record: Record, found: Candidate) -> Candidate:
         again = judged(refine(replace(misfit, record=record, ar=(), sigma=record.noise_std), p))
         p, left = again.fit.p, again.colour
     white = replace(misfit, record=record, ar=left.ar, sigma=left.std)
-    return judged(refine(white, p, enough=EXACT))
+    fit = refine(white, p, enough=EXACT)
+    known = usual(misfit.type, fit.x)
+    return judged(fit) if known is None else judged(refine(white, fit.p, known, enough=EXACT), known)
 
 
 def _seeds(rivals: list[Candidate]) -> list[Candidate]:
@@ -128,7 +131,7 @@ def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit
         first = _best(misfit(FIRST, loads), points)
         with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
         found += [integrating, first, with_lag]
-        found.append(with_second_lag(first, SECOND, [with_lag], 1 + (loads == 0)))
+        found.append(with_second_lag(first, SECOND, [with_lag], 3))
     drifting = partial(replace, ramp=True)
     return [*found, *_drifting(drifting(misfit(FIRST, 0)), drifting(misfit(INTEGRATING, 0)), seeds[0])]
 
@@ -143,7 +146,7 @@ def _drifting(lag: Misfit, slope: Misfit, points: list[FloatArray]) -> list[Fit]
     first = _best(lag, points)
     integrating = refine(slope, starts(slope, 0, 1)[0][0])
     with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
-    return [first, with_second_lag(first, SECOND, [with_lag], 1), integrating, with_lag]
+    return [first, with_second_lag(first, SECOND, [with_lag], 3), integrating, with_lag]
 
 
 def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:

@@ -16,7 +16,6 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -114,7 +113,7 @@ class _Responses:
         backwards = x[::-1]
         sums = np.cumsum(backwards)
         if self.lag:
-            sums -= lfilter([1.0], [1.0, -np.exp(-1 / self.lag)], backwards)
+            sums -= _faded(backwards, float(np.exp(-1 / self.lag)))
         return np.asarray(sums[::-1][1:])
 
     def squares(self) -> FloatArray:
@@ -124,6 +123,15 @@ class _Responses:
     def _response(self, since: npt.NDArray[np.intp]) -> FloatArray:
         """The response so many rows after a jump."""
         return -np.expm1(-since / self.lag) if self.lag else np.ones(since.shape)
+
+
+def _faded(x: FloatArray, share: float) -> FloatArray:
+    """y_i = x_i + share y_(i-1), shape (n,): sums over 1, 2, 4, ... samples, each twice as long as the one before."""
+    y, many = x.copy(), 1
+    while many < len(y) and share > 0:
+        y[many:] = y[many:] + share * y[:-many]
+        many, share = 2 * many, share * share
+    return y
 
 
 def _with_lag(pv: FloatArray, lag: float, sigma: float) -> Steps:

@@ -146,7 +146,10 @@ def _ends(loop: OpenLoop) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def _peak(size: Callable[[FloatArray], FloatArray], w: FloatArray, *limits: float) -> float:
-    """Largest value of size(w): the highest local peaks of the points, refined, and the limits at the ends."""
+    """Largest value of size(w): the highest local peaks of the points, refined, and the limits at the ends.
+
+    Infinite where a value is not a number: Python's max passes over one, and what cannot be told would be robust.
+    """
     values = size(w)
     inner = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] >= values[2:])) + 1
     highest = inner[np.argsort(values[inner])[::-1][:PEAKS_LOOKED_AT]]
@@ -159,7 +162,7 @@ def _peak(size: Callable[[FloatArray], FloatArray], w: FloatArray, *limits: floa
             fine = low * (high / low) ** ZOOM_SHARES  # np.geomspace looks at its arguments for longer than it computes
             heights = size(fine)
         found.append(float(np.max(heights)))
-    return max(found)
+    return math.inf if any(map(math.isnan, found)) else max(found)
 
 
 def _gain_margin(loop: OpenLoop, crossings: list[float]) -> tuple[float, float]:

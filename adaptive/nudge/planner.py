@@ -155,6 +155,7 @@ class NudgePlanner:
         self._sp = self._before = self._from = self._to = self._since_s = self._sent_s = 0.0
         self._up, self._told_small, self._left = True, False, False
         self._seen = self._outside = self._more = 0
+        self._rested = False
         self._hold_s = math.inf
 
     @property
@@ -165,7 +166,7 @@ class NudgePlanner:
     def evidence(self, t_s: float) -> None:
         """Something has shown the process: the waiting begins anew."""
         self._quiet_since_s = t_s
-        self._seen = self._outside = 0
+        self._seen, self._outside, self._rested = 0, 0, False
 
     def look(self, sample: LoopSample, around: LoopAround) -> NudgeNews | None:
         """Take a sample; what it leads to, if anything."""
@@ -176,8 +177,7 @@ class NudgePlanner:
         self._since_s = min(self._since_s, sample.t_s)
         moved = sample.sp != self._sp
         self._sp = sample.sp
-        self._seen += 1
-        self._outside += abs(sample.sp - sample.pv) > around.band
+        self._count(sample, around)
         if self.phase is NudgePhase.WATCHING:
             if moved:
                 self.evidence(sample.t_s)
@@ -237,6 +237,15 @@ class NudgePlanner:
         calm = near and (around.at_rest or self._restless)
         ready = sample.mode == LoopMode.AUTO and not sample.limited and self.settings.is_time(around.hour)
         return bool(around.wanted) and large and calm and ready
+
+    def _count(self, sample: LoopSample, around: LoopAround) -> None:
+        """Whether a sample is outside the noise band; what the evidence itself has left is passed over."""
+        assert self._quiet_since_s is not None
+        half_s = self.settings.after_h * SECONDS_PER_HOUR / 2
+        self._rested = self._rested or around.at_rest or sample.t_s - self._quiet_since_s > half_s
+        if self._rested:
+            self._seen += 1
+            self._outside += abs(sample.sp - sample.pv) > around.band
 
     @property
     def _restless(self) -> bool:

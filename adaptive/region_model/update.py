@@ -166,7 +166,7 @@ def update_region_model(
     sign = in_force.direction
     fits = Fits(window, (sign,), fit)
     record = NewRecord(window, fits.free, _estimate(fits, in_force, settings, fit), at, settings, fit)
-    if record.alone.explained < fit.explained_limit or record.alone.is_contested(fit.apart_limit):
+    if not teaches(record.alone, fit):
         kept = region_model if region_model is not None and region_model.records else None
         return Learned(kept, record.alone, Agreement.SILENT, 0.0)
     if region_model is None or region_model.log.sign != sign:
@@ -178,6 +178,11 @@ def update_region_model(
     if not region_model.records or (record.alone.identifiable and not _holds(region_model, record)):
         return _first(record, region_model.known if region_model.identifiable and region_model.records else None)
     return _contradicted(region_model, record, posterior.innovation, points, in_force)
+
+
+def teaches(alone: ModelEstimate, fit: FitSettings) -> bool:
+    """Whether a record shows the process at all, and no model without load steps explains it in another way."""
+    return alone.explained >= fit.explained_limit and not alone.is_contested(fit.apart_limit)
 
 
 def _estimate(fits: Fits, in_force: PidGains, settings: TrackerSettings, fit: FitSettings) -> ModelEstimate:

@@ -4,7 +4,8 @@ No equation is quite a plant's, no curve quite its own, and what is wrong with e
 were another there: a lag twice too long on the way up and too short on the way down. So the stretches are allowed to
 differ, ln p = curve + d_j with d_j ~ N(0, V), V diagonal, and V is what makes what is left likeliest:
 
-    ln L(V) = sum_j  1/2 g_j' (V^-1 + I_j)^-1 g_j - 1/2 ln det(I + V I_j),   g_j = -A_j' r_j / c,  I_j = A_j' A_j / c
+    ln L(V) = sum_j  1/2 g_j' (V^-1 + I_j)^-1 g_j - 1/2 ln det(I + V I_j)
+    g_j = -A_j' r_j / c,  I_j = A_j' A_j / c
 
 with A_j = dr_j/d(ln p) of a whole stretch (random effects: Laird and Ware 1982). What the stretches say together is
 then a parabola of the coefficients, that of curves through local models which differ by V, instead of one that believes

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from retuner.adaptive.schedule_design.places import DesignLimits, Place
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -109,39 +111,54 @@ Knot = tuple[int, PidGains]
 
 def knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | None:
     """The fewest knots; None when `most` do not suffice."""
-    usable = [(i, _times(p.own, factor)) for i, p in enumerate(places) if p.known for factor in CALMER]
-    usable = [(i, gains) for i, gains in usable if places[i].keeps(gains, limits)]
-    known: dict[tuple[Knot, Knot], bool] = {}
+    rows = [_row(places, factor, limits) for factor in CALMER]
+    reached: dict[Knot, list[Knot]] = {}
     ways: list[tuple[Knot, ...]] = [
-        (knot,) for knot in usable if all(p.keeps(knot[1], limits) for p in places[: knot[0]])
+        (knot,) for row in rows for knot in row if all(p.keeps(knot[1], limits) for p in places[: knot[0]])
     ]
     for _ in range(most):
         for way in ways:
             i, gains = way[-1]
             if all(p.keeps(gains, limits) for p in places[i + 1 :]):
-                return _knotted(places, way)
-        ways = _longer(places, usable, ways, limits, known)
+                layout = _knotted(places, way)
+                if layout is not None:
+                    return layout
+        for end in {way[-1] for way in ways} - reached.keys():
+            reached[end] = [knot for row in rows for knot in _within_reach(places, end, row, limits)]
+        ways = _longer(places, ways, reached)
     return None
 
 
+def _row(places: Sequence[Place], factor: float, limits: DesignLimits) -> list[Knot]:
+    """The known places with their own gains times a factor, where these keep the limits."""
+    found = [(i, _times(p.own, factor)) for i, p in enumerate(places) if p.known]
+    return [(i, gains) for i, gains in found if places[i].keeps(gains, limits)]
+
+
+NEARER = 4
+"""Places short of the farthest that are tried as well: edges must fit between knots."""
+
+
+def _within_reach(places: Sequence[Place], end: Knot, row: Sequence[Knot], limits: DesignLimits) -> list[Knot]:
+    """The knots of a row to which a way from `end` is open: the farthest, found by bisection, and some nearer ones."""
+    ahead = [knot for knot in row if knot[0] > end[0]]
+    low, high = -1, len(ahead)  # open up to low, closed from high on
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if _open(places, end, ahead[middle], limits) else (low, middle)
+    nearer = ahead[max(low - NEARER, 0) : max(low, 0)]
+    return [*(knot for knot in nearer if _open(places, end, knot, limits)), *ahead[max(low, 0) : low + 1]]
+
+
 def _longer(
-    places: Sequence[Place],
-    usable: Sequence[Knot],
-    ways: Sequence[tuple[Knot, ...]],
-    limits: DesignLimits,
-    known: dict[tuple[Knot, Knot], bool],
+    places: Sequence[Place], ways: Sequence[tuple[Knot, ...]], reached: dict[Knot, list[Knot]]
 ) -> list[tuple[Knot, ...]]:
     """Every way one knot farther; to each knot those that leave the edges most room."""
     found: dict[Knot, list[tuple[float, tuple[Knot, ...]]]] = {}
     for way in ways:
-        for knot in usable:
-            room = _room([places[i].x for i, _ in (*way, knot)]) if knot[0] > way[-1][0] else None
-            if room is None:
-                continue
-            pair = (way[-1], knot)
-            if pair not in known:
-                known[pair] = _open(places, *pair, limits)
-            if known[pair]:
+        for knot in reached[way[-1]]:
+            room = _room([places[i].x for i, _ in (*way, knot)])
+            if room is not None:
                 found.setdefault(knot, []).append((room[1] - room[0], (*way, knot)))
     return [way for several in found.values() for _, way in sorted(several, key=lambda one: -one[0])[:KEPT]]
 
@@ -171,6 +188,18 @@ def _room(centres: Sequence[float]) -> tuple[float, float] | None:
     return (low, high) if high - low >= LEAST_PART * (centres[-1] - centres[0]) else None
 
 
+EDGES_TRIED = 39
+"""Places of the lowest edge that are tried: that counts with which the outer edges stand out least."""
+
+
+def _edges(centres: Sequence[float], lowest: float) -> list[float]:
+    """Edges from the lowest on."""
+    edges = [lowest]
+    for c in centres:
+        edges.append(2 * c - edges[-1])
+    return edges
+
+
 def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
     """Edges whose middles are the knots; None where there are none in order."""
     centres = [places[i].x for i, _ in way]
@@ -180,7 +209,7 @@ def _knotted(places: Sequence[Place], way: Sequence[Knot]) -> Layout | None:
     room = _room(centres)
     if room is None:
         return None
-    edges = [sum(room) / 2]
-    for c in centres:
-        edges.append(2 * c - edges[-1])
+    low, high = places[0].x, places[-1].x
+    tried = [_edges(centres, e) for e in np.linspace(*room, EDGES_TRIED + 2).tolist()[1:-1]]
+    edges = min(tried, key=lambda e: max(low - e[0], 0.0) ** 2 + max(e[-1] - high, 0.0) ** 2)
     return Layout(Lookup.INTERPOLATED, tuple(edges), sets, (0.0,) * (len(centres) - 1))

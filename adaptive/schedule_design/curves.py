@@ -78,8 +78,10 @@ class Curves:
         return np.asarray(found, dtype=np.float64)
 
 
-def curves(stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress: Progress) -> Curves:
-    """The curves of some stretches over an axis. sign : of the process gain, where it is known.
+def curves(
+    stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress: Progress, *, pushed: bool = False
+) -> Curves:
+    """The curves of some stretches over an axis. sign : of the process gain, where it is known. pushed : see Form.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def curves(stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress:
         raise ValueError("no stretch of the records is long enough and moves both pv and co: nothing to learn from")
     joint = Joint.of(stretches)
     progress("one process for all", 0.0)
-    first = [_settled(joint, form, np.zeros(form.size), 1) for form in starts(stretches, axis, sign)]
+    first = [_settled(joint, form, np.zeros(form.size), 1) for form in starts(stretches, axis, sign, pushed=pushed)]
     constant = max(first, key=_innovations)
     progress("a second lag", 0.2)
     constants = [constant, _settled(constant[0], *_with_second_lag(constant[1], constant[3].z), 1)]
@@ -131,9 +133,9 @@ def _chosen(rich: Fit, c: float) -> Curves:
 
 
 def _bent(fit: Fit) -> tuple[Form, FloatArray]:
-    """Slope gain, dead time and lag free to bend; a second lag stays what it is everywhere."""
+    """Everything free to bend."""
     _, form, _, now = fit
-    return form.with_shapes([*(Shape.BENT,) * 3, *(Shape.CONSTANT,) * (len(form.shapes) - 3)], now.z)
+    return form.with_shapes((Shape.BENT,) * len(form.shapes), now.z)
 
 
 def _felt(fit: Fit, felt: Characteristic) -> tuple[Form, FloatArray]:
@@ -199,10 +201,11 @@ LOAD_PRICE = 6.0
 
 def _innovations(fit: Fit) -> float:
     """ln likelihood by the size of the innovations, each stretch with its own: what variables are compared by."""
-    joint, _, _, now = fit
+    joint, form, _, now = fit
     noise = noise_of(now.left, 1e-12)
     sizes = np.array([len(x) for x in now.left])
-    return float(-np.sum(sizes * np.log(noise.sigma))) - LOAD_PRICE * sum(map(len, joint.loads)) / 2
+    bought = sum(map(len, joint.loads)) / 2 + (len(sizes) if form.pushed else 0)
+    return float(-np.sum(sizes * np.log(noise.sigma))) - LOAD_PRICE * bought
 
 
 def evidence_of(fit: Fit, c: float) -> float:

@@ -12,7 +12,7 @@ from retuner.adaptive.schedule_design.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.curves import Curves, curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
 from retuner.adaptive.schedule_design.shapes import Axis
-from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of
+from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of, tells, without_gaps
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.table import Lookup
@@ -28,7 +28,9 @@ ROWS = 400
 """Rows wanted in a typical stretch."""
 BEYOND = 0.1
 """Share of what the records visit by which a place may lie outside of it and still count as known."""
-LEAST_TRAVEL = 6.0
+OWN = ("sp", "pv", "co")
+"""Signals of the loop itself; another variable may move pv on its own."""
+LEAST_TRAVEL = 10.0
 """A variable that moves by no more than so many standard deviations of its noise is none."""
 
 
@@ -111,7 +113,8 @@ def design(
         def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
             progress(f"{name}: {stage}", (i + share) / (len(able) + 0.3))
 
-        found[candidate.name] = curves(_stretches(windows, candidate), axis, direction(windows), told)
+        outside = candidate.name not in OWN
+        found[candidate.name] = curves(_stretches(windows, candidate), axis, direction(windows), told, pushed=outside)
     evidence = tuple(_evidence(name, c) for name, c in found.items())
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = next(c for c in able if c.name == best.variable)
@@ -165,7 +168,9 @@ def _stretches(windows: Sequence[Window], candidate: Candidate) -> list[Stretch]
     """All stretches of all records."""
     found: list[Stretch] = []
     for window, values in zip(windows, candidate.values, strict=True):
-        found += moving(cut(signals_of(window, values, _every(window))))
+        every = _every(window)
+        for piece, there in without_gaps(window, values):
+            found += moving(cut(signals_of(piece, there, every)))
     return found
 
 
@@ -187,7 +192,7 @@ def _designed(
     """Places, sets and the numbers of the lookup."""
     dt = float(np.median([w.sample_time_s for w in windows]))
     places = _visited(chosen, [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)])
-    reason = _unexplained(found) or _nowhere_known(places)
+    reason = _at_rest(found) or _unexplained(found) or _nowhere_known(places)
     if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
     layout, j_limit = _affordable(places, limits, lookup)
@@ -210,6 +215,18 @@ def _visited(chosen: Candidate, places: Sequence[Place]) -> tuple[Place, ...]:
     low, high = chosen.span()
     beyond = BEYOND * (high - low)
     return tuple(p if low - beyond <= p.x <= high + beyond else replace(p, known=False) for p in places)
+
+
+def _at_rest(found: Curves) -> str:
+    """Why the records tell nothing at all; empty where pv moves in them."""
+    stretches = found.joint.stretches
+    if any(map(tells, stretches)):
+        return ""
+    noise = max(noise_sigma(s.pv) for s in stretches)
+    return (
+        f"these records tell nothing: pv does not move beyond its noise ({noise:.3g}); "
+        "give records in which the setpoint changes"
+    )
 
 
 def _unexplained(found: Curves) -> str:

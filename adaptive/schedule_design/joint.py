@@ -36,7 +36,8 @@ class Form:
     """What is fitted. shapes : of ln b, ln theta, ln tau and, where there is a second lag, ln tau2.
 
     centre : of the prior of each. sign : of the process gain. axis : see Axis. felt : how co acts; its coefficients
-    stand last in z.
+    stand last in z. pushed : the variable comes from outside and moves pv by itself as well: it enters as a load does,
+    with a size of its own in each stretch.
     """
 
     axis: Axis
@@ -44,6 +45,7 @@ class Form:
     centre: tuple[float, ...]
     sign: int
     felt: Characteristic | None = None
+    pushed: bool = False
 
     @property
     def size(self) -> int:
@@ -116,7 +118,8 @@ class Joint:
 class At:
     """The misfit at one z. r : whitened, scaled, shape (n,). left : pv that is not explained, one array a stretch.
 
-    jacobian : dr/dz, shape (n, size), or None. starts, sizes : slope at the start, and sizes of the loads in co units.
+    jacobian : dr/dz, shape (n, size), or None. starts, sizes : slope at the start, and sizes of the loads in co units,
+    behind them that of the variable's push, where it has one.
     """
 
     z: FloatArray
@@ -171,7 +174,7 @@ def _at_batch(
     now = local_at(form, batch, z[:, None])
     arriving = form.arriving(batch, now, z[:, None])
     y = response(now, arriving, batch.h_s)[..., 0]
-    columns = _columns(batch, loads, now)
+    columns = _columns(batch, loads, now, pushed=form.pushed)
     rs, lefts, bases, starts, sizes = [], [], [], [], []
     for j, stretch in enumerate(batch.stretches):
         n = len(stretch)
@@ -183,7 +186,7 @@ def _at_batch(
         lefts.append(batch.pv[:n, j] - y[:n, j] - columns[j][:n] @ coefficients)
         bases.append(q)
         starts.append(coefficients[1])
-        sizes.append(coefficients[2 : 2 + len(loads[j])])
+        sizes.append(coefficients[2:])
     found = At(z, np.concatenate(rs), tuple(lefts), None, np.array(starts), tuple(sizes))
     if not derivatives:
         return found
@@ -203,8 +206,10 @@ def _jacobian(
     local = local_at(form, batch, variants)
     arriving = form.arriving(batch, local, variants)
     for j, rows in enumerate(loads):
-        for row, size in zip(rows, now.sizes[j], strict=True):
+        for row, size in zip(rows, now.sizes[j][: len(rows)], strict=True):
             arriving[row:, j] += size
+        if form.pushed:
+            arriving[:, j] += now.sizes[j][-1] * batch.pushes[:, j, None]
     start = np.repeat(now.starts[:, None], variants.shape[1], axis=1)
     y = response(local, arriving, batch.h_s, start)
     moved = (y[..., 1:] - y[..., :1]) / STEP
@@ -215,21 +220,23 @@ def _jacobian(
     return np.concatenate(found)
 
 
-def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local) -> list[FloatArray]:
-    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps.
+def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local, *, pushed: bool) -> list[FloatArray]:
+    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps, the push.
 
     Of each load also the one a row later, so that its time need not be a row's.
     """
-    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0)
+    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0) + pushed
     steps = np.zeros((rows - 1, len(batch.stretches), most))
     for j, entered in enumerate(loads):
         for i, row in enumerate(entered, 1):
             steps[row:, j, i] = 1.0
+        if pushed:
+            steps[:, j, 1 + len(entered)] = batch.pushes[:, j]
     start = np.zeros(steps.shape[1:])
     start[:, 0] = 1.0
     y = response(now.repeated(most), steps, batch.h_s, start)
     ones = np.ones((rows, 1))
-    return [np.concatenate([ones, y[:, j, : 1 + len(entered)]], axis=1) for j, entered in enumerate(loads)]
+    return [np.concatenate([ones, y[:, j, : 1 + len(entered) + pushed]], axis=1) for j, entered in enumerate(loads)]
 
 
 def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:

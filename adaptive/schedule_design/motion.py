@@ -67,6 +67,11 @@ class Batch:
         inside = np.stack([np.arange(rows) < len(s) for s in stretches], axis=1)
         return cls(tuple(stretches), pv, x, inside, np.array([s.signals.h_s for s in stretches]))
 
+    @property
+    def pushes(self) -> FloatArray:
+        """How far the variable is from where it was at the start of each stretch, shape (rows - 1, stretches)."""
+        return np.asarray((self.x[1:] + self.x[:-1]) / 2 - self.x[0], dtype=np.float64)
+
     def arriving(
         self, theta_s: FloatArray, characteristic: Characteristic | None = None, z: FloatArray | None = None
     ) -> FloatArray:

@@ -83,6 +83,7 @@ class Place:
     iae: tuple[float, float]
     sample_time_s: float
     _judged: dict[PidGains, Judged] = field(default_factory=dict, repr=False, compare=False)
+    _j: dict[PidGains, float] = field(default_factory=dict, repr=False, compare=False)
 
     def judged(self, gains: PidGains) -> Judged:
         """How a set does here; asked once."""
@@ -101,7 +102,18 @@ class Place:
             return False
         if any(sensitivity_peak(process, gains) > limit for process in self.processes):  # the first is enough
             return False
-        return self.judged(gains).j <= limits.j
+        return self._j_near(gains) <= limits.j
+
+    def _j_near(self, gains: PidGains) -> float:
+        """J of these gains in steps of ROUNDED, asked once: what a search over thousands of sets can pay for."""
+        near = PidGains(*(_rounded(gain) for gain in (gains.kp, gains.ki, gains.kd)))
+        if near not in self._j:
+            setpoint, load = iae(self.model, near, self.sample_time_s) if self._stable(near) else (math.inf, math.inf)
+            self._j[near] = 0.5 * (setpoint / self.iae[0] + load / self.iae[1])
+        return self._j[near]
+
+    def _stable(self, gains: PidGains) -> bool:
+        return math.isfinite(sensitivity_peak(self.processes[0], gains))
 
     def _least_j(self, gains: PidGains) -> float:
         """What J is at the least: an error that never changes its sign has the integral 1/(k ki), of a load 1/ki."""
@@ -120,6 +132,15 @@ class Place:
             return Judged(ms, worst, math.inf)
         setpoint, load = iae(self.model, gains, self.sample_time_s)
         return Judged(ms, worst, 0.5 * (setpoint / self.iae[0] + load / self.iae[1]))
+
+
+ROUNDED = 0.03
+"""Steps of ln of a gain in which J is looked up in a search; a step changes J by about as much."""
+
+
+def _rounded(gain: float) -> float:
+    """To the nearest step."""
+    return math.copysign(math.exp(ROUNDED * round(math.log(abs(gain)) / ROUNDED)), gain) if gain else 0.0
 
 
 def iae(model: ProcessModel, gains: PidGains, sample_time_s: float) -> tuple[float, float]:

@@ -16,9 +16,9 @@ from retuner.adaptive.signals.sample import FloatArray
 
 LEVEL_STD, SLOPE_STD, BEND_STD = 3.0, 0.7, 0.35
 """Of ln p: whole level; either end against the middle (a factor of 4 over the range is one); departure from a line."""
-BENDS = 4
+BENDS = 6
 """Principal components of a bend."""
-KNOTS = 9
+KNOTS = 13
 
 
 class Shape(IntEnum):

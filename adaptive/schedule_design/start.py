@@ -22,10 +22,10 @@ WHITENINGS: tuple[tuple[float, ...], ...] = ((), (0.97,))
 controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
 
 
-def starts(stretches: Sequence[Stretch], axis: Axis, sign: int | None) -> list[Form]:
+def starts(stretches: Sequence[Stretch], axis: Axis, sign: int | None, *, pushed: bool = False) -> list[Form]:
     """Constant processes to start from, one for each whitening; their z is zero, as the prior is centred on it.
 
-    sign : of the process gain, where it is known.
+    sign : of the process gain, where it is known. pushed : see Form.
     """
     chosen = sorted(stretches, key=_excitation, reverse=True)[:MOST_STRETCHES]
     batch = Batch.of(chosen)
@@ -35,14 +35,14 @@ def starts(stretches: Sequence[Stretch], axis: Axis, sign: int | None) -> list[F
     thetas = np.geomspace(0.5 * h, 0.3 * longest, NODES)
     best = [(math.inf, 0.0, 0.0, 0.0)] * len(WHITENINGS)
     for theta in thetas.tolist():
-        for w, found in enumerate(_searched(batch, lags, theta)):
+        for w, found in enumerate(_searched(batch, lags, theta, pushed=pushed)):
             nodes = zip(lags.tolist(), found, strict=True)
             right = [(cost, slope, theta, lag) for lag, (cost, slope) in nodes if sign is None or slope * sign > 0]
             best[w] = min(best[w], *right, (math.inf, 0.0, 0.0, 0.0))
     found_any = [node for node in dict.fromkeys(best) if node[0] < math.inf]
     if not found_any:
         raise ValueError("pv goes against co everywhere, where the controller says otherwise: are the columns right?")
-    return [_constant(axis, *node[1:]) for node in found_any]
+    return [replace(_constant(axis, *node[1:]), pushed=pushed) for node in found_any]
 
 
 def _constant(axis: Axis, slope: float, theta: float, lag: float) -> Form:
@@ -56,7 +56,7 @@ def _excitation(stretch: Stretch) -> float:
     return float(np.ptp(stretch.pv)) / max(noise_sigma(stretch.pv), 1e-12 * float(np.ptp(stretch.pv)) + 1e-300)
 
 
-def _searched(batch: Batch, lags: FloatArray, theta: float) -> list[list[tuple[float, float]]]:
+def _searched(batch: Batch, lags: FloatArray, theta: float, *, pushed: bool) -> list[list[tuple[float, float]]]:
     """Misfit and slope gain for each whitening and lag, at one dead time."""
     shape = (len(batch.pv), len(batch.stretches), len(lags))
     ln_tau = np.broadcast_to(np.log(lags), shape)
@@ -64,17 +64,21 @@ def _searched(batch: Batch, lags: FloatArray, theta: float) -> list[list[tuple[f
     arriving = np.repeat(batch.arriving(np.full((*shape[:2], 1), theta)), len(lags), axis=2)
     moved = response(local, arriving, batch.h_s)
     begun = response(local, np.zeros_like(arriving), batch.h_s, np.ones(shape[1:]))
-    return [[_node(batch, moved[..., i], begun[..., i], ar) for i in range(len(lags))] for ar in WHITENINGS]
+    beside = begun[..., None]
+    if pushed:
+        push = response(local, np.repeat(batch.pushes[..., None], len(lags), axis=2), batch.h_s)
+        beside = np.stack([begun, push], axis=-1)
+    return [[_node(batch, moved[..., i], beside[..., i, :], ar) for i in range(len(lags))] for ar in WHITENINGS]
 
 
-def _node(batch: Batch, moved: FloatArray, begun: FloatArray, ar: Sequence[float]) -> tuple[float, float]:
-    """Misfit and slope gain of one process, start and slope of every stretch solved for."""
+def _node(batch: Batch, moved: FloatArray, beside: FloatArray, ar: Sequence[float]) -> tuple[float, float]:
+    """Misfit and slope gain of one process, start and slope of every stretch, and its push, solved for."""
     xx = xy = yy = 0.0
     for j, stretch in enumerate(batch.stretches):
         n = len(stretch)
-        columns = np.stack([np.ones(n), begun[:n, j], moved[:n, j], batch.pv[:n, j]], axis=1)
+        columns = np.stack([np.ones(n), *beside[:n, j].T, moved[:n, j], batch.pv[:n, j]], axis=1)
         triangle = np.linalg.qr(white(columns, ar) / max(noise_sigma(stretch.pv), 1e-9))[1]
-        a, b, c = triangle[2, 2], triangle[2, 3], triangle[3, 3]
+        a, b, c = triangle[-2, -2], triangle[-2, -1], triangle[-1, -1]
         xx, xy, yy = xx + a**2, xy + a * b, yy + b**2 + c**2
     slope = float(xy / max(xx, 1e-300))
     return float(yy - xy * slope), slope
@@ -96,14 +100,14 @@ def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
         local = local_at(form, batch, now.z[:, None])
         arriving = form.arriving(batch, local, now.z[:, None])
         explained = response(local, arriving, batch.h_s)[..., 0]
-        waves = _waves(batch, local)
+        waves = _waves(batch, local, pushed=form.pushed)
         theta, tau = (
             float(np.exp(np.median(p))) for p in (local.theta, local.b * 0 if local.tau is None else local.tau)
         )
         for j, stretch in enumerate(batch.stretches):
             n, h = len(stretch), stretch.signals.h_s
             y = white(stretch.pv - explained[:n, j], noise.ar) / noise.sigma[done]
-            rest = [np.ones(n), waves[0][:n, j]]
+            rest = [np.ones(n), *waves[0][:n, j].T]
             columns = white(np.stack(rest, axis=1), noise.ar) / noise.sigma[done]
             barred = int((2 * theta + 0.2 * tau) / h) + 4 if stretch.changed else 0
             steps = white(waves[1][:n, j], noise.ar) / noise.sigma[done]
@@ -112,13 +116,18 @@ def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
     return replace(joint, loads=tuple(loads))
 
 
-def _waves(batch: Batch, local: Local) -> tuple[FloatArray, FloatArray]:
-    """What a slope at the start, (rows, stretches), and a load step entering at each row, (..., rows), do to pv."""
+def _waves(batch: Batch, local: Local, *, pushed: bool) -> tuple[FloatArray, FloatArray]:
+    """What a slope at the start and the variable's push, (rows, stretches, 1 or 2), and a load step do to pv.
+
+    A load step entering at each row: (rows, stretches, rows).
+    """
     rows, count = batch.pv.shape
     steps = np.broadcast_to((np.arange(rows - 1)[:, None] >= np.arange(rows))[:, None, :], (rows - 1, count, rows))
     loads = response(local.repeated(rows), steps.astype(np.float64), batch.h_s)
     begun = response(local, np.zeros((rows - 1, count, 1)), batch.h_s, np.ones((count, 1)))
-    return begun[..., 0], loads
+    if not pushed:
+        return begun, loads
+    return np.concatenate([begun, response(local, batch.pushes[..., None], batch.h_s)], axis=2), loads
 
 
 def _greedy(y: FloatArray, columns: FloatArray, steps: FloatArray, allowed: range) -> tuple[int, ...]:

@@ -142,6 +142,32 @@ def cut(signals: Signals) -> list[Stretch]:
     return [stretch for stretch in found if len(stretch) >= FEWEST_ROWS]
 
 
+BLOCKS = 8
+"""Parts of a stretch whose means are compared."""
+BEYOND_NOISE = 3.0
+"""Standard deviations of such a mean by noise alone, from which pv is seen to move."""
+
+
+def tells(stretch: Stretch) -> bool:
+    """Whether pv moves beyond its noise."""
+    means = np.array([float(np.mean(part)) for part in np.array_split(stretch.pv, BLOCKS)])
+    noise = noise_sigma(stretch.pv) / np.sqrt(len(stretch) / BLOCKS)
+    return bool(float(np.std(means)) > BEYOND_NOISE * noise)
+
+
 def moving(stretches: Sequence[Stretch]) -> list[Stretch]:
     """Those in which both co and pv move."""
     return [s for s in stretches if np.ptp(s.pv) > 0 and np.ptp(np.diff(s.fired(s.t_s))) > 0]
+
+
+GAP = 10.0
+"""Sampling intervals without a sample that are a gap in the record: nothing is known of co in it."""
+
+
+def without_gaps(window: Window, values: FloatArray) -> list[tuple[Window, FloatArray]]:
+    """A record and a variable at its samples, cut where samples are missing; short pieces are left out."""
+    rows = np.flatnonzero(np.diff(window.t_s) > GAP * window.sample_time_s) + 1
+    if not len(rows):
+        return [(window, values)]
+    edges = [0, *rows.tolist(), len(window.t_s)]
+    return [(window.part(slice(a, b)), values[a:b]) for a, b in pairwise(edges) if b - a >= FEWEST_ROWS]

@@ -70,6 +70,8 @@ TABLE: tuple[tuple[RecogniserPhase, ...], ...] = (
 # fmt: on
 """TABLE[phase][event] is the next phase."""
 
+STAYS_OFF = 1.25
+"""Longest waits after which an error that never was at rest since the beginning is looked at once, as it is."""
 START_BANDS = 2.0
 """A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)."""
 
@@ -164,10 +166,9 @@ def _event(
     if phase == RecogniserPhase.LOCATE_1 and not state.started:
         return Event.START
     late = _late(law, state, t_s)
-    if (
-        phase == RecogniserPhase.SETTLE
-    ):  # a swing is followed from where it crosses zero, so that its first extreme is one
-        return Event.TIMEOUT if late and inside_s < _OUTSIDE else Event.NONE
+    if phase == RecogniserPhase.SETTLE:  # a swing is followed from where it crosses zero: its first extreme is one
+        stays_off = state.event == Event.NONE and t_s - state.since_s > STAYS_OFF * law.wait_s
+        return Event.TIMEOUT if stays_off or (late and inside_s < _OUTSIDE) else Event.NONE
     return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
 
 

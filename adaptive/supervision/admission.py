@@ -324,9 +324,9 @@ def _repeated(seen: _Seen) -> float:
 
 
 def _in_region(seen: _Seen) -> _Counted:
-    """It stayed inside."""
+    """It stayed inside, where it is not taken as one that crossed a border (region_model/across.py)."""
     inside, limit = seen.inside, seen.settings.outside_share
-    outside = sum(inside is not None and not inside(sample) for sample in seen.samples) / len(seen.samples)
+    outside = sum(inside is not None and not inside(sample) for sample in seen.own) / len(seen.own)
     if outside <= limit:
         return _Counted(AdmissionNumbers(outside_share=outside))
     return _Counted(AdmissionNumbers(outside_share=outside, limit=limit), Ground.LEFT_REGION)

@@ -69,7 +69,7 @@ def joining(found: Findings) -> None:
     """Is the response one of several to setpoint steps to and fro, which say together what none says alone?"""
     record = found.record
     steps = to_and_fro(record.samples)
-    if steps is None:
+    if steps is None or record.entered_s > record.samples[steps.whole[0]].t_s:  # in another region
         return
     began_s, seen = record.response.t_start_s, len(steps.whole)
     closed_s = record.samples[steps.closed].t_s if steps.closed is not None else math.inf

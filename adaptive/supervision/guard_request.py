@@ -1,17 +1,34 @@
-"""From what is known of a loop to the guard's question: may this region have these gains?"""
+"""From what is known of a loop to the guard's question, may this region have these gains, and to what the judge is
+shown of gains on trial: what they promise, what was seen, and what is known by then of the tried set and the old one.
+"""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import islice
 
+import numpy as np
+
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.border import borders_of
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
 from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import believed
 from retuner.adaptive.region_model.kalman import gate
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
 from retuner.adaptive.rules.rule import Tuning
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.supervision.admission import Ground
+from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
+from retuner.adaptive.trial.judge import JudgedResponse
+from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
+from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 
 
@@ -118,3 +135,80 @@ def still_allowed(region_model: RegionModel, t_s: float, settings: RetunerSettin
     """The models of a region that its records still allow now."""
     walk = settings.tracker.walk_per_day**2 * max(t_s - region_model.t_s, 0.0) / SECONDS_PER_DAY
     return allowed(predicted(region_model, t_s, settings.tracker), region_model.plausible, walk, settings.guard)
+
+
+OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
+"""Causes behind a response for which the gains on trial are not to blame."""
+NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
+
+
+def promise_of(
+    verdict: Verdict | None,
+    table: GainTable,
+    region: int,
+    at: tuple[float, float],
+    response: Response | None,
+    settings: RetunerSettings,
+) -> Promise | None:
+    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
+
+    at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
+    """
+    if verdict is None or verdict.gains is None:
+        return None
+    in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
+    if verdict.allowed:
+        promised = promise(
+            verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+        )
+        return replace(promised, decay_seen=decay_seen(response))
+    return promise_without_model(response, in_force, new) if response else None
+
+
+def posterior_of(
+    case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
+) -> PosteriorCheck | None:
+    """None where the record shows nothing of the process, or leaves more than noise unexplained."""
+    if learned is None or trial.old is None or not learned.estimate.plausible:
+        return None
+    if case.crossed:
+        return _of_crossing(case, learned, trial.old, settings)
+    estimate = learned.estimate
+    if (
+        learned.agreement == Agreement.SILENT
+        or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
+    ):
+        return None
+    old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
+    allowed = believed(estimate.plausible, settings.guard.believed)
+    found = check_posterior(
+        allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+    )
+    return replace(found, settled=estimate.identifiable)
+
+
+def _of_crossing(
+    case: ResponseRecord, learned: Learned, old: PidGains, settings: RetunerSettings
+) -> PosteriorCheck | None:
+    """The same of a response that crossed a border: by all that is known of the region, where it agrees with that."""
+    known = learned.region_model
+    if known is None or learned.agreement != Agreement.AGREES:
+        return None
+    before = case.table.with_gains(case.region, old).at(case.region, *case.at)
+    allowed = believed(known.plausible, settings.guard.believed)
+    found = check_posterior(
+        allowed, before, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
+    )
+    return replace(found, settled=known.identifiable)
+
+
+def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
+    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
+    what its own record says of the tried set and of the one before.
+    """
+    found, window = outcome.diagnosis, case.window
+    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
+    recent = islice(reversed(case.samples), len(window.t_s))
+    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
+    outside = outcome.reason if blameless else ""
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed)

@@ -6,7 +6,6 @@ the result depends on is in its Question, so another process may work it out. Th
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +13,11 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
-from retuner.adaptive.identification.robust_simc import believed
+from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
 from retuner.adaptive.signals.growth import grows
-from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
 from retuner.adaptive.supervision.causes import (
@@ -37,25 +35,20 @@ from retuner.adaptive.supervision.causes import (
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import change_request, unproved_request
+from retuner.adaptive.supervision.guard_request import change_request, posterior_of, promise_of, unproved_request
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit, propose
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, behaves, half_seen, over_limit, propose
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
-from retuner.adaptive.trial.judge import JudgedResponse
+from retuner.adaptive.trial.expectation import Promise, decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior, promised_cost
+from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import Lookup
 
 NOT_KNOWN = "not_identifiable"
 """Code: what is known of the process does not carry settings yet."""
-
-OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
-"""Causes behind a response for which the gains on trial are not to blame."""
-NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
 
 
 def decide(question: Question) -> StageResult:
@@ -84,9 +77,9 @@ def action(found: Findings) -> None:
 def admission(found: Findings) -> None:
     """May this response teach its region? The gains of an interpolated table move with it; the fit allows it."""
     record, rules = found.record, found.settings.admission
-    if record.table.lookup is Lookup.INTERPOLATED:
+    if record.table.lookup is Lookup.INTERPOLATED or record.crossed:
         rules = replace(rules, changes_most=len(record.samples))
-    inside = inside_region(record.table.regions, record.region)
+    inside = None if record.crossed else inside_region(record.table.regions, record.region)
     admitted = admit(record.window, record.samples, record.response, rules, inside, found.settings.pv_range)
     if not admitted.admitted:
         found.diagnosis, found.numbers = admitted.diagnosis(), admitted.numbers
@@ -96,6 +89,8 @@ def admission(found: Findings) -> None:
 def swing(found: Findings) -> None:
     """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
     record, settings = found.record, found.settings
+    if record.crossed:
+        return
     found.growth = grows(record.samples, record.response.band, settings.growth)
     foreign, standing = foreign_swing(found)
     if foreign is not None:
@@ -116,12 +111,35 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
+        learned = _across(found, known) if record.crossed else _inside(record, known, settings)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
     found.learned = learned
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
+
+
+def _inside(record: ResponseRecord, known: RegionModel | None, settings: RetunerSettings) -> Learned:
+    """What a response teaches the region in which it began and ended."""
+    return update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
+
+
+def _across(found: Findings, known: RegionModel | None) -> Learned:
+    """What a response teaches the region in which it ended, and those that it came through."""
+    record, settings = found.record, found.settings
+    crossing = Crossing(
+        record.window,
+        ways_of(record.table.regions, list(record.samples)[-len(record.window.t_s) :]),
+        record.response.t_start_s,
+        record.in_force,
+        record.table.regions,
+        record.region_models,
+        settings.tracker,
+        settings.fit,
+    )
+    shown = shown_by(crossing)
+    found.beside = taught_beside(crossing, shown, record.region)
+    return update_across(crossing, shown, record.region, known)
 
 
 def _known(found: Findings) -> RegionModel | None:
@@ -141,7 +159,7 @@ def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Regio
 
 def hidden_cause(found: Findings) -> None:
     """Does something else hide under the response, which its model leaves open?"""
-    foreign, standing = hidden(found)
+    foreign, standing = (None, None) if found.record.crossed else hidden(found)
     if foreign is not None:
         found.explained_otherwise(foreign, standing)
 
@@ -152,14 +170,20 @@ def region_model(found: Findings) -> None:
     found.excitation_now = record.excitation.with_response(record.response)
     if learned.region_model is None:
         return
-    found.in_use = found.region_model = _known_of_limit_swing(record, settings) or learned.region_model
+    limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
+    found.in_use = found.region_model = limit_swing or learned.region_model
     found.rested_on = _rested_on(record, learned.agreement)
-    found.clear = clear_case(found, learned)
+    found.clear = _clear_crossing(found, learned) if record.crossed else clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
+
+
+def _clear_crossing(found: Findings, learned: Learned) -> bool:
+    """The same of a response that crossed a border: a setpoint step that the process in motion explains by itself."""
+    return found.record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
 
 
 def _rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
@@ -193,6 +217,9 @@ def without_a_model(found: Findings) -> None:
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
+    if record.crossed:
+        found.stop(NOT_KNOWN, f"{why}; the response crossed a boundary, so its pattern is that of two sets of gains")
+        return
     locks = found.settings.locks_of(record.region)
     own = _own_fault(found)
     proposed = without_model(record.response, record.window, record.in_force, own, found.settings.without_model, locks)
@@ -255,7 +282,8 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verd
     """The guard's word on what the rule gives for a model."""
     record, now = found.record, float(found.record.window.t_s[-1])
     region_models = {**record.region_models, record.region: model}
-    tables, damping = (record.table, record.commissioned), record.response.damping
+    damping = record.pattern.damping if record.pattern is not None else None
+    tables = (record.table, record.commissioned)
     request = change_request(
         wanted.tuning, record.region, tables, region_models, found.learned, now, found.settings, damping
     )
@@ -264,7 +292,7 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verd
 
 def refutation(found: Findings) -> None:
     """Does the loop itself refute the model: is what it says of the swing not to be seen?"""
-    doubt = not_as_modelled(found)
+    doubt = None if found.record.crossed else not_as_modelled(found)
     if doubt is None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
@@ -282,10 +310,12 @@ def agreement(found: Findings) -> None:
     verdict, settings, record = found.verdict, found.settings, found.record
     if verdict is None or not verdict.accepted:
         return
-    promised = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+    promised = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
     code, reason = "one_record", ""
     if _in_use(found).records < settings.behaving_records and not found.joined:
-        reason = behaves(record.response, verdict, promised, settings)
+        reason = behaves(record.response, verdict, promised, settings) or half_seen(
+            record.samples, record.response, verdict, settings
+        )
         reason += f"; {settings.behaving_records} records must agree before a change" if reason else ""
     if not reason:
         code, reason = "as_good", _as_good(found, verdict, promised)
@@ -315,23 +345,14 @@ def _as_good(found: Findings, verdict: Verdict, promised: Promise | None) -> str
     )
 
 
-def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
-    """That a loop does well enough not to be moved at once, in words; empty where it does not.
-
-    Its response did not swing, it is robust on the models, and what the change promises is not much of a gain.
-    """
-    gain = promised_cost(promised) if promised is not None else 0.0
-    seen = decay_seen(response)
-    swings = seen is not None and seen > settings.trial.harmless_decay
-    if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
-        return ""
-    return f"no change yet: the loop is acceptable (Ms {verdict.ms_before:.2f}, new IAE {gain:.0%} of the present)"
-
-
 def confirmation(found: Findings) -> None:
     """Before gains change: a case that is not clear is put to the whole diagnosis, unless the change is sure anyway."""
     learned, verdict, wanted = _learned(found), found.verdict, _wanted(found)
     assert verdict is not None
+    if found.record.crossed and not (found.clear or _was_known(found)):
+        found.verdict = found.basis = None
+        found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
+        return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
         doubt, found.excitation = doubt_of(found, wanted.diagnosis.cause)
         if doubt is not None:
@@ -377,7 +398,7 @@ def expectation(found: Findings) -> None:
         and verdict.accepted
         and _may_follow(found.question.trial, settings)
     ):
-        found.promise = promise_of(verdict, record.table, record.region, record.at, record.response, settings)
+        found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
 
 
 def _may_follow(trial: Trial, settings: RetunerSettings) -> bool:
@@ -386,66 +407,11 @@ def _may_follow(trial: Trial, settings: RetunerSettings) -> bool:
     return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
-def promise_of(
-    verdict: Verdict | None,
-    table: GainTable,
-    region: int,
-    at: tuple[float, float],
-    response: Response | None,
-    settings: RetunerSettings,
-) -> Promise | None:
-    """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
-
-    at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
-    """
-    if verdict is None or verdict.gains is None:
-        return None
-    in_force, new = table.at(region, *at), table.with_gains(region, verdict.gains).at(region, *at)
-    if verdict.allowed:
-        promised = promise(
-            verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
-        )
-        return replace(promised, decay_seen=decay_seen(response))
-    return promise_without_model(response, in_force, new) if response else None
-
-
 def check_after_trial(found: Findings) -> None:
     """What the record of a trial says of the tried set and of the one before."""
     trial = found.question.trial
     if trial.phase is TrialPhase.TRIAL and found.end is not None and found.end.code != Ground.SATURATED.name.lower():
         found.posterior = posterior_of(found.record, found.learned, trial, found.settings)
-
-
-def posterior_of(
-    case: ResponseRecord, learned: Learned | None, trial: Trial, settings: RetunerSettings
-) -> PosteriorCheck | None:
-    """None where the record shows nothing of the process, or leaves more than noise unexplained."""
-    if learned is None or trial.old is None or not learned.estimate.plausible:
-        return None
-    estimate = learned.estimate
-    if (
-        learned.agreement == Agreement.SILENT
-        or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
-    ):
-        return None
-    old = case.table.with_gains(case.region, trial.old).at(case.region, *case.at)
-    allowed = believed(estimate.plausible, settings.guard.believed)
-    found = check_posterior(
-        allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
-    )
-    return replace(found, settled=estimate.identifiable)
-
-
-def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
-    """What the judge looks at: the response, how much of it was at a limit, whether something else was behind it, and
-    what its own record says of the tried set and of the one before.
-    """
-    found, window = outcome.diagnosis, case.window
-    blameless = outcome.code in NOT_ADMITTED or (found is not None and found.cause in OUTSIDE)
-    recent = islice(reversed(case.samples), len(window.t_s))
-    limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
-    outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior)
 
 
 def _learned(found: Findings) -> Learned:

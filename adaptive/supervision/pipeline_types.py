@@ -2,15 +2,18 @@
 it, and the answer that is built from that.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
 from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict
+from retuner.adaptive.region_model.across import ways_of
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import Learned
 from retuner.adaptive.rules.rule import Tuning
@@ -29,7 +32,7 @@ from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ResponseRecord:
     """One response and what it is judged on.
 
@@ -37,7 +40,7 @@ class ResponseRecord:
     table : gains in force in every region; commissioned : as they were at first. region_models : what is known, by
     region.
     standing : an oscillation of this region that was explained before. excitation : what its model rests on.
-    at : the scheduling values at its end.
+    at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
     """
 
     region: int
@@ -50,6 +53,32 @@ class ResponseRecord:
     standing: Standing | None = None
     excitation: Excitation = field(default_factory=Excitation)
     at: tuple[float, float] = (0.0, 0.0)
+    entered_s: float = -math.inf
+
+    @property
+    def own(self) -> Sequence[LoopSample]:
+        """The samples of the response itself."""
+        start_s, end_s = self.response.t_start_s, self.response.t_end_s
+        return [sample for sample in self.samples if start_s <= sample.t_s <= end_s]
+
+    @cached_property
+    def crossed(self) -> bool:
+        """Whether the response came from another region: by its gains, or, along the setpoint, by its pv."""
+        if self.entered_s > self.response.t_start_s:
+            return True
+        regions = self.table.regions
+        if all(axis.variable != "sp" for axis in regions.axes):
+            return False
+        spans = [regions.span(self.region, axis) for axis in range(len(regions.axes))]
+        return any(
+            axis.variable == "sp" and not low <= (min(way) + max(way)) / 2 <= high
+            for axis, way, (low, high) in zip(regions.axes, ways_of(regions, self.own), spans, strict=True)
+        )
+
+    @property
+    def pattern(self) -> Response | None:
+        """The response as one that the gains in force have made, None where those of two regions have."""
+        return None if self.crossed else self.response
 
     @property
     def in_force(self) -> PidGains:
@@ -65,7 +94,7 @@ class StageResult:
     forget : what was known of the region is refuted. standing : an oscillation that is explained, to be remembered.
     excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
-    says of both sets of a trial that it ran under.
+    says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
     """
 
     code: str
@@ -82,6 +111,7 @@ class StageResult:
     forget: bool = False
     promise: Promise | None = None
     posterior: PosteriorCheck | None = None
+    beside: Mapping[int, RegionModel] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,14 +176,11 @@ def overtaken_by(
     return None
 
 
-LEFT = {
-    False: StageResult("left_region", "the response crossed into another region: not used to update the model"),
-    True: StageResult(
-        "variable_unknown",
-        "the scheduling variable was lost, so the region of the response is unknown: not used to update the model",
-    ),
-}
-"""What follows from a response that was cut off, by whether a scheduling variable was unknown."""
+LOST = StageResult(
+    "variable_unknown",
+    "the scheduling variable was lost, so the region of the response is unknown: not used to update the model",
+)
+"""What follows from a response that was cut off, because it is not known where the loop is."""
 
 PASSED_OVER = StageResult(
     "passed_over", "the previous response was still being evaluated: not used to update the model"
@@ -202,6 +229,7 @@ class Findings:
     forget: bool = False
     promise: Promise | None = None
     posterior: PosteriorCheck | None = None
+    beside: Mapping[int, RegionModel] = field(default_factory=dict)
 
     @property
     def record(self) -> ResponseRecord:
@@ -256,6 +284,7 @@ class Findings:
             forget=self.forget,
             promise=self.promise,
             posterior=self.posterior,
+            beside=self.beside,
         )
 
 

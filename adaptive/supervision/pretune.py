@@ -16,8 +16,8 @@ from retuner.adaptive.guard import prove
 from retuner.adaptive.region_model.update import predicted, update_region_model
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.supervision.guard_request import change_request
-from retuner.adaptive.supervision.pipeline import NOT_KNOWN, promise_of
+from retuner.adaptive.supervision.guard_request import change_request, promise_of
+from retuner.adaptive.supervision.pipeline import NOT_KNOWN
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.proposal_from_model import propose
 from retuner.adaptive.supervision.retuner import Retuner

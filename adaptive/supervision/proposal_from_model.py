@@ -3,12 +3,15 @@
 The proposal is the robust one (robust_settings.py) on the models that the records still allow, on line as off line. A
 region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
 model that is still allowed is given less of everything without waiting for a better record.
+
+One record may be too little to move a loop by: where the loop behaves, and where its output stood at a limit.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
+from retuner.adaptive.guard import Verdict
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed, robust_simc_on
@@ -17,7 +20,11 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
+from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.expectation import Promise, decay_seen
+from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.schedule.gains import PidGains
 
 LAG_DOMINANT = 8.0
@@ -90,3 +97,25 @@ def over_limit(
     """Whether the gains in force are over an Ms limit on every model that is believed to within an excess."""
     models = [p.model.seen_by_controller(sample_time_s) for p in believed(allowed, excess)]
     return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)
+
+
+def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
+    """That a loop does well enough not to be moved at once, in words; empty where it does not.
+
+    Its response did not swing, it is robust on the models, and what the change promises is not much of a gain.
+    """
+    gain = promised_cost(promised) if promised is not None else 0.0
+    seen = decay_seen(response)
+    swings = seen is not None and seen > settings.trial.harmless_decay
+    if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
+        return ""
+    return f"no change yet: the loop is acceptable (Ms {verdict.ms_before:.2f}, new IAE {gain:.0%} of the present)"
+
+
+def half_seen(samples: Sequence[LoopSample], response: Response, verdict: Verdict, settings: RetunerSettings) -> str:
+    """That a loop would be given more by a response in which its output stood at a limit; empty for any other."""
+    if verdict.urgent or verdict.ms_before > settings.cause.ms_high:
+        return ""
+    own = [sample for sample in samples if response.t_start_s <= sample.t_s <= response.t_end_s]
+    limited = sum(1 for sample in own if sample.limited)
+    return f"no change yet: the output stood at a limit for {limited / len(own):.0%} of the response" if limited else ""

@@ -43,21 +43,18 @@ class FinderState(NamedTuple):
 
 
 class Completed(NamedTuple):
-    """A response that ended in the region in which it began."""
+    """A response. region : in which it ended. entered_s : since when the loop was there."""
 
     region: int
     response: Response
+    entered_s: float = -math.inf
 
 
 class Left(NamedTuple):
-    """The loop crossed into another region, or it is not known where it is. region : the one that was left, or stays.
-
-    under_way : a response was cut off by it. unknown : a scheduling variable is not known.
-    """
+    """It is not known any more where the loop is. region : where it was. under_way : a response was cut off by it."""
 
     region: int
     under_way: bool
-    unknown: bool = False
 
 
 GainsAt = Callable[[int, float, float], PidGains]
@@ -135,7 +132,7 @@ class ResponseFinder:
         if state is None or self._region is None or not self._samples:
             return None
         response = so_far(state, self._samples[-1].t_s, self.band)
-        return Completed(self._region.region, response) if response else None
+        return Completed(self._region.region, response, _entered(self._region)) if response else None
 
     def state(self) -> FinderState:
         """Where it stands: see memory.py, which turns it into plain values."""
@@ -175,9 +172,9 @@ class ResponseFinder:
             return self._unknown(sample)
         now = choose(self._regions, region, x, t_s, x2)
         if now is not region:
-            if now[0] != region[0]:
-                return self._leave(sample, now)
             self._region = now
+            if now[0] != region[0]:
+                self._adopt_time_scale()
         band = self._per_median * self._hear(pv)
         samples.append(sample)
         new = step(self._law, state, t_s, sp, sp - pv, band if band > self._floor else self._floor)
@@ -240,17 +237,7 @@ class ResponseFinder:
         self._region = choose(self._regions, region, sample.x, sample.t_s, sample.x2)
         self._hear(sample.pv)
         self._forget(sample)
-        return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT, unknown=True)
-
-    def _leave(self, sample: LoopSample, now: RegionState) -> Left:
-        """The loop crossed into another region: a response under way belongs to neither."""
-        state, old = self._state, self._region
-        assert state is not None
-        assert old is not None
-        self._region = now
-        self._hear(sample.pv)
-        self._forget(sample)
-        return Left(old.region, state.started and state.phase < RecogniserPhase.ADAPT)
+        return Left(region.region, state.started and state.phase < RecogniserPhase.ADAPT)
 
     def _hear(self, pv: float) -> float:
         """Follow the noise: the next median."""
@@ -283,4 +270,9 @@ class ResponseFinder:
         response = response_of(state, self.band)
         assert response is not None
         assert self._region is not None
-        return Completed(self._region.region, response)
+        return Completed(self._region.region, response, _entered(self._region))
+
+
+def _entered(region: RegionState) -> float:
+    """Since when a loop is in its region."""
+    return max(region.since_s, region.since2_s)

@@ -37,11 +37,11 @@ from retuner.adaptive.supervision.decision import (
     restoring,
     staying,
 )
-from retuner.adaptive.supervision.guard_request import known_of
+from retuner.adaptive.supervision.guard_request import known_of, promise_of, seen_of
 from retuner.adaptive.supervision.pending_proposal import SAME_GAINS
-from retuner.adaptive.supervision.pipeline import decide, promise_of, seen_of
+from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
-    LEFT,
+    LOST,
     NOBODY,
     PASSED_OVER,
     Ended,
@@ -273,8 +273,7 @@ class Retuner:
 
     def taken_back(self, region: int) -> Decision | None:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
-        reason = self.trials.no_way_back(region)
-        if reason:
+        if reason := self.trials.no_way_back(region):
             return self.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
         back = self.trials.event(region, TrialEvent.ORDERED_BACK, self._now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
@@ -361,7 +360,7 @@ class Retuner:
         ended : trials that the same sample ended.
         """
         if isinstance(seen, Left):
-            return Step(self._decision(seen.region, LEFT[seen.unknown])) if seen.under_way else NOTHING
+            return Step(self._decision(seen.region, LOST)) if seen.under_way else NOTHING
         if self.settings.mode_of(seen.region) == Mode.OFF:
             return NOTHING
         if self._open is not None:
@@ -381,6 +380,7 @@ class Retuner:
         case, region = question.record, question.record.region
         if outcome.region_model is not None:
             self.region_models[region] = outcome.region_model
+        self.region_models.update(outcome.beside)
         if outcome.standing is not None:
             self.standing[region] = outcome.standing
         if outcome.excitation is not None:
@@ -411,22 +411,21 @@ class Retuner:
     def _judge(self, case: ResponseRecord, outcome: StageResult) -> Judgement | None:
         """The response against the promise, when it ran under gains on trial."""
         trial = self.trials.of(case.region)
-        if trial.phase != TrialPhase.TRIAL:
+        if trial.phase != TrialPhase.TRIAL or (case.crossed and outcome.posterior is None):
             return None
         if outcome.code == Ground.SATURATED.name.lower():
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
             return self.trials.silent(case.region, silent, self._now_s)
-        looked_at = seen_of(case, outcome)
         ask = self._person_decides(case.region)
-        return self.trials.judge(case.region, looked_at, case.in_force, self._now_s, ask=ask)
+        return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self._now_s, ask=ask)
 
     def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
-        w = self._finder
+        w, response = self._finder, seen.response
         return ResponseRecord(
             seen.region,
-            seen.response,
-            w.window(seen.response),
+            response,
+            w.window(response),
             tuple(w.samples),
             self.table,
             self.commissioned,
@@ -434,6 +433,7 @@ class Retuner:
             self.standing.get(seen.region),
             self.excitation.get(seen.region, Excitation()),
             w.scheduled,
+            seen.entered_s,
         )
 
     def _decision(
@@ -449,8 +449,8 @@ class Retuner:
         response = question.record.response if question else None
         promised = outcome.promise
         if accepted and promised is None:
-            at = question.record.at if question else self._finder.scheduled
-            promised = promise_of(outcome.verdict, self.table, region, at, response, self.settings)
+            at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)
+            promised = promise_of(outcome.verdict, self.table, region, at, pattern, self.settings)
         made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
         made = proposing(made, self.trials.of(region), now_s) if proposes else made
         if question is None or question.sample_number == self.sample_number:

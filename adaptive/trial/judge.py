@@ -115,7 +115,8 @@ class JudgedResponse:
 
     response, window : the response and its samples, with some of the time before it.
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
-    tuning that was found behind the response, empty when none was. posterior : what the models that are still allowed
+    tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
+    other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
     say of both sets, None where there are none.
     """
 
@@ -124,6 +125,7 @@ class JudgedResponse:
     limited_share: float = 0.0
     outside: str = ""
     posterior: PosteriorCheck | None = None
+    crossed: bool = False
 
 
 class _Swings(NamedTuple):
@@ -150,6 +152,7 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
+    unlike = "not judged by itself: the response crossed a boundary" if seen.crossed else unlike
     if unlike and worse:
         return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
     if unlike:

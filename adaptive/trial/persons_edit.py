@@ -13,7 +13,7 @@ def turned_words(ours: PidGains, now: PidGains, *, on_trial: bool) -> str:
     """Gains of the other sign run: what is held, and the two ways out."""
     return (
         f"the active gains have the other sign ({_set(now)}, configured {_set(ours)}), so the loop may drive away"
-        "; on hold: nothing is written, nothing is learned"
+        "; on hold: nothing is written, no model is updated"
         f"{'; the trial is over, and what is to run is decided anew' if on_trial else ''}"
         "; set gains of the configured sign at the controller, or end the session and change the sign in the "
         "configuration"

@@ -23,12 +23,13 @@ PAGE = ("index.html", "audit-data.js", "loops")
 def audited(records: Path, folder: Path, stretches: int) -> list[dict[str, object]]:
     """The rows of the audit, made in a folder whose name the page may tell."""
     plant = folder / "refinery"
-    plant.mkdir()
+    plant.mkdir(exist_ok=True)
     for path in sorted(records.glob("*.csv")):
-        if path.name != "index.csv":
+        if path.name != "index.csv" and not (plant / path.name).exists():
             shutil.copy(path, plant)
     os.chdir(folder)
-    retuner(["audit", "refinery", "--tag-pattern", PATTERN, "--jobs", "1", "--stretches", str(stretches), "-q"])
+    if retuner(["audit", "refinery", "--tag-pattern", PATTERN, "--jobs", "1", "--stretches", str(stretches), "-q"]):
+        raise SystemExit("the audit is not whole; the same command goes on")
     rows: list[dict[str, object]] = json.loads((folder / "audit" / "audit.json").read_text(encoding="utf-8"))["rows"]
     return rows
 
@@ -45,15 +46,18 @@ def main() -> None:
     parser.add_argument("records", type=Path)
     parser.add_argument("--page", type=Path, help="folder in which the page is put")
     parser.add_argument("--stretches", type=int, default=4)
+    parser.add_argument("--work", type=Path, help="folder of the audit, in which one that was stopped goes on")
     given = parser.parse_args()
     labels, page = labelled(given.records), given.page.resolve() if given.page else None
-    with tempfile.TemporaryDirectory() as made:
-        rows = audited(given.records.resolve(), Path(made), given.stretches)
+    with tempfile.TemporaryDirectory() as temporary:
+        made = given.work.resolve() if given.work else Path(temporary)
+        made.mkdir(exist_ok=True)
+        rows = audited(given.records.resolve(), made, given.stretches)
         if page is not None:
             shutil.rmtree(page, ignore_errors=True)
             page.mkdir(parents=True)
             for name in PAGE:
-                source = Path(made) / "audit" / name
+                source = made / "audit" / name
                 (shutil.copytree if source.is_dir() else shutil.copy)(source, page / name)
         os.chdir("/")
     print(

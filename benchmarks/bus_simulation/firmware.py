@@ -23,6 +23,7 @@ FIRMWARE = Path(str(drivers.__file__)).parent / "firmware"
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-shared", "-fPIC")
 SOURCES = ("retuner_device.c", "retuner_code.c", "test_library.c")
 Nonce = ctypes.CFUNCTYPE(ctypes.c_uint64)
+Gains = ctypes.Array[ctypes.c_float]
 
 
 class State(ctypes.Structure):
@@ -88,11 +89,13 @@ class _Pages:
 
     def __init__(self, device: "FirmwareDevice") -> None:
         self._device = device
-        self._sets: dict[tuple[int, PidGains], GainSet] = {}
+        self._sets: dict[tuple[int, bytes], GainSet] = {}
 
-    def _set(self, seq: int, values: object) -> GainSet:
-        gains = PidGains(*(float(value) for value in values))
-        return self._sets.setdefault((seq, gains), GainSet(seq, gains))
+    def _set(self, seq: int, values: Gains) -> GainSet:
+        told = (seq, bytes(values))
+        if told not in self._sets:
+            self._sets[told] = GainSet(seq, PidGains(*values))
+        return self._sets[told]
 
     @property
     def running(self) -> GainSet:
@@ -142,6 +145,8 @@ class FirmwareDevice:
         self.settings, self.plant, self.epoch = settings, plant, epoch
         self._library, self._nonce = library(changes), Nonce(nonce)
         self.state = State()
+        self._slots: dict[bytes, Slot] = {}
+        self._more = plant if isinstance(plant, MeasuresMore) else None  # a protocol is dear to ask once a sample
         self.pages, self.lease = _Pages(self), _Lease(self)
         self.pv = plant.pv
         s, key = settings, settings.key or b""
@@ -206,7 +211,7 @@ class FirmwareDevice:
         dt = self.settings.sample_time_s if dt_s is None else dt_s
         self.pv = self.plant.step(self.co, self.load, dt)
         count = self._library.bench_sample(self._bench, ctypes.c_double(self.pv), ctypes.c_double(dt))
-        more = [plant_message(self.settings.node, self.plant.aux)] if isinstance(self.plant, MeasuresMore) else []
+        more = [plant_message(self.settings.node, self._more.aux)] if self._more else []
         return [*more, *self._sent(count)]
 
     def receive(self, message: can.Message) -> list[can.Message]:
@@ -221,8 +226,11 @@ class FirmwareDevice:
         numbers, gains = (ctypes.c_uint32 * 3)(), (ctypes.c_float * len(Item))()
         if not self._library.bench_slot(self._bench, place, numbers, gains):
             return None
-        generation, crc, seq = numbers
-        return Slot(generation, GainSet(seq, PidGains(*gains)), crc)
+        told = bytes(numbers) + bytes(gains)
+        if told not in self._slots:
+            generation, crc, seq = numbers
+            self._slots[told] = Slot(generation, GainSet(seq, PidGains(*gains)), crc)
+        return self._slots[told]
 
     def spoil(self, place: int, crc: int) -> None:
         """Power failed while it was written."""

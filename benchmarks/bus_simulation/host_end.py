@@ -7,6 +7,7 @@ import can
 
 from bus_simulation import truth as t
 from bus_simulation.bus import Bus
+from bus_simulation.layers.host_side import HostSide
 from bus_simulation.truth import Order, Truth
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.drivers.bus.link_settings import LinkSettings
@@ -31,6 +32,7 @@ COMMAND = 31
 SAFE = 1 << 60
 LINK = LinkSettings()
 KEEPS = 0.1  # share of steps after a write in which the host confirms or stores
+WAITS_FOR_A_WRITE = 30  # steps that a mishap waits for one
 REACH = 1.5  # decades by which an ordered gain may differ from the running one: further than the box allows
 
 
@@ -57,7 +59,8 @@ class HostEnd:
         self._way = bus.ways[name]
         self._key, self._same_owner, self._eager = key, same_owner, eager
         self.owner = rng.randrange(1, 65536)
-        self.now_s = self._drift = 0.0
+        self.now_s = self._drift = self._ahead_s = 0.0
+        self._jump_by = 0
         self.fuse = SAFE
         self.lives = 0
         self.calm = False
@@ -72,6 +75,7 @@ class HostEnd:
         self.rows: list[tuple[str, object]] = []
         self.truth.ledgers[self.life] = self.rows
         settings = CanDeviceSettings(owner=self.owner, key=self._key)
+        self.side = HostSide(settings, self.rows)
         self.device: CanDevice | None = CanDevice(self, settings)
         self.order: Order | None = None
         self.last_outcome: object = None
@@ -84,12 +88,16 @@ class HostEnd:
         if message.arbitration_id & COMMAND == READ and message.data[0] == PAGE_RUNNING:
             self._asked = self.bus.step
         self._burn()
+        self.side.sends(message, self.now_s)
         self.bus.send(self.name, message)
         return True
 
     def receive_all(self) -> list[can.Message]:
         """What has arrived."""
-        return self._way.take()
+        messages = self._way.take()
+        for message in messages:
+            self.side.comes(message, self.now_s)
+        return messages
 
     def _record(self, kind: str, body: object) -> None:
         """A row of the ledger, for good once this returns."""
@@ -105,10 +113,11 @@ class HostEnd:
     def clear_up(self) -> None:
         """No faults from now on: a process that has died is begun anew at once, the clock goes right."""
         self.calm, self.fuse, self._drift, self._back_at = True, SAFE, 0.0, 0
+        self._ahead_s = 0.0
 
     def jump(self, seconds: float) -> None:
-        """The machine was suspended: its clock has gone on."""
-        self.now_s += seconds
+        """The machine is suspended, if possible in the middle of a write: its clock goes on."""
+        self._ahead_s, self._jump_by = seconds, self.bus.step + WAITS_FOR_A_WRITE
 
     def drift(self, share: float) -> None:
         """The clock goes too fast by this share from now on."""
@@ -117,6 +126,8 @@ class HostEnd:
     def act(self) -> None:
         """One turn: poll, keep the ledger, perhaps begin a write."""
         self.now_s += 2.0 * (1.0 + self._drift)
+        if self._ahead_s and (self.bus.step >= self._jump_by or (self.device is not None and self.device.writing)):
+            self.now_s, self._ahead_s = self.now_s + self._ahead_s, 0.0
         if self.device is None:
             self._way.take()
             if self.bus.step >= self._back_at:
@@ -124,7 +135,10 @@ class HostEnd:
             return
         self._answered = self._asked  # what this turn's answers can be answers to
         try:
-            for event in self.device.poll(self.now_s):
+            events = self.device.poll(self.now_s)
+            self.side.polled(self.now_s, connected=self.device.connected)
+            for event in events:
+                self.side.tells(event)
                 self._event(event)
             self._note_number()
             self._keep()

@@ -15,6 +15,7 @@ from bus_simulation.device_end import DeviceEnd, LagPlant
 from bus_simulation.host_end import HostEnd
 from bus_simulation.intruder import Intruder
 from bus_simulation.layers.door import Door
+from bus_simulation.layers.misread import misread, of_another_epoch
 from bus_simulation.layers.one_wrong import OneWrong
 from bus_simulation.truth import Ran, Truth
 from bus_simulation.twin import Drawn, Twin
@@ -89,6 +90,14 @@ class World:
             self.intruder.act()
             if random() < ONE_WRONG:
                 self.one_wrong.act()
+                self._deceive(self.rng.choice(self.hosts))
+
+    def _deceive(self, host: HostEnd) -> None:
+        """Frames to a host with exactly one thing wrong."""
+        way, device, client = self.bus.ways[host.name], self.device, host.device
+        misread(way, self.rng)
+        if client is not None and client.write_seq is not None:
+            of_another_epoch(way, self.rng, device.settings.node, device.epoch, host.owner, client.write_seq)
 
     def change_weather(self) -> None:
         """Another weather."""

@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from online import batch, changes, harm, injected, loads, oracle, own_fault, telemetry, walks
+from online import batch, changes, harm, injected, loads, oracle, own_fault, telemetry, tours, walks
 from online.runner import collect, rows_of
 
 
@@ -71,6 +71,15 @@ def _walks(options: argparse.Namespace) -> tuple[list[walks.Row], bool]:
     tasks = walks.tasks(options.seed, options.walks, options.setpoints)[options.offset :: options.every]
     rows, whole = collect(walks.run, tasks, options.jobs, options.out, walks.line)
     _say([f"walks, seed {options.seed}", *(walks.table(rows) if rows else [])])
+    return rows, whole
+
+
+def _tours(options: argparse.Namespace) -> tuple[list[tours.Row], bool]:
+    kinds = tours.KINDS if options.kind == "all" else (options.kind,)
+    wanted = {"places": options.places, "lookup": options.lookup, "opened": options.opened, "verbose": options.verbose}
+    tasks = [task for kind in kinds for task in tours.tasks(options.seed, kind, options.loops, options.start, **wanted)]
+    rows, whole = collect(tours.run, tasks[options.offset :: options.every], options.jobs, options.out, tours.line)
+    _say([f"tours, seed {options.seed}", *(tours.table(rows) if rows else [])])
     return rows, whole
 
 
@@ -135,6 +144,7 @@ def _tables(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
         ("batch, limits of a change: x8", [r for r in rows if r.get("opened") is True], batch.table),
         ("batch, limits of a change: defaults", [r for r in rows if r.get("opened") is False], batch.table),
         ("walks", [r for r in rows if r["part"] == "walks"], walks.table),
+        ("tours", [r for r in rows if r["part"] == "tours"], tours.table),
         ("processes that change", [r for r in rows if r["part"] == "changes"], changes.table),
         ("do no harm", [r for r in rows if r["part"] == "harm"], harm.table),
         ("loads only", [r for r in rows if r["part"] == "loads"], loads.table),
@@ -161,6 +171,7 @@ def _pictures(options: argparse.Namespace) -> tuple[list[Path], bool]:
 PARTS = {
     "batch": _batch,
     "walks": _walks,
+    "tours": _tours,
     "changes": _changes,
     "harm": _harm,
     "injected": _injected,
@@ -171,6 +182,15 @@ PARTS = {
     "tables": _tables,
     "pictures": _pictures,
 }
+
+
+def _tour_options(part: argparse.ArgumentParser) -> None:
+    part.add_argument("--kind", choices=("all", *tours.KINDS), default=tours.SMOOTH)
+    part.add_argument("--loops", type=int, default=8, help="tours of each kind")
+    part.add_argument("--start", choices=("middle", "quarter", "own"), default="quarter")
+    part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+    part.add_argument("--places", type=int, default=tours.PLACES, help="of each tour")
+    part.add_argument("--lookup", choices=("hard", "interpolated"), default="hard")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -201,6 +221,7 @@ def _parser() -> argparse.ArgumentParser:
     four = parts.add_parser("walks", parents=[common], help="setpoint walks over a process that varies by 4")
     four.add_argument("--walks", type=int, default=10)
     four.add_argument("--setpoints", type=int, default=walks.SETPOINTS, help="of each walk")
+    _tour_options(parts.add_parser("tours", parents=[common], help="nonlinear plants: visits until a region is good"))
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
     five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
     five.add_argument("--loops", type=int, default=40, help="changes of each kind")

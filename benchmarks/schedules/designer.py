@@ -1,12 +1,15 @@
 """The one place that calls what is measured: `retuner.design_schedule` on the record of a case."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
+from retuner.scheduling import design_schedule
+from schedules.bands import bands
 from schedules.lookups import Lookup, Table
 from schedules.loop import Trace
 from schedules.subject import Subject
@@ -14,19 +17,16 @@ from schedules.subject import Subject
 
 @dataclass(frozen=True)
 class Designed:
-    """lookup : the schedule, None where there is none. size : sets stored. reason : what was told."""
+    """lookup : the schedule, None where there is none. size : sets stored. reason : as told. bands : see there."""
 
     lookup: Lookup | None
     size: int
     reason: str
+    bands: list[dict[str, Any]] = field(default_factory=list)
 
 
 def design(subject: Subject, trace: Trace, in_force: GainTable | PidGains, *, lagging: bool) -> Designed:
     """From the record alone; the designer is told by what to schedule, the output's range, and the gains in force."""
-    try:
-        from retuner.scheduling import design_schedule
-    except ImportError:
-        return Designed(None, 0, "design_schedule is not there")
     t = np.arange(len(trace.pv)) * trace.dt_s
     window = Window(t, np.array(trace.sp), np.array(trace.pv), np.array(trace.co))
     outside = lagging or subject.by != "pv"
@@ -42,6 +42,7 @@ def design(subject: Subject, trace: Trace, in_force: GainTable | PidGains, *, la
         co_max=subject.co_max,
         gains=in_force,
     )
+    told = bands(found, subject)
     if found.table is None:
-        return Designed(None, 0, found.reason)
-    return Designed(Table(found.table), len(found.table.gains), found.reason)
+        return Designed(None, 0, found.reason, told)
+    return Designed(Table(found.table), len(found.table.gains), found.reason, told)

@@ -92,13 +92,13 @@ def measure(task: Task) -> Row:
     begun = time.perf_counter()
     designed = design(subject, trace, table, lagging=bool(lag_s))
     row["seconds"] = round(time.perf_counter() - begun, 2)
-    row["reason"], row["size"] = designed.reason, designed.size
+    row["reason"], row["size"], row["bands"] = designed.reason, designed.size, designed.bands
+    row["fewest"] = truth.fewest
     who: dict[str, Lookup] = {"before": before, "perfect": truth.perfect()}
     if designed.lookup is not None:
         who["designed"] = designed.lookup
     if task.rivals:
         who |= {"fixed": rivals.fixed(truth), "four": rivals.four(truth), "points": rivals.points(truth, rng)}
-        row["fewest"] = truth.fewest
     row["who"] = _walked(truth, who, walk(truth, rng, task.walk), rng, lag_s)
     return row
 

@@ -7,9 +7,13 @@ from typing import Any
 
 from cases.counting import share
 
+from schedules.bands import NAMES
+
 Row = dict[str, Any]
 WHO = ("before", "fixed", "four", "points", "designed", "perfect")
 WITHIN_ONE = 1
+OUT = 2.0
+"""Standard deviations within which 95 % should lie."""
 
 
 def line(row: Row) -> str:
@@ -72,6 +76,10 @@ def _sizes(rows: list[Row]) -> list[str]:
     if varying:
         within = sum(row["size"] <= min(row["fewest"]) + WITHIN_ONE for row in varying)
         lines.append(f"sets within one of fewest  {share(within, len(varying))}")
+    for name in NAMES:
+        off = [abs(of["off"][name]) / of["std"][name] for row in rows for of in row.get("bands", ())]
+        if off:
+            lines.append(f"truth of {name:<6}within 2 sd {share(sum(x <= OUT for x in off), len(off))}")
     good = sum(row["who"]["designed"]["spec"] >= 0.9 * row["who"]["designed"]["places"] for row in designed)
     lines.append(f"cases with 90 % in spec    {share(good, len(designed))}" if designed else "")
     return lines

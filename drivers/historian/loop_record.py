@@ -6,7 +6,7 @@ What is ambiguous is not guessed: the refusal names the option that answers it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +25,7 @@ from retuner.drivers.historian.reshaped import annotated_table, is_annotated
 from retuner.drivers.historian.row_order import Trend, joined
 from retuner.drivers.historian.scaling import scaled
 from retuner.drivers.historian.table_signals import TableSignals, signals_of
-from retuner.drivers.recorded.recording import Recording, RecordingError
+from retuner.drivers.recorded.recording import LARGEST, Recording, RecordingError
 
 FILES_OF_A_FOLDER = (".csv", ".txt", ".tsv", ".parquet")
 TRAFFIC = (".blf", ".asc", ".mf4", ".log")
@@ -38,7 +38,8 @@ WHOLE = RecordForm()
 class LoopRecord:
     """A record with what was assumed in reading it.
 
-    tag : of the loop, "" where the record names none. begin_s : when it begins, s since 1970; None where its times
+    tag : of the loop, "" where the record names none. others : further columns that were wanted, by name, at its
+    samples. begin_s : when it begins, s since 1970; None where its times
     are of no calendar.
     """
 
@@ -46,6 +47,7 @@ class LoopRecord:
     assumed: tuple[Assumption, ...]
     tag: str = ""
     begin_s: float | None = None
+    others: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         assumed = f"; assumed: {in_a_line(self.assumed)}" if self.assumed else ""
@@ -163,6 +165,7 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
     t_s, values, told = joined(loop.trends["pv"], {r: s for r, s in loop.trends.items() if r != "pv"})
     assumed = _told_once([*(a for one in read for a in (*one.assumed, *one.of_loop.get(loop.tag, ()))), *told])
     source = read[0].source if len(read) == 1 else f"{read[0].source} and {len(read) - 1} more"
+    others = {name: _other(name, values, source) for name in form.others}
     if form.sp is not None and "sp" not in values:
         values["sp"] = np.full(len(t_s), form.sp)
     if len(t_s) < 3:
@@ -170,7 +173,23 @@ def _record(loop: _Loop, read: Sequence[TableSignals], form: RecordForm) -> Loop
     origin = 0.0 if _counted_from_zero(t_s) else float(t_s[0])
     recording = Recording(source, t_s - origin, values["pv"], values["co"], values.get("sp"))
     recording, more = scaled(recording, form.scale)
-    return LoopRecord(recording, assumed + more, loop.tag, None if _counted_from_zero(t_s) else float(t_s[0]))
+    begin_s = None if _counted_from_zero(t_s) else float(t_s[0])
+    return LoopRecord(recording, assumed + more, loop.tag, begin_s, others)
+
+
+def _other(name: str, values: Mapping[str, FloatArray], source: str) -> FloatArray:
+    """A further column that is wanted.
+
+    Raises
+    ------
+    RecordingError
+        There is none of that name, or a value of it is out of any range.
+    """
+    if name not in values:
+        raise RecordingError(f"{source}: no column {quoted(name)}; name it as it stands in the head of the record")
+    if not np.max(np.abs(values[name])) <= LARGEST:
+        raise RecordingError(f"{source}: {name} is beyond {LARGEST:g} somewhere; give it in its engineering units")
+    return values[name]
 
 
 def _counted_from_zero(t_s: FloatArray) -> bool:

@@ -117,7 +117,7 @@ def _wanted(schema: Any, form: RecordForm, tags: set[str]) -> list[str]:  # noqa
     tags = tags or ({form.tag.lower()} if form.tag else set())
     if not tags:
         return list(schema.names)
-    kept = set(form.columns.values())
+    kept = {*form.columns.values(), *form.others}
     kept |= {f.name for f in schema if str(f.type).startswith(("timestamp", "date"))}
     for tag, roles in _loops(schema.names, form).items():
         if not tag or tag.lower() in tags:
@@ -131,7 +131,7 @@ def _called(path: Path, names: Sequence[str], form: RecordForm) -> tuple[str, ..
     """The columns as the form calls them, a signal that its folder names by that name."""
     signal, values = signal_of_folder(path), loops(names).get("", {}).get("value", [])
     own = dict.fromkeys((names[place] for place in values[:1]), signal) if signal else {}
-    kept = set(form.columns.values())
+    kept = {*form.columns.values(), *form.others}
     return tuple(name if name in kept else form.called(own.get(name, name)) for name in names)
 
 

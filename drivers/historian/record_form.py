@@ -45,7 +45,8 @@ class RecordForm:
     value says. bad : further words that stand for a missing value. scale : what signals are recorded as and stand for,
     by role, as in {"pv": "4..20:0..200"} (scaling.py). words : roles by the last word of signals' names, as in
     {"meas": "pv"}, beside those that are known. signals : names as TAG.ROLE by the names that they have in the record,
-    as in {"40FT17": "FIC17.PV"}; a name without role is no signal. dbc : files that describe bus traffic.
+    as in {"40FT17": "FIC17.PV"}; a name without role is no signal. others : further columns that are wanted by name.
+    dbc : files that describe bus traffic.
 
     Raises
     ------
@@ -70,6 +71,7 @@ class RecordForm:
     words: Mapping[str, str] = field(default_factory=dict)
     signals: Mapping[str, str] = field(default_factory=dict)
     dbc: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for role, text in self.scale.items():
@@ -146,7 +148,7 @@ def form_from_toml(path: Path) -> RecordForm:
             wrong = _wrong_entry(name, value)
             raise RecordingError(f"{path}: [record] {wrong}: give {KINDS.get(name, 'text in quotes')}")
     try:
-        given |= {name: tuple(given.get(name, ())) for name in ("bad", "dbc")}
+        given |= {name: tuple(given[name]) for name in ("bad", "dbc", "others") if name in given}
         return replace(RecordForm(), **given)
     except ValueError as error:
         raise RecordingError(f"{path}: [record] {error}") from error
@@ -170,6 +172,7 @@ KINDS = MappingProxyType(
         "header": "the number of a line",
         "bad": 'words as in ["Offline"]',
         "dbc": 'files as in ["plant.dbc"]',
+        "others": 'names of columns as in ["FI104"]',
         "scale": 'ranges by signal as in { pv = "4..20:0..200" }',
     }
 )
@@ -185,7 +188,7 @@ def _fits(name: str, value: object) -> bool:
             return isinstance(value, (int, float)) and not isinstance(value, bool)
         case "header":
             return isinstance(value, int) and not isinstance(value, bool)
-        case "bad" | "dbc":
+        case "bad" | "dbc" | "others":
             return isinstance(value, list) and all(isinstance(v, str) for v in value)
         case _:
             return isinstance(value, str)

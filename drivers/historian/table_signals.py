@@ -134,6 +134,8 @@ def _signal_places(
             if place is not None:
                 places.setdefault(tag, {})[role] = place
                 _refuse_repeated(table, place)
+    for wanted in places.values():
+        wanted |= {name: table.names.index(name) for name in form.others if name in table.names}
     return places or _by_file_name(table, found, form)
 
 
@@ -332,7 +334,7 @@ def _trends(
         missing = 0 if everything else int(np.sum(~np.isfinite(values[clock.rows])))
         if missing and not held:
             told.append(Assumption(f"{missing} values of {role} missing: left out"))
-        if table.names[place] not in SILENT and role not in form.columns:
+        if table.names[place] not in {*SILENT, role} and role not in form.columns:
             name = quoted(table.names[place])
             told.append(Assumption(f"{role} is {name}", f"columns.{role} = {name}"))
         if everything:

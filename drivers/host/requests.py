@@ -272,7 +272,7 @@ class HostRequests:
         if epoch is None or ack.epoch != epoch % EPOCH_TAG:
             return None
         if ack.kind in GAIN_KINDS:
-            self.sequence.correct(ack)
+            self.sequence.correct(ack, self.write.seq)
             self.write.on_ack(ack)
             self._notice_owner(ack)
             return None
@@ -299,7 +299,7 @@ class HostRequests:
     def due(self, now_s: float, stamp: int | None) -> tuple[list[Frame], list[Event]]:
         """Frames to send now, the lease's first, and what came to nothing; without a stamp no lease is asked for."""
         frames: list[Frame] = [*self.lease.due(now_s, stamp)]
-        if self.write.used_up and self.write.base is not None and self.lease.held:
+        if self.write.needs_number and self.write.base is not None and self.lease.held:
             number = self.sequence.after(self.write.base)
             self.sequence.note(number)
             self.write.renumber(number)

@@ -146,12 +146,13 @@ class Sequence:
         if self._newest is None or newer(number, self._newest):
             self._newest = number
 
-    def correct(self, ack: Ack) -> None:
+    def correct(self, ack: Ack, own: int | None) -> None:
         """The device's answer to a set: what it says about a stale number goes before all that was seen.
 
-        For what was seen may have been forged: a STATUS half the circle ahead would make every write stale.
+        For what was seen may have been forged: a STATUS half the circle ahead would make every write stale. Only in
+        answer to this host's own number: a late one to somebody else's would lead back to numbers that are used up.
         """
-        if ack.reason == Reason.STALE:
+        if ack.reason == Reason.STALE and ack.seq == own:
             self._newest = ack.latest
         else:
             self.note(ack.latest)
@@ -204,9 +205,14 @@ class WriteProtocol:
         self.used_up = False
         self._move(WriteInput.BEGIN)
 
+    @property
+    def needs_number(self) -> bool:
+        """Whether the write goes on under another number: not one that is being fenced off or read back already."""
+        return self.used_up and self.phase is WritePhase.CLAIMING
+
     def renumber(self, seq: int) -> None:
         """Go on under another number: no commit of the one that is used up has been sent."""
-        if self._order is not None:
+        if self.needs_number and self._order is not None:
             self._order, self.used_up = replace(self._order, seq=seq), False
 
     @property
@@ -263,6 +269,7 @@ class WriteProtocol:
 
     def _stage(self, order: WriteOrder) -> list[Frame]:
         """Gains, the question how they stand there, and with a key the question for the challenge."""
+        self._staged_right = False  # what is sent again is read back again
         challenge = [self._reader.ask(Page.CHALLENGE)] if order.key is not None else []
         return [*order.stage(), self._reader.ask(Page.STAGED), *challenge]
 

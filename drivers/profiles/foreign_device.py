@@ -112,6 +112,7 @@ class ForeignDevice:
         self._seq = 0
         self._agreed = AGREED  # sets read since two answers differed
         self._boots = 0
+        self._now_s = -math.inf
         self._events: list[Event] = []
 
     @property
@@ -127,6 +128,7 @@ class ForeignDevice:
     def poll(self, now_s: float) -> list[Event]:
         """Take what has arrived, send what is due, tell what happened: see device.Device."""
         self._contact.polled(now_s)
+        self._now_s = now_s
         for _ in range(ROUNDS):
             self._receive(now_s)
             self._notice_silence(now_s)
@@ -401,6 +403,8 @@ class ForeignDevice:
         self._believe(outcome.numbers)
         if self.running is None:
             return
+        if not self._up:  # first that it is there again, then what became of the write
+            self._connect(self._now_s)
         done = WriteDone(self._seq, self.running.gains, self.running)
         self._events.append(done if outcome.done else WriteFailed(self._seq, outcome.reason, self.running))
 

@@ -1,10 +1,11 @@
 """Somebody with can-utils against a session with a controller that is not ours, on real SocketCAN.
 
-    python scripts/socketcan/run.py -- PYTHON -P scripts/socketcan/foreign_attacks.py CONFIG FOLDER [SPEED]
+    python scripts/socketcan/run.py -- PYTHON -P scripts/socketcan/foreign_attacks.py CONFIG FOLDER [SPEED [NODE]]
 
-A virtual device and a session of CONFIG run as two processes; meanwhile frames of random content under each identifier
-that was heard, floods, remote and FD frames, and what was recorded, again. Prints one line of JSON: what was sent, how
-both ended, and what was wrong: a traceback, a broken ledger, a number in it that is none. Status 1 when anything was.
+A session of CONFIG and a virtual device, or the program NODE (examples/nodes), run as two processes; meanwhile frames
+of random content under each identifier that was heard, floods, remote and FD frames, bus-off, a second NODE, and what
+was recorded, again. Prints one line of JSON: what was sent, how both ended, and what was wrong: a traceback, a broken
+ledger, a number in it that is none, an order of writes that is not proved. Status 1 when anything was.
 
 What cannot be held here: such a controller obeys whoever writes to it. Where it can be read back, the session tells.
 """
@@ -42,7 +43,7 @@ def heard(device: "subprocess.Popen[bytes]") -> set[int]:
     return found
 
 
-def attacks(ids: set[int], record: Path) -> Iterator[list[str]]:
+def attacks(ids: set[int], record: Path, second: list[str]) -> Iterator[list[str]]:
     """One after the other, again and again."""
     near = sorted({one ^ bit for one in ids for bit in (0, 1, 2, 4, 8, 0x80, 0x600 ^ 0x580)} & set(range(0x800)))
     while True:
@@ -52,6 +53,15 @@ def attacks(ids: set[int], record: Path) -> Iterator[list[str]]:
             yield [*RANDOM[:-1], "20", "-I", f"{one:X}", "-R"]
         yield [*RANDOM[:-1], "3000", "-m"]
         yield ["timeout", "5", "canplayer", "-I", str(record), "-g", "1"]
+        yield [sys.executable, "-P", __file__, "bus-off"]
+        if second:
+            yield ["timeout", "10", *second]
+
+
+def bus_off() -> None:
+    """The error frame of a controller that left the bus."""
+    with can.Bus(interface="socketcan", channel=CHANNEL) as bus:
+        bus.send(can.Message(is_error_frame=True, arbitration_id=0x40, is_extended_id=False, data=bytes(8)))
 
 
 def numbers(value: object) -> Iterator[float]:
@@ -76,24 +86,29 @@ def wrong_in(folder: Path) -> tuple[list[str], dict[str, int]]:
         for row in ledger.rows():
             kinds[row.kind] = kinds.get(row.kind, 0) + 1
             found += [f"{row.kind}: {n}" for n in numbers(dict(row.body)) if math.isnan(n)]
+            found += ["an order that is not proved"] * (row.kind == "order_of_writes" and not row.body["proved"])
     return found, kinds
 
 
 def main() -> int:
     """Attack one session."""
+    if sys.argv[1:] == ["bus-off"]:
+        bus_off()
+        return 0
     config, out, speed = sys.argv[1], Path(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else "1"
     out.mkdir(parents=True, exist_ok=True)
     where = ["--interface", "socketcan", "--channel", CHANNEL, "--speed", speed]
     record, sent = out / "record.log", 0
     with (out / "device.err").open("wb") as device_err, (out / "run.err").open("wb") as run_err:
-        device = subprocess.Popen([*RETUNER, "device", config, *where], stderr=device_err)
+        node = [sys.executable, "-P", *sys.argv[4:5], *where] if sys.argv[4:] else []
+        device = subprocess.Popen(node or [*RETUNER, "device", config, *where], stderr=device_err)
         ids = heard(device)
         run = [*RETUNER, "run", config, *where, "--out", str(out / "run"), "--no-compare"]
         session = subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=run_err)
         with record.open("wb") as file, subprocess.Popen(["candump", "-L", CHANNEL], stdout=file) as dump:
             ids |= heard(session)
             dump.terminate()
-        last_s, tried = time.monotonic() + END_S, attacks(ids, record)
+        last_s, tried = time.monotonic() + END_S, attacks(ids, record, node)
         while session.poll() is None and time.monotonic() < last_s:
             subprocess.run(next(tried), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
             sent += 1

@@ -13,10 +13,10 @@ from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.schedule_design.cover import Layout
-from retuner.adaptive.schedule_design.design import Candidate, Design, design
+from retuner.adaptive.schedule_design.design import OWN, Candidate, Design, design
 from retuner.adaptive.schedule_design.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
-from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Numbers, Record, window_of, within
 from retuner.schedule.axis import CAN
 from retuner.schedule.forms import to_ideal
@@ -25,8 +25,6 @@ from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
 
 AUTO = "auto"
-OWN = ("sp", "pv", "co")
-"""Signals of every record that gains may follow."""
 SCHEMA = 1
 """Version of the JSON document."""
 NOTHING: Mapping[str, Sequence[Numbers]] = MappingProxyType({})
@@ -40,19 +38,57 @@ def silent(stage: str, share: float) -> None:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedGains:
+    """The gains in force at each sample of the records, one record after the other, parallel: kp, ki, kd.
+
+    Raises
+    ------
+    ValueError
+        They are not of one length, or a value is not finite.
+    """
+
+    kp: FloatArray
+    ki: FloatArray
+    kd: FloatArray
+
+    def __post_init__(self) -> None:
+        if not len(self.kp) == len(self.ki) == len(self.kd):
+            raise ValueError(f"active gains: {len(self.kp)} of kp, {len(self.ki)} of ki, {len(self.kd)} of kd")
+        if not np.all(np.isfinite(np.concatenate([self.kp, self.ki, self.kd]))):
+            raise ValueError("active gains: give finite numbers")
+
+    def near(self, x: float, visited: FloatArray) -> PidGains | None:
+        """Those in force when the variable was nearest to x. visited : its value at each of these samples."""
+        away = np.abs(visited - x)
+        rows = np.argsort(away)[:NEAREST]
+        if not len(rows) or away[rows[0]] > NEAR * float(np.ptp(visited)):
+            return None
+        return PidGains(*(float(np.median(values[rows])) for values in (self.kp, self.ki, self.kd)))
+
+
+NEAREST = 25
+"""Samples whose median counts."""
+NEAR = 0.05
+"""Share of the range within which a sample is near."""
+
+
+@dataclass(frozen=True, slots=True)
 class ScheduleDesign:
     """A gain schedule and what it rests on.
 
     design : curves, places, sets and the evidence of each candidate variable. table : the gain table, None where
     nothing is known well enough. in_force : the gains while the records were made, where they are known. limits : that
-    were demanded. records : that it was found from. print shows it as the command does, a notebook with its picture.
+    were demanded. records : that it was found from. co_range : limits of the output, where they are known.
+    visited : the variable at each of their samples. print shows it as the command does, a notebook with its picture.
     """
 
     design: Design
     table: GainTable | None
-    in_force: GainTable | PidGains | None = None
+    in_force: GainTable | PidGains | RecordedGains | None = None
     limits: DesignLimits = field(default_factory=DesignLimits)
     records: tuple[Window, ...] = ()
+    co_range: tuple[float | None, float | None] = (None, None)
+    visited: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __repr__(self) -> str:
         sets = 0 if self.table is None else len(self.table.gains)
@@ -96,6 +132,8 @@ class ScheduleDesign:
 
     def before_at(self, x: float) -> PidGains | None:
         """The gains that were in force at x, where they are known."""
+        if isinstance(self.in_force, RecordedGains):
+            return self.in_force.near(x, self.visited)
         if not isinstance(self.in_force, GainTable):
             return self.in_force
         table = self.in_force
@@ -104,7 +142,12 @@ class ScheduleDesign:
     @property
     def next_experiment(self) -> NextExperiment:
         """The experiment that would teach most."""
-        return next_experiment(self.design.curves, self.places)
+        return next_experiment(self.design.curves, self.places, self.co_range)
+
+    @property
+    def at_limits(self) -> float:
+        """Share of the samples at which co stood at a limit that is known, or at one that the records show."""
+        return at_limits(self.records, self.co_range)
 
     @property
     def layout(self) -> Layout:
@@ -114,7 +157,7 @@ class ScheduleDesign:
         return self.design.layout
 
     def to_dict(self) -> dict[str, object]:
-        """Keys schema, variable, reason, candidates, lookup, regions, hysteresis, min_stay_s, crossings,
+        """Keys schema, variable, reason, candidates, lookup, regions, hysteresis, min_stay_s, crossings, at_limits,
         next_experiment, places.
         """
         return {
@@ -135,6 +178,7 @@ class ScheduleDesign:
             "min_stay_s": self.design.min_stay_s,
             "regions": [] if self.table is None else _regions_dict(self.table),
             "crossings": [crossing.to_dict() for crossing in self.design.crossings],
+            "at_limits": self.at_limits,
             "next_experiment": self.next_experiment.to_dict(),
             "places": [self._place_dict(place) for place in self.places],
         }
@@ -189,7 +233,7 @@ def design_schedule(
     lookup: str = AUTO,
     name: str = "loop",
     unit: str = "",
-    gains: GainTable | PidGains | None = None,
+    gains: GainTable | PidGains | RecordedGains | None = None,
     progress: Callable[[str, float], None] = silent,
 ) -> ScheduleDesign:
     """Find what of a process changes along a variable, and the fewest sets of gains that serve it everywhere.
@@ -224,7 +268,10 @@ def design_schedule(
     limits = DesignLimits(ms_limit, j_limit)
     found = design(windows, candidates, limits, lookup, (low, high), progress)
     before = gains if gains is not None else _read_off(windows, co_min, co_max)
-    return ScheduleDesign(found, table_of(found, name, unit), before, limits, windows)
+    visited = np.concatenate(next(one.values for one in candidates if one.name == found.variable))
+    if isinstance(before, RecordedGains) and len(before.kp) != len(visited):
+        raise ValueError(f"active gains at {len(before.kp)} samples, the records have {len(visited)}")
+    return ScheduleDesign(found, table_of(found, name, unit), before, limits, windows, (co_min, co_max), visited)
 
 
 def _read_off(windows: Sequence[Window], co_min: float | None, co_max: float | None) -> PidGains | None:
@@ -292,6 +339,27 @@ def table_of(found: Design, name: str, unit: str) -> GainTable | None:
     return GainTable(name, regions, sets, found.layout.lookup)
 
 
+STANDS = 5
+"""Samples in a row at the lowest or highest co of all, from which that is a limit."""
+
+
+def at_limits(windows: Sequence[Window], co_range: tuple[float | None, float | None]) -> float:
+    """See ScheduleDesign. windows : the records. co_range : limits of the output, where they are known."""
+    if not windows:
+        return 0.0
+    ends = min(float(w.co.min()) for w in windows), max(float(w.co.max()) for w in windows)
+    if not ends[0] < ends[1]:
+        return 0.0
+    low, high = (seen if known is None else known for known, seen in zip(co_range, ends, strict=True))
+    margin = 1e-6 * (ends[1] - ends[0])
+    stood = 0
+    for window in windows:
+        for there in (window.co <= low + margin, window.co >= high - margin):
+            runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]))))[::2]
+            stood += int(np.sum(runs[runs >= STANDS]))
+    return stood / sum(len(w.t_s) for w in windows)
+
+
 def _region_names(n: int) -> tuple[str, ...]:
     """As people call them: low, middle, high; numbers where there are more."""
     few = {1: ("all",), 2: ("low", "high"), 3: ("low", "middle", "high")}
@@ -334,4 +402,4 @@ def _region_lines(name: str, gains: PidGains) -> list[str]:
     return [*lines, *([f"tau_d_s = {_rounded(tau_d, 8)!r}"] if tau_d else []), 'form = "ideal"']
 
 
-__all__ = ["AUTO", "Record", "ScheduleDesign", "design_schedule", "schedule_section", "table_of"]
+__all__ = ["AUTO", "OWN", "Record", "ScheduleDesign", "design_schedule", "schedule_section", "table_of"]

@@ -5,7 +5,11 @@ from dataclasses import replace
 import pytest
 from loop_bench import Bench, scaled, table
 
+from retuner.adaptive.guard import Ruling, Verdict
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision, Mode
+from retuner.adaptive.supervision.proposal_from_model import half_seen
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 
@@ -34,3 +38,16 @@ def test_without_that_it_would_be_made_slower() -> None:
 
 def test_a_loop_that_is_over_its_limit_on_every_model_is_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(USUAL, 2.0)}
+
+
+@pytest.mark.parametrize(
+    ("limited", "ms", "urgent", "waits"),
+    [(3, 1.4, False, True), (0, 1.4, False, False), (3, 2.0, False, False), (3, 1.4, True, False)],
+)
+def test_one_record_with_the_output_at_its_limit_gives_a_robust_loop_no_more(
+    limited: int, ms: float, urgent: bool, waits: bool
+) -> None:
+    samples = [LoopSample(float(i), 1.0, 0.0, 50.0, limited=int(20 <= i < 20 + limited)) for i in range(60)]
+    response = Response(10.0, 50.0, (Peak(12.0, 1.0),), Ending.QUIET, True, 0.1)
+    verdict = Verdict(Ruling.ACCEPTED, scaled(2.0, 2.0), 1.0, 1.6, 1.8, ms, 5.0, urgent=urgent)
+    assert bool(half_seen(samples, response, verdict, USUAL)) is waits

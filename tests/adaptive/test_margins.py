@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.loop.margins import margins, sensitivity_peak
+from retuner.adaptive.loop.margins import _peak, margins, sensitivity_peak
 from retuner.adaptive.process.model import LinearProcess
 from retuner.schedule.gains import PidGains
 
@@ -114,6 +114,18 @@ def test_ms_is_the_largest_sensitivity_on_a_dense_grid() -> None:
     s = 1j * w
     loop = (gains.kp + gains.ki / s + gains.kd * s) * process.response(w)
     assert sensitivity_peak(process, gains) == pytest.approx(float(np.max(1 / np.abs(1 + loop))), rel=1e-6)
+
+
+@pytest.mark.parametrize("place", [0, 3, 7])
+def test_what_cannot_be_told_is_not_robust(place: int) -> None:
+    """One value that is not a number among the sizes: no peak is known, and a guard must not read a small one."""
+    w = np.geomspace(0.1, 10.0, 8)
+
+    def size(x):
+        return np.where(np.isclose(x, w[place]), np.nan, 1.0 + x)
+
+    assert _peak(size, w, 1.0) == math.inf
+    assert _peak(lambda x: 1.0 + x, w, 1.0) == 11.0
 
 
 @pytest.mark.parametrize("kd", [10.0, 30.0, 45.0, 49.0])

@@ -162,6 +162,12 @@ def test_a_sluggish_loop_with_a_short_integral_time_is_followed_to_its_end() -> 
     assert response.t_end_s - response.t_start_s > 3.5 * tau
 
 
+def test_an_error_that_never_was_at_rest_is_looked_at_once_all_the_same() -> None:
+    pv = [0.02 * i for i in range(1500)]  # a runaway that was there before anybody looked
+    (response,) = run(pv, [-1.0] * 1500, 1.0, band=0.05, law=LAW)
+    assert (response.ending, response.peaks, response.sp_changed) == (Ending.TIMEOUT, (), False)
+
+
 def test_an_error_that_stands_still_is_waited_for_once() -> None:
     sp = [0.0] * 50 + [5.0] * 400
     pv = [0.0] * 50 + [min(4.0, 0.2 * i) for i in range(400)]

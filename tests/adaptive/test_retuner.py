@@ -119,13 +119,17 @@ def test_the_same_samples_give_the_same_bytes() -> None:
     assert [d.digest() for d in first] != [d.digest() for d in made(scaled(0.25, 0.4), seed=4).exercise(3)]
 
 
-def test_a_response_that_leaves_its_region_teaches_nothing() -> None:
+def test_a_response_that_crosses_a_border_teaches_both_sides() -> None:
     bench = made(scaled(0.25, 0.25))
     bench.run(400)
-    found = bench.run(30, sp=1.0, x=10.0) + bench.run(400, sp=1.0, x=80.0)
-    assert found[0].region == "a"
-    assert "crossed into another region" in found[0].reason
-    assert bench.retuner.region_models == {}
+    (found,) = bench.run(10, sp=1.0, x=40.0) + bench.run(600, sp=1.0, x=75.0)
+    assert (found.region, found.agreement) == ("b", Agreement.FIRST)
+    assert set(bench.retuner.region_models) == {0, 1}
+    model = bench.retuner.region_models[1]
+    assert model.log.model().k == pytest.approx(1.0, rel=0.2)
+    assert not model.identifiable  # of gains at a quarter, the dead time is hardly seen
+    assert "crossed a boundary" in found.reason
+    assert found.action == Action.NONE
 
 
 def test_a_gap_or_manual_mode_begins_anew() -> None:

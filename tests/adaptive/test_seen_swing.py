@@ -13,6 +13,7 @@ MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
 GOOD = simc(MODEL).gains
 SWINGS = PidGains(2.6 * GOOD.kp, 2.6 * GOOD.ki)  # the third peak is more than half of the first
 BAND = 0.1
+SWING = SwingSettings()
 
 
 def said(gains: PidGains, *errors: float, ending: Ending = Ending.QUIET, setpoint: bool = True) -> str:
@@ -35,6 +36,22 @@ def test_a_swing_that_may_still_come_or_is_too_small_to_be_seen_is_not_refuted()
     assert said(SWINGS, 1.0, ending=Ending.SETPOINT) == ""
     assert said(SWINGS, 2 * BAND) == ""
     assert said(SWINGS) == ""
+
+
+def test_a_slow_swing_may_pass_its_band_for_longer_than_rest_takes() -> None:
+    slow = PidGains(0.3 * GOOD.kp, 1.2 * GOOD.ki)  # it swings slowly: its third peak comes after some 150 s
+    early, late = (
+        not_seen(
+            Response(0.0, end_s, (Peak(10.0, 1.0), Peak(60.0, -0.5)), Ending.QUIET, True, 0.02),
+            MODEL,
+            slow,
+            1,
+            0,
+            SWING,
+        )
+        for end_s in (80.0, 400.0)
+    )
+    assert (early, bool(late)) == ("", True)
 
 
 @pytest.mark.parametrize(("third", "refuted"), [(1.2, False), (0.6, False), (0.1, True)])

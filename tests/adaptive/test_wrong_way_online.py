@@ -33,3 +33,8 @@ def test_nothing_is_written_and_nothing_learned(wrong: list[Decision]) -> None:
 
 def test_a_loop_that_acts_the_right_way_is_not_called_so() -> None:
     assert "wrong_way" not in {d.code for d in decided(1)}
+
+
+def test_it_is_named_as_well_where_the_loop_never_was_at_rest() -> None:
+    bench = Bench(Retuner(table(scaled(0.3, 0.3)), RetunerSettings(1.0, 10.0, Mode.AUTO)), -1)
+    assert [d.code for d in bench.run(1100, 1.0)] == ["wrong_way"]

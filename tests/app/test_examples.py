@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from retuner.cli import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -21,7 +23,8 @@ def test_one_sample_at_a_time_cures_the_loop() -> None:
     assert 40 < float(gains.split(",")[0]) < 55  # SIMC for 0.1 e^-5s / (50 s + 1), sampled every second: 45
 
 
-def test_every_example_configuration_is_sound() -> None:
-    configurations = sorted(EXAMPLES.glob("*.toml"))
+def test_every_example_configuration_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXAMPLES.parent)  # as the pages call them
+    configurations = sorted(EXAMPLES.rglob("*.toml"))
     assert configurations
     assert [main(["check", str(path)]) for path in configurations] == [0] * len(configurations)

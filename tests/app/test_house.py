@@ -21,8 +21,8 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
-        "fit", "identification", "region_model", "guard", "trial", "diagnosis", "without_model", "supervision",
-        "nudge", "schedule_design", "audit",
+        "fit", "identification", "schedule_design", "region_model", "guard", "trial", "diagnosis", "without_model",
+        "supervision", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 import retuner
+from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
+from retuner.decision_page.shown_units import show_units
 from retuner.schedule.document import from_toml
+from retuner.scheduling import RecordedGains, at_limits
 
 Capture = pytest.CaptureFixture[str]
 LOOP = """
@@ -129,3 +132,49 @@ def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command
     assert "\n" not in repr(found)
     assert len(repr(found)) < 120
     assert "data:image/png" in found._repr_html_()
+
+
+def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_path: Path, capsys: Capture) -> None:
+    rows = level(tmp_path / "level.csv", 300).read_text().splitlines()
+    wide = tmp_path / "wide.csv"
+    more = [f"{row},{30 + 20 * np.sin(i / 90):.4f},1.2,0.06" for i, row in enumerate(rows[1:])]
+    wide.write_text("\n".join([f"{rows[0]},FI104,KP,KI", *more]) + "\n")
+    options = ["--by", "FI104", "--gain-columns", "KP,KI", "--co-max", "60"]
+
+    assert main(["schedule", str(wide), *options, "--json"]) == 0
+
+    found = json.loads(capsys.readouterr().out)
+    assert [e["variable"] for e in found["candidates"]] == ["FI104"]
+    assert main(["schedule", str(wide), "--by", "FI105"]) == 2
+    assert "FI105" in capsys.readouterr().err
+    assert main(["schedule", str(wide), "--by", "pv", "--gain-columns", "KP"]) == 2
+    assert "--gain-columns" in capsys.readouterr().err
+
+
+def test_gains_are_shown_in_the_units_of_the_controller(tmp_path: Path, capsys: Capture) -> None:
+    record = level(tmp_path / "level.csv")
+    try:
+        assert main(["schedule", str(record), "--by", "pv", "--controller", "pb-rpm", "--pv-span", "100"]) == 0
+    finally:
+        show_units(None)
+    assert "PB in %, reset in repeats/min" in capsys.readouterr().out
+
+
+def test_gains_in_force_are_those_of_the_samples_nearest_to_a_place() -> None:
+    visited = np.linspace(0.0, 100.0, 400)
+    kp = np.where(visited < 50, 1.0, 2.0)
+    active = RecordedGains(kp, kp / 10, np.zeros(400))
+    near = active.near(80.0, visited)
+    assert near is not None
+    assert (near.kp, near.ki) == (2.0, 0.2)
+    assert active.near(200.0, visited) is None
+    with pytest.raises(ValueError, match="finite"):
+        RecordedGains(kp * np.nan, kp, kp)
+
+
+def test_time_at_a_limit_of_the_output_is_told() -> None:
+    co = np.clip(np.linspace(-50.0, 150.0, 200), 0.0, 100.0)
+    window = Window(np.arange(200.0), co, co, co)
+    assert at_limits([window], (None, None)) == pytest.approx(0.5, abs=0.02)
+    assert at_limits([window], (0.0, 120.0)) == pytest.approx(0.25, abs=0.02)
+    assert at_limits([], (None, None)) == 0.0

@@ -1,5 +1,7 @@
 """The write's state machine by itself: its table is complete, and every way through it ends in a read-back."""
 
+from dataclasses import replace
+
 import pytest
 from effort import examples
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
 from retuner.drivers.host.page_reader import PageReader, ReadBack
 from retuner.drivers.host.write_protocol import TRANSITIONS, Sequence, WriteInput, WriteOrder, WritePhase, WriteProtocol
 from retuner.drivers.protocol.checksum import page_crc
-from retuner.drivers.protocol.frames import Abort, Ack, Commit, Kind, Page, Read, Reason, Stage, reason_text
+from retuner.drivers.protocol.frames import Abort, Ack, Challenge, Commit, Kind, Page, Read, Reason, Stage, reason_text
 from retuner.schedule.gains import PidGains
 
 OLD, NEW = PidGains(1.0, 0.0625), PidGains(1.5, 0.125)
@@ -51,6 +53,34 @@ def test_a_commit_is_sent_once_and_only_after_the_right_read_back() -> None:
     assert protocol.due(7.0, owned=True) == ORDER.commit()
     assert protocol.due(8.0, owned=True) == []
     assert protocol.due(13.0, owned=True) == [Abort(7)]
+
+
+def test_gains_that_are_sent_again_are_read_back_again_before_the_commit() -> None:
+    """With a key the challenge may be what is missing: what was right before the gains were sent once more proves
+    nothing of how they stand there now.
+    """
+    order = replace(ORDER, key=bytes(16))
+    protocol = WriteProtocol(PageReader(), TIMEOUT_S)
+    protocol.begin(order)
+    protocol.due(0.0, owned=True)
+    protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, RIGHT))
+    assert [type(frame) for frame in protocol.due(7.0, owned=True)] == [Stage, Stage, Stage, Read, Read]
+    protocol.on_challenge(Challenge(0, 1, 5))
+    assert protocol.phase is WritePhase.STAGING
+    protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, RIGHT))
+    assert protocol.phase is WritePhase.COMMITTING
+
+
+def test_a_write_that_fails_keeps_the_number_that_is_fenced_off() -> None:
+    """The lease ran out, then the device restarted: the number in the report is the one that the device was told."""
+    protocol = started()
+    protocol.due(0.0, owned=True)
+    protocol.due(6.0, owned=False)
+    assert protocol.needs_number
+    protocol.on_restart()
+    assert protocol.due(6.0, owned=True) == [Abort(7)]
+    protocol.renumber(8)
+    assert (protocol.needs_number, protocol.seq) == (False, 7)
 
 
 def test_only_the_read_back_decides() -> None:
@@ -118,6 +148,16 @@ def test_no_order_of_events_sends_a_second_commit_or_ends_without_a_read_back(ev
 @pytest.mark.parametrize(("reason", "text"), [(Reason.RATIO, "ratio (ki)"), (Reason.STALE, "stale"), (31, "reason 31")])
 def test_refusals_in_words(reason: int, text: str) -> None:
     assert reason_text(Ack(Kind.COMMIT, 1, reason, 1, 1)) == text
+
+
+def test_only_the_answer_to_its_own_number_leads_a_host_back() -> None:
+    """Somebody repeats an old refusal of another's set: the numbers that were used since stay used."""
+    numbers = Sequence()
+    numbers.note(40)
+    numbers.correct(Ack(Kind.STAGE, 9, Reason.STALE, 9), 41)
+    assert numbers.after(8) == 41
+    numbers.correct(Ack(Kind.STAGE, 41, Reason.STALE, 9), 41)
+    assert numbers.after(8) == 10
 
 
 def test_the_next_sequence_is_newer_than_all_seen_and_wraps() -> None:

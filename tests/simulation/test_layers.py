@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 from bus_simulation.firmware import FirmwareDevice
+from bus_simulation.host_mutants import HOST_MUTANTS, broken_by
 from bus_simulation.layers.door import Door
 from bus_simulation.mutants import MUTANTS, MUTANTS_OF_THE_STORE, Mutant
 from bus_simulation.truth import ViolationError
@@ -31,6 +32,12 @@ def found(make: object = VirtualDevice) -> str:
 @pytest.mark.parametrize("mutant", ALL[:: sized(12, 1)], ids=lambda mutant: mutant.name)
 def test_firmware_with_one_thing_wrong_is_found(mutant: Mutant) -> None:
     assert found(partial(FirmwareDevice, changes=((mutant.old, mutant.new),))) != ""
+
+
+@pytest.mark.parametrize("number", range(sized(7, 3, 0), len(HOST_MUTANTS), sized(40, 6, 1)))
+def test_a_host_with_one_layer_taken_away_is_found(number: int) -> None:
+    """By what it sends and tells alone: the device, which is whole, keeps it from doing harm."""
+    assert broken_by(number) != ""
 
 
 def test_an_epoch_that_is_kept_over_a_restart_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

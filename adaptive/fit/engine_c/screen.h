@@ -89,49 +89,61 @@ typedef struct {
     Py_ssize_t width;
 } Measure;
 
-/* What needs no memory of the samples before, on eight running sums whose order is fixed; i : an interval that is not the
+/* What needs no memory of the samples before, on eight running sums whose order is fixed; of intervals that are not the
  * first, so that a step of pv has one before it. */
-enum { HELD, GAPS, SIZE, TRAVEL, MOVES, SP_MOVES, REPEATED, STRAIGHT, SQUARES, KINDS };
+enum {
+    SUM_HELD,
+    SUM_GAPS,
+    SUM_SIZE,
+    SUM_TRAVEL,
+    SUM_MOVES,
+    SUM_SP_MOVES,
+    SUM_REPEATED,
+    SUM_STRAIGHT,
+    SUM_SQUARES,
+    SUM_KINDS
+};
 
 WIDE static void added(const double *restrict t, const double *restrict sp, const double *restrict pv,
                        const double *restrict co, Py_ssize_t many, double longest, double enough, double pv_mean,
-                       double sums[KINDS][8]) {
+                       double sums[SUM_KINDS][8]) {
     for (Py_ssize_t i = 0; i < many; i += 8)
         for (int j = 0; j < 8; j++) {
             Py_ssize_t at = i + j;
             double dt = t[at + 1] - t[at], next = pv[at + 1] - pv[at], move = co[at + 1] - co[at];
             double held = dt < longest ? dt : longest, level = pv[at] - pv_mean;
-            sums[HELD][j] += held, sums[GAPS][j] += dt > longest ? 1.0 : 0.0;
-            sums[SIZE][j] += fabs(sp[at] - pv[at]) * held, sums[TRAVEL][j] += fabs(move);
-            sums[MOVES][j] += move != 0 ? 1.0 : 0.0, sums[SP_MOVES][j] += sp[at + 1] != sp[at] ? 1.0 : 0.0;
-            sums[REPEATED][j] += next == 0 ? 1.0 : 0.0;
-            sums[STRAIGHT][j] += fabs(next - (pv[at] - pv[at - 1])) <= enough ? 1.0 : 0.0;
-            sums[SQUARES][j] += level * level;
+            sums[SUM_HELD][j] += held, sums[SUM_GAPS][j] += dt > longest ? 1.0 : 0.0;
+            sums[SUM_SIZE][j] += fabs(sp[at] - pv[at]) * held, sums[SUM_TRAVEL][j] += fabs(move);
+            sums[SUM_MOVES][j] += move != 0 ? 1.0 : 0.0, sums[SUM_SP_MOVES][j] += sp[at + 1] != sp[at] ? 1.0 : 0.0;
+            sums[SUM_REPEATED][j] += next == 0 ? 1.0 : 0.0;
+            sums[SUM_STRAIGHT][j] += fabs(next - (pv[at] - pv[at - 1])) <= enough ? 1.0 : 0.0;
+            sums[SUM_SQUARES][j] += level * level;
         }
 }
 
 /* The intervals by eights, the first one and those that are left over by themselves. */
 static void add_up(const double *t, const double *sp, const double *pv, const double *co, Py_ssize_t n,
                    const Measure *by, double pv_mean, Sums *s) {
-    double sums[KINDS][8] = {{0}}, all[KINDS] = {0}, enough = STRAIGHT_PART * (s->pv_high - s->pv_low);
+    double sums[SUM_KINDS][8] = {{0}}, all[SUM_KINDS] = {0}, enough = STRAIGHT_PART * (s->pv_high - s->pv_low);
     Py_ssize_t whole = (n - 2) - (n - 2) % 8;
     added(t + 1, sp + 1, pv + 1, co + 1, whole, by->longest, enough, pv_mean, sums);
-    for (int k = 0; k < KINDS; k++)
+    for (int k = 0; k < SUM_KINDS; k++)
         for (int j = 0; j < 8; j++)
             all[k] += sums[k][j];
     for (Py_ssize_t i = 0; i < n; i = i == 0 ? whole + 1 : i + 1) {
-        all[SQUARES] += (pv[i] - pv_mean) * (pv[i] - pv_mean);
+        all[SUM_SQUARES] += (pv[i] - pv_mean) * (pv[i] - pv_mean);
         if (i + 1 == n)
             break;
         double dt = t[i + 1] - t[i], next = pv[i + 1] - pv[i], move = co[i + 1] - co[i];
         double held = dt < by->longest ? dt : by->longest;
-        all[HELD] += held, all[GAPS] += dt > by->longest, all[SIZE] += fabs(sp[i] - pv[i]) * held;
-        all[TRAVEL] += fabs(move), all[MOVES] += move != 0, all[SP_MOVES] += sp[i + 1] != sp[i];
-        all[REPEATED] += next == 0, all[STRAIGHT] += i > 0 && fabs(next - (pv[i] - pv[i - 1])) <= enough;
+        all[SUM_HELD] += held, all[SUM_GAPS] += dt > by->longest, all[SUM_SIZE] += fabs(sp[i] - pv[i]) * held;
+        all[SUM_TRAVEL] += fabs(move), all[SUM_MOVES] += move != 0, all[SUM_SP_MOVES] += sp[i + 1] != sp[i];
+        all[SUM_REPEATED] += next == 0, all[SUM_STRAIGHT] += i > 0 && fabs(next - (pv[i] - pv[i - 1])) <= enough;
     }
-    s->held = all[HELD], s->gaps = all[GAPS], s->size = all[SIZE], s->travel = all[TRAVEL], s->moves = all[MOVES];
-    s->sp_moves = all[SP_MOVES], s->repeated = all[REPEATED], s->straight = all[STRAIGHT];
-    s->pv_variance = all[SQUARES] / (double)n;
+    s->held = all[SUM_HELD], s->gaps = all[SUM_GAPS], s->size = all[SUM_SIZE], s->travel = all[SUM_TRAVEL];
+    s->moves = all[SUM_MOVES], s->sp_moves = all[SUM_SP_MOVES], s->repeated = all[SUM_REPEATED];
+    s->straight = all[SUM_STRAIGHT];
+    s->pv_variance = all[SUM_SQUARES] / (double)n;
 }
 
 /* Way of co over each of many intervals, moves within the band not counted: -1, 0, 1. */
@@ -143,11 +155,11 @@ WIDE static void ways(const double *restrict co, double zero, double band, Py_ss
         way[i] = (level[i + 1] > level[i]) - (level[i + 1] < level[i]);
 }
 
-/* Turns of co, and how long it stands still: a long stretch counts whole. Masks stand for branches that noise would make
- * unforeseeable. */
+/* Turns of co, and how long it stands still: a long stretch counts whole. Masks stand for branches that noise would
+ * make unforeseeable. */
 static void turns_and_stills(const double *co, Py_ssize_t n, const Measure *by, Sums *s) {
     int32_t way[BLOCK], last = 0, turned = 0;
-    Py_ssize_t since = 0, shortest = (Py_ssize_t)ceil(by->shortest), stood = 0;
+    Py_ssize_t since = 0, shortest = (Py_ssize_t)ceil(fmin(by->shortest, (double)n)), stood = 0;
     for (Py_ssize_t first = 0; first < n - 1; first += BLOCK) {
         Py_ssize_t many = n - 1 - first < BLOCK ? n - 1 - first : BLOCK;
         ways(co + first, co[0], by->band, many, way);

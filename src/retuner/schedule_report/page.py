@@ -4,9 +4,12 @@ from collections.abc import Sequence
 
 from retuner.adaptive.signals.sample import Window
 from retuner.decision_page.html import document, escaped, image, paragraph, text_table
+from retuner.decision_page.shown_units import chosen_units
+from retuner.schedule.controller_units import ControllerUnits
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.drawing import schedule_png
-from retuner.schedule_report.sentences import experiment_sentence, motion_sentences, why_sentence
+from retuner.schedule_report.sentences import experiment_sentence, limit_sentence, motion_sentences, why_sentence
 from retuner.scheduling import ScheduleDesign, schedule_section
 
 
@@ -23,6 +26,7 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
         ),
         *([] if found.table is None else [_sets(found.table)]),
         "<h2>In motion</h2>",
+        *([paragraph(limit_sentence(found))] if limit_sentence(found) else []),
         *(paragraph(sentence) for sentence in motion_sentences(found)),
         "<h2>What to record next</h2>",
         paragraph(experiment_sentence(found)),
@@ -40,16 +44,24 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
 
 def _sets(table: GainTable) -> str:
     """The sets, and the section for the configuration."""
+    units = chosen_units()
     rows = [
         (
             name,
             table.regions.text(i),
-            f"{gains.kp:.4g}",
-            f"{gains.kp / gains.ki:.4g}" if gains.ki else "none",
+            *_dialled(gains, units),
             f"{gains.kp:.5g}, {gains.ki:.5g}, {gains.kd:.5g}",
         )
         for i, (name, gains) in enumerate(zip(table.regions.names, table.gains, strict=True))
     ]
-    heads = ("region", "range", "Kc", "tau_I [s]", "kp, ki, kd (parallel)")
+    dialled = ("Kc", "tau_I [s]") if units is None else (units.heads,)
+    heads = ("region", "range", *dialled, "kp, ki, kd (parallel)")
     section = f"<pre>{escaped(schedule_section(table))}</pre>"
     return "<h2>The sets</h2>" + text_table(heads, rows) + "<h2>For the configuration</h2>" + section
+
+
+def _dialled(gains: PidGains, units: ControllerUnits | None) -> tuple[str, ...]:
+    """A set as it stands on the controller."""
+    if units is not None:
+        return (units.short(gains),)
+    return f"{gains.kp:.4g}", f"{gains.kp / gains.ki:.4g}" if gains.ki else "none"

@@ -46,8 +46,23 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
 def experiment_sentence(found: ScheduleDesign) -> str:
     """Where to make which experiment next."""
     wanted = found.next_experiment
-    return (
+    told = (
         f"Least is known at {found.variable} {wanted.x:.4g} (Kc to {wanted.gain_std:.0%}). There, a step of "
-        f"{wanted.co_step:.3g} in co (manual) or of {wanted.sp_step:.3g} in the setpoint, held {wanted.hold_s:.3g} s, "
-        "tells most."
+        f"{wanted.co_step:+.3g} in co (manual) or of {wanted.sp_step:+.3g} in the setpoint, "
+        f"held {wanted.hold_s:.3g} s, tells most."
+    )
+    return told + " The limit of co holds it smaller than noise asks for: repeat it." * wanted.held
+
+
+TOLD_AT_LIMITS = 0.02
+"""Share of the samples with co at a limit from which it is told."""
+
+
+def limit_sentence(found: ScheduleDesign) -> str:
+    """How long co stood at a limit, where the gains did nothing; empty where it hardly did."""
+    if found.at_limits < TOLD_AT_LIMITS:
+        return ""
+    return (
+        f"co stood at a limit for {found.at_limits:.0%} of the records. There the loop is open: "
+        "no gains make it faster, and Ms and J hold for moves within the limits only."
     )

@@ -136,3 +136,27 @@ def test_loops_of_one_period_swing_together_and_the_valve_is_the_root() -> None:
     assert groups[0].root == "B"
     assert common_swings([loops[0], loops[2]])[0].root == "A"
     assert common_swings([loops[0], Swinging("E", 100.0, 0.09)])[0].root is None
+
+
+def loop_with_loads(gain: float, setpoint: np.ndarray | None = None) -> Window:
+    """First order, lag 10 and dead time 3 samples, PI with `gain` times its kc, a load step each 500 samples."""
+    n, a, x, integral = 4_000, math.exp(-0.1), 0.0, 0.0
+    sp = np.zeros(n) if setpoint is None else setpoint
+    pv, co, noise = np.zeros(n), np.zeros(n), 0.01 * RNG.normal(size=n)
+    for i in range(n):
+        sent = co[i - 3] if i > 2 else 0.0
+        x = a * x + (1 - a) * (sent + (i // 500) % 2)
+        pv[i] = x + noise[i]
+        integral += gain * 1.5 / 10 * (sp[i] - pv[i])
+        co[i] = gain * 1.5 * (sp[i] - pv[i]) + integral
+    return Window(10.0 * np.arange(n), sp, pv, co)
+
+
+def test_the_idle_index_tells_a_controller_that_waits_from_one_that_acts() -> None:
+    sluggish, tuned = (screen_loop(loop_with_loads(gain)).idle for gain in (0.12, 1.0))
+
+    assert sluggish is not None
+    assert tuned is not None
+    assert sluggish > 0.1 > -0.1 > tuned
+    moving = screen_loop(loop_with_loads(0.12, np.sin(np.arange(4_000) / 50)))
+    assert moving.idle is None

@@ -238,6 +238,15 @@ def test_a_loop_that_is_never_at_rest_is_bumped_to_and_fro_at_even_times() -> No
     assert len(bench.planner.made) == 1
 
 
+def test_what_the_evidence_has_left_makes_no_loop_restless() -> None:
+    bench = Bench()
+    bench.wander = 0.2
+    bench.run(1500, around(at_rest=False))
+    bench.wander = 0.0
+    bench.run(2200)
+    assert "until the loop is at rest, and back" in bench.news[0].reason
+
+
 def test_to_and_fro_needs_room_on_both_sides() -> None:
     bench = Bench()
     bench.wander = 0.2

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.schedule_design.cover import Layout, knots, mean_of, steps
+from retuner.adaptive.schedule_design.next_experiment import _within
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, iae
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -85,3 +86,19 @@ def test_the_mean_of_two_sets_is_theirs_at_the_ends() -> None:
 def test_limits_outside_their_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         DesignLimits(**{name: value})
+
+
+def test_outer_edges_stand_out_of_the_range_no_more_than_the_knots_ask_for() -> None:
+    found = knots(along(4.0), LIMITS, 8)
+    assert found is not None
+    low, high = max(-found.edges[0], 0.0), max(found.edges[-1] - 100.0, 0.0)
+    width = found.edges[-1] - found.edges[0]
+    assert low + high == pytest.approx(max(width - 100.0, 0.0), abs=1.0)
+    assert abs(low - high) < 0.2 * width
+
+
+def test_the_next_experiment_stays_within_the_limits_of_the_output() -> None:
+    assert _within(10.0, 50.0, (0.0, 100.0), 1.0) == 10.0
+    assert _within(10.0, 95.0, (0.0, 100.0), 1.0) == -10.0
+    assert _within(10.0, 95.0, (None, 100.0), -1.0) == -10.0
+    assert _within(200.0, 40.0, (0.0, 100.0), -1.0) == pytest.approx(48.0)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retuner.adaptive.schedule_design.motion import Batch, Local, response
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.shapes import KNOTS, Axis, Shape
 from retuner.adaptive.schedule_design.stretches import cut, signals_of
 from retuner.adaptive.signals.sample import Window
 
@@ -45,7 +45,7 @@ def test_a_second_lag_delays_by_itself() -> None:
 @given(st.floats(-50, 50), st.floats(0.1, 100))
 def test_bends_hold_no_line_and_shapes_are_nested(low: float, width: float) -> None:
     axis = Axis(low, low + width)
-    x = axis.grid(9)
+    x = axis.grid(KNOTS)
     bent = axis.columns(x, Shape.BENT)
     line = axis.columns(x, Shape.LINE)
     assert bent[:, :2] == pytest.approx(line)

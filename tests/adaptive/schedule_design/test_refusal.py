@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from retuner.adaptive.schedule_design import design
-from retuner.adaptive.schedule_design.design import _unexplained
+from retuner.adaptive.schedule_design.design import _at_rest, _unexplained
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
+from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
+from retuner.adaptive.signals.sample import Window
 
 
 def curves(std_theta):
@@ -52,3 +54,26 @@ def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
     assert layout is not None
     assert j > DesignLimits().j
     assert all(place.judged(gains).j <= j for place in places for gains in layout.sets)
+
+
+def test_records_in_which_pv_does_not_leave_its_noise_tell_nothing():
+    rng = np.random.default_rng(1)
+
+    def fitted(moved):
+        t = np.arange(200.0)
+        pv = 20 + rng.normal(0.0, 0.1, 200) + moved * (t > 100)
+        window = Window(t, np.full(200, 20.0), pv, 30 - (pv - 20))
+        return SimpleNamespace(joint=SimpleNamespace(stretches=cut(signals_of(window, pv, 1))))
+
+    assert "tell nothing" in _at_rest(fitted(0.0))
+    assert _at_rest(fitted(1.0)) == ""
+
+
+def test_a_gap_in_a_record_parts_it_and_nothing_is_made_up_in_it():
+    t = np.concatenate([np.arange(100.0), np.arange(900.0, 1000.0), [5000.0, 5001.0]])
+    window = Window(t, t, t, t)
+
+    pieces = without_gaps(window, t)
+
+    assert [(w.t_s[0], w.t_s[-1], len(x)) for w, x in pieces] == [(0.0, 99.0, 100), (900.0, 999.0, 100)]
+    assert without_gaps(pieces[0][0], t[:100])[0][0] is pieces[0][0]

@@ -110,8 +110,10 @@ def renamed(text: str) -> dict[str, str]:
     return found
 
 
-def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bool = False) -> LoopRecord:
-    """The record in these files.
+def read_record(
+    files: Sequence[Path], options: FormOptions, *, in_automatic: bool = False, others: Sequence[str] = ()
+) -> LoopRecord:
+    """The record in these files. others : further columns that are wanted.
 
     Raises
     ------
@@ -120,7 +122,9 @@ def read_record(files: Sequence[Path], options: FormOptions, *, in_automatic: bo
     """
     names = ", ".join(map(str, files))
     with busy(f"reading {names}"):
-        read = read_loop_record(files, record_form(options), in_automatic=in_automatic)
+        form = record_form(options)
+        form = replace(form, others=tuple(dict.fromkeys((*form.others, *others))))
+        read = read_loop_record(files, form, in_automatic=in_automatic)
     LOGGER.info("read %d samples from %s", len(read.recording.t_s), names)
     return read
 

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from retuner.adaptive.signals.sample import Window
-from retuner.commands.options import Json, signed_by
+from retuner.commands.options import ActionOption, Controller, Json, PvSpan, controller_units, signed_by
 from retuner.commands.recorded.record_form import FormOptions, read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
+from retuner.decision_page.shown_units import chosen_units, show_units
 from retuner.drivers.historian.assumption import Assumption
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import RecordingError, require_excitation, require_setpoint
@@ -21,8 +23,8 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.table import GainTable
-from retuner.schedule_report.sentences import experiment_sentence, motion_sentences
-from retuner.scheduling import AUTO, ScheduleDesign, design_schedule, schedule_section
+from retuner.schedule_report.sentences import experiment_sentence, limit_sentence, motion_sentences
+from retuner.scheduling import AUTO, OWN, RecordedGains, ScheduleDesign, design_schedule, schedule_section
 from retuner.verbosity import quiet
 
 app = typer.Typer(add_completion=False)
@@ -41,7 +43,7 @@ class ScheduleOptions(FormOptions):
     ]
     by: Annotated[
         list[str] | None,
-        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co; several or none: the evidence chooses."),
+        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses."),
     ] = None
     low: Annotated[float | None, typer.Option(help="Lower end of the variable; default: what was visited.")] = None
     high: Annotated[float | None, typer.Option(help="Upper end of the variable.")] = None
@@ -54,6 +56,12 @@ class ScheduleOptions(FormOptions):
         Path | None,
         typer.Option(metavar="TOML", help="Gain table active then, to compare; else identified."),
     ] = None
+    gain_columns: Annotated[
+        str, typer.Option(metavar="KP,KI,KD", help="Columns of the active gains, parallel, to compare; kd may lack.")
+    ] = ""
+    controller: Controller = None
+    action: ActionOption = None
+    pv_span: PvSpan = None
     name: Annotated[str, typer.Option(help="Name of the loop in the table; default: its tag, else the file's.")] = ""
     unit: Annotated[str, typer.Option(help="Unit of the variable.")] = ""
     out: Annotated[
@@ -72,15 +80,16 @@ def schedule(options: ScheduleOptions) -> int:
     UserError, RecordingError
         A file or an option cannot be used.
     """
-    records = _read(options)
-    for one in records:
-        require_setpoint(one.recording)
-        require_excitation(one.recording)
-        require_length(one.recording)
+    show_units(controller_units(options.controller, options.pv_span, options.action))
+    gain_columns = _gain_columns(options)
+    by = list(dict.fromkeys(options.by or [AUTO]))
+    outside = [name for name in by if name not in {AUTO, *OWN}]
+    records = _usable(options, [*outside, *gain_columns])
     with user_input("retuner schedule"):
         found = design_schedule(
             records,
-            AUTO if options.by is None or AUTO in options.by else options.by,
+            [*OWN, *outside] if AUTO in by else by,
+            values={name: [one.others[name] for one in records] for name in outside},
             low=options.low,
             high=options.high,
             co_min=options.co_min,
@@ -90,7 +99,7 @@ def schedule(options: ScheduleOptions) -> int:
             lookup=options.lookup,
             name=options.name or records[0].tag or options.files[0].stem,
             unit=options.unit,
-            gains=None if options.gains is None else _in_force(options.gains),
+            gains=_active(options, records, gain_columns),
             progress=told_when_slow(),
         )
     assumed = tuple(dict.fromkeys(a for one in records for a in one.assumed))
@@ -100,14 +109,48 @@ def schedule(options: ScheduleOptions) -> int:
     return 0 if found.table is not None else 1
 
 
-def _read(options: ScheduleOptions) -> list[LoopRecord]:
-    """Each file a record, or all of them together one whose signals or times stand in several."""
+def _gain_columns(options: ScheduleOptions) -> list[str]:
+    """Names of the columns of the active gains, none where they are not given."""
+    names = [name.strip() for name in options.gain_columns.split(",") if name.strip()]
+    if names and len(names) not in (2, 3):
+        raise UserError(f"--gain-columns {options.gain_columns}: give kp,ki or kp,ki,kd, as in --gain-columns KP,KI")
+    if names and options.gains is not None:
+        raise UserError("--gains and --gain-columns exclude each other: give the active gains once")
+    return names
+
+
+def _active(
+    options: ScheduleOptions, records: list[LoopRecord], gain_columns: list[str]
+) -> GainTable | RecordedGains | None:
+    """The gains that were active, where options say so."""
+    if gain_columns:
+        columns = [np.concatenate([one.others[name] for one in records]) for name in gain_columns]
+        kd = columns[2] if len(columns) > 2 else np.zeros(len(columns[0]))
+        return RecordedGains(columns[0], columns[1], kd)
+    return None if options.gains is None else _in_force(options.gains)
+
+
+def _usable(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
+    """The records, each one that a process may be found from."""
+    records = _read(options, others)
+    for one in records:
+        require_setpoint(one.recording)
+        require_excitation(one.recording)
+        require_length(one.recording)
+    return records
+
+
+def _read(options: ScheduleOptions, others: list[str]) -> list[LoopRecord]:
+    """Each file a record, or all of them together one whose signals or times stand in several.
+
+    Stretches in manual count as well: a fit needs pv and co alone.
+    """
     if len(options.files) == 1:
-        return [read_record(options.files, options, in_automatic=True)]
+        return [read_record(options.files, options, others=others)]
     try:
-        return [read_record([file], options, in_automatic=True) for file in options.files]
+        return [read_record([file], options, others=others) for file in options.files]
     except RecordingError:
-        return [read_record(options.files, options, in_automatic=True)]
+        return [read_record(options.files, options, others=others)]
 
 
 def _in_force(path: Path) -> GainTable:
@@ -175,12 +218,15 @@ def described(found: ScheduleDesign) -> list[str]:
     lines = [f"{found.variable}: {found.reason}", *_place_lines(found)]
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
-    return [*lines, "", *motion_sentences(found), experiment_sentence(found)]
+    limited = limit_sentence(found)
+    return [*lines, "", *([limited] if limited else []), *motion_sentences(found), experiment_sentence(found)]
 
 
 def _place_lines(found: ScheduleDesign) -> list[str]:
     """Process and settings at some places."""
-    columns = (("k", 9), ("tau", 8), ("theta", 8), ("+- Kc", 8), ("Kc", 10), ("tau_I", 8), ("Ms", 7), ("J", 5))
+    units = chosen_units()
+    heads = (("Kc", 10), ("tau_I", 8)) if units is None else ((units.heads, max(len(units.heads), 19)),)
+    columns = (("k", 9), ("tau", 8), ("theta", 8), ("+- Kc", 8), *heads, ("Ms", 7), ("J", 5))
     lines = [f"  {found.variable:>8}  " + " ".join(f"{name:>{width}}" for name, width in columns)]
     for place in found.places[::3]:
         model = place.model
@@ -188,6 +234,9 @@ def _place_lines(found: ScheduleDesign) -> list[str]:
         row = f"  {place.x:8.4g}  {model.k:9.4g} {lag:8.4g} {model.theta_s:8.4g}   {place.gain_std:6.0%}"
         if found.table is not None and place.known:
             gains, judged = found.gains_at(place.x), place.judged(found.gains_at(place.x))
-            row += f"   {gains.kp:8.4g} {gains.kp / gains.ki:8.4g}   {judged.ms:5.2f} {judged.j:5.2f}"
+            if units is None:
+                row += f"   {gains.kp:8.4g} {gains.kp / gains.ki:8.4g}   {judged.ms:5.2f} {judged.j:5.2f}"
+            else:
+                row += f" {units.short(gains):>{columns[4][1]}}   {judged.ms:5.2f} {judged.j:5.2f}"
         lines.append(row if place.known else f"{row}   not accurate enough")
     return lines

@@ -1,0 +1,39 @@
+"""What is known of a dead time before any record: it is seldom a small share of the second lag.
+
+    one standard deviation for every e-fold and a bit that theta lies below a share of c2
+
+A record of loads hardly shows a dead time: the unknown time of the load takes it up, and the likelihood is level from
+theta = 0 to the truth. The best fit then ends at no dead time at all, and settings for that are too strong. But what is
+fitted with two lags has more of them in truth, a valve and a sensor, and those are its dead time. Where a record does
+show that there is none (a setpoint step, manual), this much is soon outvoted.
+"""
+
+import math
+
+import numpy as np
+
+from retuner.adaptive.fit.refine import Prior
+from retuner.adaptive.fit.structure import SECOND, SIZE, THETA
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
+
+LEAST_SHARE = 0.5
+"""Of c2: a dead time from here on is nothing unusual (lags in series, fitted by two: 0.4 to 2)."""
+SPREAD = 1.2
+"""Standard deviation of ln theta below it."""
+
+
+def unusual(type_: ProcessType, x: FloatArray) -> float:
+    """How many standard deviations a dead time is too short to be usual beside the second lag; 0 without one."""
+    if type_ not in SECOND:
+        return 0.0
+    return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[THETA]), 0.0) / SPREAD
+
+
+def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
+    """The prior that holds at the parameters x; None where the dead time is usual, or the structure has one lag."""
+    if unusual(type_, x) <= 0:
+        return None
+    row = np.zeros((1, SIZE[type_]))
+    row[0, THETA], row[0, SECOND[type_]] = 1 / SPREAD, -1 / SPREAD
+    return Prior(row, np.array([math.log(LEAST_SHARE) / SPREAD]))

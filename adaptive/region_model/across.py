@@ -1,0 +1,235 @@
+"""A response that crossed a border teaches both sides, and whatever lay on its way.
+
+It is fitted in motion (in_motion.py): every parameter a curve over the scheduling variable. At the centre of each
+region on its way the curves say what the process is there, and how well the record knows that: much where it spent its
+time and its travel, less beyond. As one measurement of that region it is put to what is known of it, by the same filter
+and gate as any record. So a response that went from one region far into the next tells much of the next, and something
+of the first.
+
+Such a record agrees or is left aside: it never overrules what records of the region itself have shown. What was learned
+that way is proved on the whole spread of the covariance, as what is borrowed is.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.identification.estimate import Alternative, LogModel, ModelEstimate, factors_text
+from retuner.adaptive.identification.identify import Fits, FitSettings
+from retuner.adaptive.region_model.from_neighbours import spread
+from retuner.adaptive.region_model.in_motion import InMotion, in_motion
+from retuner.adaptive.region_model.kalman import back_to_mean, gate, update, widened
+from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
+from retuner.adaptive.region_model.update import (
+    Agreement,
+    Learned,
+    TrackerSettings,
+    grown,
+    scattered,
+)
+from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.signals.sample import FloatArray, LoopSample, Window
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+
+ELSEWHERE = 0.1
+"""How far curves through one record may stand from a region's process beside what they know, one standard deviation of
+every logarithm: they have few bends, and the process may depend on more than the scheduling variable."""
+
+
+def ways_of(regions: Regions, samples: Sequence[LoopSample]) -> tuple[FloatArray, ...]:
+    """Where the process was on each axis, shapes (n,). Along the setpoint that is pv, which follows."""
+    names = ("pv" if axis.variable == "sp" else name for axis, name in zip(regions.axes, ("x", "x2"), strict=False))
+    return tuple(np.array([getattr(sample, name) for sample in samples]) for name in names)
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """A record that crossed borders, and what was known before it.
+
+    ways : where the process was on each axis at the window's samples. start_s : begin of the response in it.
+    in_force : gains at its end. regions : the table's. region_models : what is known of each. tracker, fit : settings.
+    """
+
+    window: Window
+    ways: tuple[FloatArray, ...]
+    start_s: float
+    in_force: PidGains
+    regions: Regions
+    region_models: Mapping[int, RegionModel]
+    tracker: TrackerSettings
+    fit: FitSettings
+
+    @property
+    def t_s(self) -> float:
+        """Of its last sample."""
+        return float(self.window.t_s[-1])
+
+    @property
+    def reached(self) -> list[tuple[float, float]]:
+        """Least and largest value of the response on each axis."""
+        during = self.window.t_s >= self.start_s
+        return [(float(np.min(way[during])), float(np.max(way[during]))) for way in self.ways]
+
+    @property
+    def along(self) -> int:
+        """The axis on which it went farthest, in shares of the range."""
+        shares = [
+            (high - low) / (axis.high - axis.low)
+            for axis, (low, high) in zip(self.regions.axes, self.reached, strict=True)
+        ]
+        return int(np.argmax(shares))
+
+    def passed(self) -> list[int]:
+        """Regions on its way."""
+        spans = {r: [self.regions.span(r, axis) for axis in range(len(self.ways))] for r in range(len(self.regions))}
+        return [
+            region
+            for region, own in spans.items()
+            if all(low < last and first < high for (low, high), (first, last) in zip(own, self.reached, strict=True))
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the record shows: the linear models alone, and the curves, the more likely structure first."""
+
+    alone: ModelEstimate
+    found: tuple[InMotion, ...]
+
+
+def shown_by(crossing: Crossing) -> Shown:
+    """The record fitted."""
+    alone = Fits(crossing.window, (crossing.in_force.direction,), crossing.fit).estimate()
+    if alone.explained < crossing.fit.explained_limit:
+        return Shown(alone, ())
+    axis = crossing.regions.axes[crossing.along]
+    x = np.clip(crossing.ways[crossing.along], axis.low, axis.high)
+    return Shown(alone, in_motion(crossing.window, x, Axis(axis.low, axis.high), alone))
+
+
+def update_across(crossing: Crossing, shown: Shown, region: int, known: RegionModel | None) -> Learned:
+    """Take the record into what is known of one region.
+
+    known : of the region, None for nothing; what is borrowed has no records.
+    """
+    own = known if known is not None and known.records else None
+    if not shown.found:
+        return Learned(own, shown.alone, Agreement.SILENT, 0.0)
+    estimate = _estimate(crossing, shown, region)
+    if _beyond(crossing, shown) > crossing.fit.remainder_limit:
+        return Learned(own, estimate, Agreement.SILENT, 0.0)
+    if known is not None and known.log.sign == estimate.log.sign:
+        innovation, after = _filtered(crossing, known, estimate)
+        if after and innovation <= gate(len(known.log.x), crossing.tracker.gate):
+            now = _known(crossing, region, after, estimate, innovation, before=own)
+            return Learned(now, estimate, Agreement.AGREES, innovation)
+        if own is not None:
+            return Learned(own, estimate, Agreement.CONTRADICTS, innovation)
+    after = [StructureModel(scattered(a.log, crossing.tracker), a.evidence) for a in estimate.alternatives]
+    first = _known(crossing, region, after, estimate, 0.0, before=None)
+    return Learned(first, estimate, Agreement.FIRST, 0.0)
+
+
+def taught_beside(crossing: Crossing, shown: Shown, taught: int) -> dict[int, RegionModel]:
+    """What the other regions on the way learn. taught : the region in which the response ended."""
+    found = {}
+    for region in crossing.passed():
+        if region != taught:
+            learned = update_across(crossing, shown, region, crossing.region_models.get(region))
+            if learned.region_model is not None and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
+                found[region] = learned.region_model
+    return found
+
+
+def _estimate(crossing: Crossing, shown: Shown, region: int) -> ModelEstimate:
+    """What the record by itself says of a region, at its centre."""
+    logs = [_at_centre(crossing, one, region) for one in shown.found]
+    best, alone, limit = logs[0], shown.alone, crossing.fit
+    unsure = best.gain_uncertainty(crossing.window.sample_time_s)
+    left, beyond = shown.found[0].left, _beyond(crossing, shown)
+    is_known = unsure <= limit.gain_std_limit and beyond <= limit.remainder_limit
+    reason = "known along its way, with the process in motion"
+    if beyond > limit.remainder_limit:
+        reason = f"the model leaves {beyond:.1f} times the noise (limit {limit.remainder_limit:g})"
+    elif not is_known:
+        factor, needed = factors_text(2 * unsure, 2 * limit.gain_std_limit)
+        reason = f"a response that crossed a boundary tells the gains here to a factor of {factor}; {needed} is needed"
+    samples = len(crossing.window.t_s)
+    alternatives = [_alternative(log, one, samples) for log, one in zip(logs, shown.found, strict=True)]
+    return replace(
+        alone,
+        identifiable=is_known,
+        reason=reason,
+        residual_std=left,
+        alternatives=tuple(alternatives),
+        plausible=spread(scattered(best, crossing.tracker)),
+    )
+
+
+def _beyond(crossing: Crossing, shown: Shown) -> float:
+    """What the curves leave, in standard deviations of the noise."""
+    left = replace(shown.alone, residual_std=shown.found[0].left)
+    return left.unexplained(float(np.ptp(crossing.window.pv)))
+
+
+def _at_centre(crossing: Crossing, one: InMotion, region: int) -> LogModel:
+    """The process of one structure at a region's centre; on another axis it may be anything that the curves allow."""
+    log = one.at(crossing.regions.centre(region, crossing.along))
+    more = ELSEWHERE**2
+    for k, (axis, reached) in enumerate(zip(crossing.regions.axes, crossing.reached, strict=True)):
+        if k != crossing.along:
+            places = np.array([sum(reached) / 2, crossing.regions.centre(region, k)])
+            here, there = Axis(axis.low, axis.high).columns(places, Shape.BENT)
+            more += float(np.sum((there - here) ** 2))
+    return widened(log, more)
+
+
+def _alternative(log: LogModel, one: InMotion, samples: int) -> Alternative:
+    """As a measurement of the region: R x = z + unit noise."""
+    root = np.linalg.cholesky(np.linalg.inv(log.p)).T
+    return Alternative(log, one.evidence, root, root @ log.x, samples)
+
+
+def _filtered(
+    crossing: Crossing, known: RegionModel, estimate: ModelEstimate
+) -> tuple[float, Sequence[StructureModel]]:
+    """Innovation under the leading structure that both have, and what is known after; nothing where they have none."""
+    settings, after, innovation = crossing.tracker, [], None
+    has = {a.log.type for a in estimate.alternatives}
+    for k in known.known:
+        mean = grown(k.log, crossing.t_s - known.t_s, settings) if known.records else k.log
+        if k.log.type in has:
+            there = scattered(mean, settings)
+            statistic, posterior = update(there, estimate)
+            innovation = statistic if innovation is None else innovation
+            mean = back_to_mean(mean, there, posterior)
+        after.append(StructureModel(mean, k.evidence))
+    return (0.0, ()) if innovation is None else (innovation, after)
+
+
+def _known(
+    crossing: Crossing,
+    region: int,
+    known: Sequence[StructureModel],
+    estimate: ModelEstimate,
+    innovation: float,
+    *,
+    before: RegionModel | None,
+) -> RegionModel:
+    """What is known of a region now. before : what was, from records of its own."""
+    log = known[0].log
+    unsure, limit = log.gain_uncertainty(crossing.window.sample_time_s), crossing.fit.gain_std_limit
+    place = [crossing.regions.centre(region, axis) for axis in range(len(crossing.ways))]
+    point = RecordPoint(crossing.t_s, place[0], place[1] if len(place) > 1 else 0.0, estimate.log, innovation)
+    return RegionModel(
+        tuple(known),
+        (before.records if before else 0) + 1,
+        crossing.t_s,
+        before.alternative if before else None,
+        remembered(before.points if before else (), point),
+        spread(scattered(log, crossing.tracker)),
+        identifiable=unsure <= limit,
+        reason=estimate.reason,
+    )

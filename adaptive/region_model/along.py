@@ -1,0 +1,136 @@
+"""What the regions together say of the process between them: smooth curves over the scheduling variables.
+
+    ln p(x) = c + phi(x) z,   z ~ N(0, I)      phi : level, slope and bends (schedule_design/shapes.py), of both axes
+    x_i = ln p(centre of region i) + e_i,   e_i ~ N(0, P_i)
+
+Every region with records of its own is one observation of the curves, at its centre, with its covariance P_i. What
+follows for z is linear regression with a normal prior (kriging, Matheron 1963; its equal, Wahba 1978), with all
+parameters of a structure at once, because P_i couples them. The curves are constant, lines or bent: each by its
+evidence, the mean of the three being what is known (nobody has to choose here, as a person does who draws up a
+schedule). A neighbour says less the farther it is, and regions that differ open what lies between them.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import TrackerSettings, predicted_all
+from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.signals.sample import FloatArray
+from retuner.schedule.regions import Regions
+
+Place = tuple[float, ...]
+"""A value on each axis of the table."""
+OPEN = 0.2
+"""Share that bent curves keep at least: equal regions do not prove that there is nothing between them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """One structure's parameters over the scheduling variables.
+
+    axes : of the table. centre : c, shape (d,). z : mean, parameter by parameter, shape (d m,). p : covariance.
+    """
+
+    axes: tuple[Axis, ...]
+    centre: FloatArray
+    z: FloatArray
+    p: FloatArray
+
+    def at(self, place: Place) -> tuple[FloatArray, FloatArray]:
+        """The logarithms at a place and their covariance, shapes (d,) and (d, d)."""
+        rows = _rows(self.axes, place, len(self.centre))
+        return self.centre + rows @ self.z, rows @ self.p @ rows.T
+
+
+def centre_of(regions: Regions, region: int) -> Place:
+    """Middle of a region on each axis."""
+    return tuple(regions.centre(region, axis) for axis in range(len(regions.axes)))
+
+
+def lenders(region_models: Mapping[int, RegionModel], sign: int) -> dict[int, RegionModel]:
+    """The regions that know their process from records of their own. sign : of the process gain."""
+    return {
+        i: model
+        for i, model in region_models.items()
+        if model.records and model.identifiable and model.log.sign == sign
+    }
+
+
+def curves(
+    region_models: Mapping[int, RegionModel], regions: Regions, t_s: float, tracker: TrackerSettings
+) -> dict[ProcessType, Curves]:
+    """The curves of every structure that all these regions have, none where there is no region.
+
+    Parameters
+    ----------
+    region_models : by region, as `lenders` gives them. t_s : now; what is known has aged until then.
+    """
+    logs = {i: {log.type: log for log in predicted_all(model, t_s, tracker)} for i, model in region_models.items()}
+    if not logs:
+        return {}
+    types = set.intersection(*(set(known) for known in logs.values()))
+    places = [centre_of(regions, i) for i in logs]
+    return {t: _through(regions, places, [known[t] for known in logs.values()]) for t in ProcessType if t in types}
+
+
+def _through(regions: Regions, places: list[Place], logs: list[LogModel]) -> Curves:
+    """The curves through what is known at some places."""
+    centre = np.mean([log.x for log in logs], axis=0)
+    axes, d = _axes(regions), len(centre)
+    rows = [_rows(axes, place, d) for place in places]
+    size = rows[0].shape[1]
+    precision, weighted = np.zeros((size, size)), np.zeros(size)
+    for row, log in zip(rows, logs, strict=True):
+        solved = np.linalg.solve(log.p, np.concatenate([row, (log.x - centre)[:, None]], axis=1))
+        precision += row.T @ solved[:, :-1]
+        weighted += row.T @ solved[:, -1]
+    shaped = [_shaped(precision, weighted, _kept(axes, d, shape)) for shape in Shape]
+    best = max(evidence for _, _, evidence in shaped)
+    shares = np.array([math.exp(evidence - best) for _, _, evidence in shaped])
+    shares *= (1 - OPEN) / np.sum(shares)
+    shares[-1] += OPEN
+    mean = sum((share * z for share, (z, _, _) in zip(shares, shaped, strict=True)), np.zeros(len(weighted)))
+    p = np.zeros_like(precision)
+    for share, (z, own, _) in zip(shares, shaped, strict=True):
+        p += share * (own + np.outer(z - mean, z - mean))
+    return Curves(axes, centre, mean, p)
+
+
+def _kept(axes: tuple[Axis, ...], d: int, shape: Shape) -> list[int]:
+    """Which coefficients curves of a shape have."""
+    more, m = int(Shape.BENT) - 1, _size(axes)
+    own = [0, *(1 + k * more + j for k in range(len(axes)) for j in range(int(shape) - 1))]
+    return [i * m + j for i in range(d) for j in own]
+
+
+def _shaped(precision: FloatArray, weighted: FloatArray, kept: list[int]) -> tuple[FloatArray, FloatArray, float]:
+    """z, its covariance, and ln of the evidence, up to what is common to all, where only some coefficients may differ
+    from zero. precision, weighted : what the regions say of all of them.
+    """
+    whole = np.eye(len(kept)) + precision[np.ix_(kept, kept)]
+    z, p = np.zeros(len(weighted)), np.zeros_like(precision)
+    inside = np.linalg.inv(whole)
+    z[kept], p[np.ix_(kept, kept)] = inside @ weighted[kept], inside
+    return z, p, 0.5 * float(weighted[kept] @ z[kept] - np.linalg.slogdet(whole)[1])
+
+
+def _axes(regions: Regions) -> tuple[Axis, ...]:
+    return tuple(Axis(axis.low, axis.high) for axis in regions.axes)
+
+
+def _size(axes: tuple[Axis, ...]) -> int:
+    """Coefficients of a parameter: one level, and slope and bends along every axis."""
+    return 1 + len(axes) * (int(Shape.BENT) - 1)
+
+
+def _rows(axes: tuple[Axis, ...], place: Place, d: int) -> FloatArray:
+    """d ln p / dz at a place, shape (d, d m): the same for each of d parameters."""
+    columns = [axis.columns(np.array(x), Shape.BENT) for axis, x in zip(axes, place, strict=True)]
+    phi = np.concatenate([columns[0], *(more[1:] for more in columns[1:])])
+    return np.kron(np.eye(d), phi)

@@ -1,0 +1,250 @@
+"""What one life of a host sends and tells, held to docs/protocol.md layer by layer.
+
+The invariants of truth.py say what must never come of host and device together: a device that refuses keeps a careless
+host from doing harm. Here the host is asked by itself whether it had every reason for what it did.
+"""
+
+import hmac
+import struct
+from collections import deque
+from collections.abc import Sequence
+
+import can
+
+from bus_simulation.layers.overheard import Overheard, Proof, Three
+from bus_simulation.layers.wire import (
+    ABORT,
+    ACK,
+    COMMIT,
+    CONFIRM,
+    KEYED,
+    LEASE,
+    STAGE,
+    STAMP_SAMPLES,
+    STORE,
+    Ack,
+    broken,
+    float32,
+    newer,
+    set_crc,
+    stamp,
+    u16,
+)
+from retuner.adaptive.signals.sample import LoopSample
+from retuner.drivers.device import DeviceRestarted, Reverted, RunningChanged, RunningSet, WriteDone, WriteFailed
+from retuner.drivers.host.can_settings import CanDeviceSettings
+from retuner.schedule.gains import PidGains
+
+RUNNING, STAGED, CHALLENGED = 0, 1, 4
+OK, STALE, NOT_OWNER = 0, 1, 13
+AHEAD = 40  # blocks of STAMP_SAMPLES by which a host may know the device's time better than the heartbeats say
+NO_TIME = 100_000  # a device that says it is as old is a forged one
+
+
+class HostSide:
+    """See the head of this file.
+
+    Parameters
+    ----------
+    settings : of the host. rows : its ledger.
+    """
+
+    def __init__(self, settings: CanDeviceSettings, rows: Sequence[tuple[str, object]]) -> None:
+        self._settings, self._rows = settings, rows
+        self.heard = Overheard(settings.node, settings.sample_time_s)
+        self._length_s = settings.lease_length * settings.sample_time_s
+        self._lease_sent_s = self._granted_s = float("-inf")
+        self._granted = False
+        self._counter: int | None = None
+        self._staged: dict[int, tuple[int, float]] = {}  # what was staged last: by item the number and value
+        self._said = -1  # when this host last said something about gains
+        self._commits: set[bytes] = set()
+        self._aborted: set[tuple[int, int]] = set()
+        self._used_up: deque[tuple[int, int]] = deque(maxlen=32)
+        self._auth: list[bytes] = []
+        self._done: set[int] = set()
+        self._on_probation: int | None = None
+        self._heard_s = float("-inf")
+
+    # What comes
+
+    def comes(self, message: can.Message, now_s: float) -> None:
+        """A frame has reached the host."""
+        command = self.heard.comes(message)
+        if not command:
+            return
+        self._heard_s = now_s
+        if command == ACK:
+            self._answered(self.heard.acks[-1].ack)
+        running = self.heard.proved.get(RUNNING)
+        if running is not None and running.seq != self._on_probation:
+            self._on_probation = None
+
+    def _answered(self, ack: Ack) -> None:
+        """What an answer says of the lease, and of a confirmation."""
+        if ack.epoch != self._epoch % 8192:
+            return
+        if ack.kind == LEASE and ack.seq == self._settings.owner and ack.reason == STALE:
+            self._counter = None  # it goes on elsewhere on the circle
+        elif ack.kind == LEASE and ack.seq == self._settings.owner:
+            self._granted, self._granted_s = ack.reason == OK, self._lease_sent_s
+        elif ack.reason == STALE and ack.kind in {ABORT, STAGE, COMMIT}:
+            self._aborted.clear()  # the device's word on the newest number goes before what was seen
+            if ack.kind == STAGE and ack.seq in {number for number, _ in self._staged.values()}:
+                self._used_up.append((ack.epoch, ack.seq))
+        elif ack.reason == NOT_OWNER and ack.kind != LEASE:
+            self._granted = False
+        elif ack.kind == CONFIRM and ack.reason == OK:
+            self._on_probation = None
+
+    # What it sends
+
+    def sends(self, message: can.Message, now_s: float) -> None:
+        """The host puts a frame on the bus."""
+        self.heard.place += 1
+        command, data = message.arbitration_id & 31, bytes(message.data)
+        match command:
+            case 1:
+                self._lease(data, now_s)
+            case 2:
+                self.heard.asks(data)
+            case 3:
+                self._aborted.add((self._epoch, u16(data)))
+                self._said = self.heard.place
+            case 4:
+                self._stage(data, now_s)
+            case 5:
+                self._commit(data, now_s)
+            case 6 | 7:
+                self._keep(command, u16(data))
+            case 11:
+                self._auth = [*self._auth[-1:], data[:7]]
+
+    @property
+    def _epoch(self) -> int:
+        """The epoch that a read-back has proved; -1 for none."""
+        proof = self.heard.proved.get(RUNNING)
+        return -1 if proof is None else proof.epoch
+
+    def _lease(self, data: bytes, now_s: float) -> None:
+        """LEASE: this host's number, a counter that goes on, the device's time."""
+        counter, newest = data[6], self.heard.newest_sample
+        if u16(data) != self._settings.owner or (self._counter is not None and not newer(counter, self._counter, 8)):
+            raise broken("leases_are_asked_for_rightly", f"LEASE {data.hex()} after counter {self._counter}")
+        blocks = range(newest // STAMP_SAMPLES + AHEAD if newest < NO_TIME else 0)
+        right = {stamp(epoch, block * STAMP_SAMPLES) for epoch in self.heard.epochs for block in blocks}
+        if blocks and u16(data[2:]) not in right:
+            raise broken("leases_are_asked_for_rightly", f"LEASE {data.hex()} is no time of {self.heard.epochs}")
+        self._counter, self._lease_sent_s = counter, now_s
+
+    def _stage(self, data: bytes, now_s: float) -> None:
+        """STAGE: recorded before, under the lease or a request for it, and with a number that is not used up."""
+        item, value, seq = data[0] & 3, float32(data[1:5]), u16(data[5:])
+        proof = self.heard.proved.get(RUNNING)
+        if proof is None or self.heard.identity < 0:
+            raise broken("nothing_is_written_unread", f"STAGE {data.hex()} with {proof}")
+        intent = next((body for kind, body in reversed(self._rows) if kind == "intent"), None)
+        if not isinstance(intent, PidGains) or _three(intent)[item] != value:
+            raise broken("recorded_before_it_is_written", f"STAGE {data.hex()}, the ledger has {intent}")
+        if now_s - self._lease_sent_s >= self._length_s:
+            raise broken("the_lease_comes_first", f"STAGE {data.hex()}, LEASE was sent at {self._lease_sent_s} s")
+        used_up = (proof.epoch % 8192, seq) in self._used_up
+        if used_up or (proof.epoch, seq) in self._aborted or seq == proof.seq:
+            raise broken("used_numbers_stay_used", f"STAGE {data.hex()}, set {proof.seq} runs")
+        self._staged[item] = seq, value
+        self._said = self.heard.place
+
+    def _commit(self, data: bytes, now_s: float) -> None:
+        """COMMIT: once, under a lease that is granted and not over, of what was read back as it was staged."""
+        seq, base, crc = u16(data), u16(data[2:]), int.from_bytes(data[4:], "little")
+        running, staged = self.heard.proved.get(RUNNING), self.heard.proved.get(STAGED)
+        if data in self._commits:
+            raise broken("a_commit_is_sent_once", data.hex())
+        self._commits.add(data)
+        if not self._granted or now_s - self._granted_s >= self._length_s:
+            raise broken("the_lease_comes_first", f"COMMIT {data.hex()}, granted {self._granted} at {self._granted_s}")
+        gains = self._three_staged(seq)
+        if staged is None or staged.asked < self._said or (staged.seq, staged.gains) != (seq, gains):
+            raise broken("what_is_staged_is_read_back", f"COMMIT {data.hex()} with {staged}, staged were {gains}")
+        said = struct.pack("<HH", base, self._settings.owner)
+        if running is None or crc != set_crc(self._settings.node, staged.epoch, seq, staged.gains, said):
+            raise broken("a_commit_says_what_it_means", f"COMMIT {data.hex()} of {staged} on {running}")
+        self._code(staged, base)
+        self._said = self.heard.place
+
+    def _three_staged(self, seq: int) -> Three | None:
+        """What was staged under this number, if all of it was."""
+        values = [value for number, value in map(self._staged.get, range(3), [(-1, 0.0)] * 3) if number == seq]
+        return (values[0], values[1], values[2]) if len(values) == 3 else None
+
+    def _code(self, staged: Proof, base: int) -> None:
+        """With a key: both halves right before the commit, over the newest challenge."""
+        key, settings, challenge = self._settings.key, self._settings, self.heard.challenge
+        if key is None:
+            return
+        nonce, demanded = challenge or (0, False)
+        said = struct.pack(
+            "<BHQHHH3f", settings.node, staged.epoch, nonce, settings.owner, staged.seq, base, *staged.gains
+        )
+        code = hmac.digest(key, KEYED + said, "sha256")[:12]
+        heads = [bytes([part | (staged.seq & 15) << 4]) for part in (0, 1)]
+        if not demanded or self._auth != [heads[0] + code[:6], heads[1] + code[6:]]:
+            raise broken("codes_are_over_the_newest_challenge", f"{[half.hex() for half in self._auth]}, {challenge}")
+
+    def _keep(self, command: int, seq: int) -> None:
+        """CONFIRM and STORE: of the set that was read back; what this host has written is confirmed before."""
+        running = self.heard.proved.get(RUNNING)
+        if command == CONFIRM and seq not in self._done:
+            raise broken("what_is_kept_has_been_read_back", f"CONFIRM of {seq}, done were {sorted(self._done)}")
+        if command == STORE and (running is None or seq == self._on_probation):
+            raise broken("what_is_kept_has_been_read_back", f"STORE of {seq} with {running}")
+
+    # What it tells
+
+    def tells(self, event: object) -> None:
+        """The client tells its user something."""
+        match event:
+            case WriteDone() | WriteFailed():
+                self._ended(event)
+            case DeviceRestarted():
+                self._read_back(event.running, "restart")
+                first = self.heard.beats.get(event.epoch)
+                if first is None or self.heard.identity < first:
+                    raise broken("a_device_that_booted_is_asked_who_it_is", f"{event}, heard first at {first}")
+                self._granted = False
+            case RunningChanged() | Reverted():
+                self._read_back(event.running, "change")
+            case LoopSample() if not self.heard.was_sampled(event.sp, event.pv, int(event.mode)):
+                raise broken("samples_are_whole_at_the_host", f"{event} has come in no frames")
+
+    def _read_back(self, running: RunningSet, what: str) -> Proof:
+        """What is told to run is what the newest read-back has proved."""
+        proof = self.heard.proved.get(RUNNING)
+        if proof is None or (proof.seq, proof.gains) != (running.seq, _three(running.gains)):
+            raise broken("what_is_told_was_read_back", f"{what}: {running}, proved is {proof}")
+        return proof
+
+    def _ended(self, event: WriteDone | WriteFailed) -> None:
+        """A write is over: by a read-back that was asked for after everything that this host has said about it."""
+        proof = self._read_back(event.running, type(event).__name__)
+        if proof.asked < self._said:
+            raise broken("what_is_told_was_read_back", f"{event}: asked at {proof.asked}, said at {self._said}")
+        tag = proof.epoch % 8192
+        earlier = (a for place, a in self.heard.acks if place < proof.asked)
+        answers = {(a.kind, a.reason == OK) for a in earlier if (a.epoch, a.seq) == (tag, event.seq)}
+        fenced = {(ABORT, True), (ABORT, False)} & answers
+        if not fenced and (COMMIT, True) not in answers:
+            raise broken("a_write_ends_fenced_or_acknowledged", f"{event}, answered were {answers} in {proof}")
+        if isinstance(event, WriteDone):
+            self._done.add(event.seq)
+            self._on_probation = event.seq
+
+    def polled(self, now_s: float, *, connected: bool) -> None:
+        """The host has taken its turn."""
+        if connected and now_s - self._heard_s > self._settings.silent_s:
+            raise broken("silence_is_noticed", f"connected at {now_s} s, heard last at {self._heard_s} s")
+
+
+def _three(gains: PidGains) -> Three:
+    """As they stand on the wire."""
+    return gains.kp, gains.ki, gains.kd

@@ -1,0 +1,279 @@
+"""Tours of nonlinear plants with retuner in charge: how many visits does a region need, and what teaches?
+
+Plants: drawn ones (schedules/drawn.py), from physics, and written by others (pc-gym). Four regions along pv, equally
+wide (the demo's oven has its own three, and its own gains). The setpoint goes to a new random place and stays there for
+HOLD_THETA dead times of the middle; all watch the same places with the same noise. Starts:
+
+middle    SIMC with perfect knowledge of the middle of the range, in every region
+quarter   a quarter of all gains that SIMC with perfect knowledge of each region's centre gives
+own       the gains of the demo (oven only)
+
+Counted are responses, and those of them that taught; regions whose set is in spec on the process linearised at their
+centre from their first, second, third, fourth visit on, of those that were visited so often; places in spec and IAE
+(noise aside) from the second third on, beside a table of SIMC with perfect knowledge of each centre; changes that made
+Ms too large, or a region unstable, at its centre.
+"""
+
+import math
+import statistics
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from schedules import drawn, others, physics
+from schedules.subject import Live, Subject
+
+from online.counting import counted
+from online.judge import Judge, effect
+from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop
+from online.supervisors import Watching, settings
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
+
+Row = dict[str, Any]
+WHO = ("fixed", "retuner", "perfect")
+SMOOTH = "smooth"
+KINDS = (SMOOTH, "tank", "ph", "reactor", "drive", "oven", *others.MAKERS)
+REGIONS = 4
+PLACES = 42
+HOLD_THETA, MOST_SAMPLES = 80.0, 2500
+NEAREST, FARTHEST = 0.04, 0.3
+"""Of a step, in shares of the range."""
+VISITS = 4
+OVEN_BOUNDS, OVEN_GAINS = (90.0, 150.0), ((0.22, 260.0), (4.2, 70.0), (0.85, 330.0))
+"""As in examples/oven.toml: Kc and tau_I."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One plant and tour."""
+
+    seed: int
+    index: int
+    kind: str
+    start: str
+    places: int = PLACES
+    lookup: str = "hard"
+    opened: bool = False
+    verbose: bool = False
+
+
+def tasks(seed: int, kind: str, count: int, start: str, **more: Any) -> list[Task]:
+    """So many tours of one kind of plant."""
+    return [Task(seed, index, kind, start, **more) for index in range(count)]
+
+
+class _Deviation:
+    """A plant in absolute values, about where it rests (see loop.Moved)."""
+
+    def __init__(self, live: Live, y0: float, co0: float) -> None:
+        self._live, self._y0, self._co0 = live, y0, co0
+
+    def move(self, u: float) -> float:
+        """Hold co0 + u for one sample."""
+        return self._live.move(self._co0 + u, self._y0) - self._y0
+
+
+@dataclass(frozen=True, slots=True)
+class Tour:
+    """What all see: the plant, the table's regions, the places with their noise, and the judges at them."""
+
+    subject: Subject
+    regions: Regions
+    sps: list[float]
+    noise: list[list[float]]
+    judges: list[Judge]
+    centres: list[Judge]
+
+    @staticmethod
+    def drawn(task: Task) -> "Tour":
+        """From its seed."""
+        rng = np.random.default_rng([task.seed, task.index, 40])
+        subject = _subject(task.kind, rng)
+        regions, span = _regions(subject), subject.high - subject.low
+        rim = 0.05 * span
+        sps = [float(rng.uniform(subject.low + rim, subject.high - rim))]
+        while len(sps) < task.places:
+            sp = sps[-1] + span * float(rng.uniform(NEAREST, FARTHEST)) * float(rng.choice([-1, 1]))
+            sps += [sp] if subject.low + rim <= sp <= subject.high - rim else []
+        thetas = [Judge.theta(subject.local(y)) for y in subject.places(9)]
+        n = min(int(HOLD_THETA * statistics.median(thetas) / subject.dt_s), MOST_SAMPLES)
+        noise = [(subject.noise * rng.standard_normal(n)).tolist() for _ in sps]
+        judges = [Judge(subject.local(sp), subject.dt_s) for sp in sps]
+        centres = [Judge(subject.local(regions.centre(i)), subject.dt_s) for i in range(len(regions))]
+        return Tour(subject, regions, sps, noise, judges, centres)
+
+    def start(self, task: Task) -> list[PidGains]:
+        """One set a region."""
+        if task.start == "own":
+            return [PidGains(kc, kc / tau_i, 0.0) for kc, tau_i in OVEN_GAINS]
+        middle = (self.subject.low + self.subject.high) / 2
+        if task.start == "quarter":
+            return [PidGains(*(gain / 4 for gain in (best.kp, best.ki, best.kd))) for best in self.best]
+        return [Judge(self.subject.local(middle), self.subject.dt_s).best] * len(self.regions)
+
+    @property
+    def best(self) -> list[PidGains]:
+        """SIMC with perfect knowledge of each region's centre."""
+        return [judge.best for judge in self.centres]
+
+
+def _subject(kind: str, rng: np.random.Generator) -> Subject:
+    if kind == SMOOTH:
+        return drawn.draw(rng, SMOOTH, 4.0)
+    return (physics.MAKERS.get(kind) or others.MAKERS[kind])()
+
+
+def _regions(subject: Subject) -> Regions:
+    low, high = subject.low, subject.high
+    inside = [low + (high - low) * i / REGIONS for i in range(1, REGIONS)]
+    bounds = OVEN_BOUNDS if subject.name == "oven" else tuple(inside)
+    hysteresis = max(0.005 * (high - low), 4 * subject.noise)
+    names = tuple(f"r{i + 1}" for i in range(len(bounds) + 1))
+    return Regions("pv", "-", names, low, bounds, high, hysteresis)
+
+
+def run(task: Task) -> Row:
+    """One tour under fixed gains, retuner, and perfect knowledge of each region's centre."""
+    tour = Tour.drawn(task)
+    first, span = tour.start(task), tour.subject.high - tour.subject.low
+    wanted = settings(tour.subject.dt_s, span, opened=task.opened)
+
+    def table(gains: list[PidGains]) -> GainTable:
+        return GainTable("loop", tour.regions, tuple(gains), Lookup(task.lookup))
+
+    watching = Watching(table(first), wanted)
+    everybody: dict[str, tuple[GainTable, Supervisor]] = {
+        "fixed": (table(first), FixedGains()),
+        "retuner": (table(first), watching),
+        "perfect": (table(tour.best), FixedGains()),
+    }
+    found = {who: toured(tour, gains, supervisor) for who, (gains, supervisor) in everybody.items()}
+    if task.verbose:
+        for decision in watching.decisions:
+            sys.stdout.write(f"{decision.t_s:>9.1f} {decision.region} {decision.action} {decision.reason}\n")
+    return {
+        "part": "tours",
+        "seed": task.seed,
+        "index": task.index,
+        "kind": task.kind,
+        "start": task.start,
+        "lookup": task.lookup,
+        "opened": task.opened,
+        "who": found,
+        **_told(watching),
+        **_harm(tour, watching),
+    }
+
+
+def toured(tour: Tour, table: GainTable, supervisor: Supervisor) -> dict[str, Any]:
+    """The places under one of them. visits : by region, whether its own set was in spec at the end of each visit."""
+    subject = tour.subject
+    y0, co0 = tour.sps[0], subject.rest(tour.sps[0])
+    plant = _Deviation(subject.live(y0), y0, co0)
+    reach = 3 * (subject.high - subject.low)
+    limits = {"low": subject.co_min, "high": subject.co_max}
+    loop = WatchedLoop(plant, table, subject.dt_s, supervisor, co0=co0, sp0=y0, lost=reach, **limits)
+    law = tour.regions.law()
+    iae, spec = [], []
+    visits: list[list[bool]] = [[] for _ in tour.centres]
+    for sp, noise, judge in zip(tour.sps, tour.noise, tour.judges, strict=True):
+        try:
+            trace = loop.run(sp, 0.0, noise)
+        except LostLoop:
+            break
+        iae.append(sum(abs(sp - pv + more) for (pv, _), more in zip(trace, noise, strict=True)) * subject.dt_s)
+        spec.append(judge.of(loop.gains).in_spec)
+        region = sum(sp >= bound for bound in law.bounds)
+        visits[region].append(tour.centres[region].of(loop.table.gains_of(region)).in_spec)
+    missing = len(tour.sps) - len(iae)
+    return {
+        "iae": iae + [math.inf] * missing,
+        "spec": spec + [False] * missing,
+        "visits": visits,
+        "changes": loop.changes,
+        "lost": missing > 0,
+    }
+
+
+def _told(watching: Watching) -> Row:
+    """How many responses there were, and how many of them taught."""
+    seen = [d for d in watching.decisions if d.response is not None or d.code == "left_region"]
+    taught = [d for d in seen if d.agreement is not None and d.agreement.code != "silent"]
+    codes: dict[str, int] = {}
+    for decision in seen:
+        codes[decision.code] = codes.get(decision.code, 0) + 1
+    return {"responses": len(seen), "taught": len(taught), "codes": codes}
+
+
+def _harm(tour: Tour, watching: Watching) -> Row:
+    """Changes for the worse, judged at the centre of their region."""
+    worse = unstable = 0
+    for made in watching.writes:
+        assert made.gains_after is not None
+        region = tour.regions.names.index(made.region)
+        found = effect(tour.centres[region], made.t_s, made.gains_before, made.gains_after)
+        worse += found.ms_worse
+        unstable += math.isinf(found.after.ms) and math.isfinite(found.before.ms)
+    return {"ms_worse": worse, "made_unstable": unstable}
+
+
+def _later(values: list[Any]) -> list[Any]:
+    """From the second third on."""
+    return values[len(values) // 3 :]
+
+
+def _ratio(row: Row, who: str) -> float:
+    iae, perfect = (sum(_later(row["who"][name]["iae"])) for name in (who, "perfect"))
+    return float(iae / perfect)
+
+
+def good_after(visits: list[list[bool]], n: int) -> list[bool]:
+    """Of regions with n visits and more: whether the set was in spec at the end of the n-th and of every later one."""
+    return [all(visit[n - 1 :]) for visit in visits if len(visit) >= n]
+
+
+def line(row: Row) -> str:
+    """A tour for people."""
+    good, parts = good_after(row["who"]["retuner"]["visits"], VISITS), []
+    for who in WHO:
+        spec = _later(row["who"][who]["spec"])
+        parts.append(f"{who} {_ratio(row, who):.2f} {sum(spec)}/{len(spec)}")
+    return (
+        f"{row['kind']:<16} {row['index']:>2} {row['start']}: {row['taught']} of {row['responses']} taught; "
+        f"{sum(good)} of {len(good)} regions good; {'; '.join(parts)}; changes {row['who']['retuner']['changes']}, "
+        f"worse {row['ms_worse']}, unstable {row['made_unstable']} {row['codes']}"
+    )
+
+
+def table(rows: list[Row]) -> list[str]:
+    """A line a kind of plant and start, and all together."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["kind"], row["start"], row["lookup"]), []).append(row)
+    lines = [
+        f"{'plant, start':<34}{'taught':>12}{'good after 1, 2, 3, 4 visits':>34}{'IAE':>7}{'worst':>7}  places in spec"
+    ]
+    named = [(", ".join(key), group) for key, group in groups.items()]
+    for name, group in [*named, *([("all", rows)] if len(named) > 1 else [])]:
+        lines.append(_line_of(name, group))
+    return lines
+
+
+def _line_of(name: str, rows: list[Row]) -> str:
+    taught = f"{sum(row['taught'] for row in rows)}/{sum(row['responses'] for row in rows)}"
+    goods = [
+        [ok for row in rows for ok in good_after(row["who"]["retuner"]["visits"], n)] for n in range(1, VISITS + 1)
+    ]
+    good = " ".join(f"{sum(each)}/{len(each)}" for each in goods)
+    ratios = [_ratio(row, "retuner") for row in rows]
+    spec = {who: [ok for row in rows for ok in _later(row["who"][who]["spec"])] for who in WHO}
+    told = {who: counted(sum(each), len(each)) for who, each in spec.items()}
+    harm = f"worse {sum(row['ms_worse'] for row in rows)}, unstable {sum(row['made_unstable'] for row in rows)}"
+    lost = sum(row["who"]["retuner"]["lost"] for row in rows)
+    return (
+        f"{name:<34}{taught:>12}{good:>34}{statistics.median(ratios):>7.2f}{max(ratios):>7.2f}  "
+        f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); {harm}, lost {lost}"
+    )

@@ -1,0 +1,52 @@
+"""A variable from outside that moves pv by itself: a heater by the flow through it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.schedule_design.curves import Curves, curves
+from retuner.adaptive.schedule_design.shapes import Axis
+from retuner.adaptive.schedule_design.stretches import cut, signals_of
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.scheduling import silent
+
+HOLD_UP, COLD, HEAT, DEAD = 600.0, 20.0, 40.0, 4
+"""HOLD_UP dT/dt = flow (COLD - T) + HEAT co: slope gain 1/15 everywhere, lag HOLD_UP / flow, and the flow cools."""
+
+
+def heater() -> tuple[Window, FloatArray]:
+    """The flow steps through its range, the setpoint a little at each; PI control."""
+    rng = np.random.default_rng(6)
+    flows = np.repeat([10.0, 20.0, 30.0, 20.0, 12.0, 25.0], 200)
+    sp = np.repeat([60.0, 62.0, 60.0, 63.0, 60.0, 62.0], 200)
+    y, integral, rows = 60.0, 10.0, []
+    past = [10.0] * DEAD
+    for flow, target in zip(flows, sp, strict=True):
+        pv = y + rng.normal(0.0, 0.05)
+        integral += 0.04 * (target - pv)
+        past.append(1.0 * (target - pv) + integral)
+        rows.append((pv, past[-1]))
+        y += (flow * (COLD - y) + HEAT * past.pop(0)) / HOLD_UP
+    pv, co = np.array(rows).T
+    return Window(np.arange(float(len(sp))), sp, pv, co), flows
+
+
+@cache
+def found(*, pushed: bool) -> Curves:
+    window, flows = heater()
+    return curves(cut(signals_of(window, flows, 1)), Axis(10.0, 30.0), 1, silent, pushed=pushed)
+
+
+def test_its_push_is_not_taken_for_the_process() -> None:
+    told = found(pushed=True)
+    for flow in (12.0, 20.0, 28.0):
+        ln = told.ln(np.array([flow]))[0]
+        assert np.exp(ln[0]) == pytest.approx(HEAT / HOLD_UP, rel=0.1)
+        assert np.exp(ln[2]) == pytest.approx(HOLD_UP / flow, rel=0.25)
+    assert np.exp(told.ln(np.array([20.0]))[0, 1]) == pytest.approx(DEAD, rel=0.25)
+
+
+def test_left_out_of_the_model_it_becomes_loads_that_no_plant_has() -> None:
+    with_push, without = (sum(map(len, found(pushed=pushed).joint.loads)) for pushed in (True, False))
+    assert without > with_push
