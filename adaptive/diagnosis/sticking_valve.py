@@ -119,7 +119,7 @@ JUMP_SHARES = {Family.KANO: (0.0, 0.3, 0.6, 0.9, 1.2), Family.HE: (0.3, 0.6, 0.9
 LAGS_PER_PERIOD = ((0.02, 0.0), (0.1, 0.0), (0.1, 0.05), (0.4, 0.03), (1.5, 0.03), (20.0, 0.03))
 THETAS_PER_PERIOD = (0.01, 0.06, 0.12, 0.2, 0.32)
 """Dynamics tried for every band, as shares of the period: lag and second lag, dead time."""
-VALLEYS = 10
+VALLEYS = 8
 """Valves that are scanned again and refined, each of another valley."""
 APART = 0.09
 """Bands of one valley differ by less than this (in logarithms)."""
@@ -137,10 +137,8 @@ PLAYS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2)
 """Play that is tried, as shares of co's range."""
 FINE_STARTS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
 """Steps of it: the first slip comes earlier or later with it, and the beginning of the record hangs on that."""
-POLISHED = 4
-"""Of these, so many are scanned and refined until nothing helps, unless one has explained the record before."""
-EXPLAINS = 1.1
-"""What such a one leaves at the most, in times the noise."""
+POLISHED = 3
+"""Of these, so many are scanned and refined until nothing helps."""
 ROUNDS = 8
 """Rounds of fine scan and refinement at the most."""
 ENOUGH = 0.5
@@ -190,18 +188,9 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
         most_order=WHITE,
     )
     firsts = [_with_lag(_fine(_refined(replace(misfit, type=type_), valve, x))) for valve, type_, x in ranked]
-    best = _best_settled(sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED])
+    closest = sorted(firsts, key=lambda s: s.fit.criterion)[:POLISHED]
+    best = min((_settled(s) for s in closest), key=lambda s: s.fit.criterion)
     return replace(best, fit=improved(best.fit, most_loads, Seen([best.fit])))
-
-
-def _best_settled(closest: Sequence[Sticking]) -> Sticking:
-    """The best of some, each settled in turn until one of them has explained the record."""
-    found: list[Sticking] = []
-    for start in closest:
-        found.append(_settled(start))
-        if found[-1].fit.colour.std < EXPLAINS * start.fit.fit.misfit.record.noise_std:
-            break
-    return min(found, key=lambda s: s.fit.criterion)
 
 
 def with_play(linear: Candidate, most_loads: int) -> Sticking:
