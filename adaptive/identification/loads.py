@@ -35,8 +35,6 @@ MOST_MOVES = 14
 """Moves tried from one seed at the most."""
 MOVE_EVALUATIONS = 25
 """Evaluations of the misfit in one move; a move that needs more is no small one."""
-FEW_EVALUATIONS = 6
-"""Evaluations after which it shows where a load step is missing."""
 LEAST_GAIN = 1e-3
 """A move must lower the criterion by this."""
 START_ROUNDING = 3.0
@@ -144,7 +142,7 @@ def _load_elsewhere(at: Candidate, which: int) -> Proposal | None:
     if misfit.loads < 2 or which >= misfit.loads:  # a single one is looked for everywhere by the coarse search
         return None
     without = replace(misfit, loads=misfit.loads - 1)
-    left = judged(refine(without, np.delete(at.fit.p, d + which), evaluations=FEW_EVALUATIONS))
+    left = judged(refine(without, np.delete(at.fit.p, d + which), evaluations=0))  # or the process takes its place
     found = _with_load(left, misfit.loads)
     if found is None:
         return None
