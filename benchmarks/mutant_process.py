@@ -73,6 +73,7 @@ def tried(tests: list[str], cpu_s: int) -> tuple[int, str]:
         os.setpgid(0, 0)
         sys.dont_write_bytecode = True
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # they take three times as long to load as a test to run
         seen = Durations()
         code = int(pytest.main(["-x", *QUIET, *tests], plugins=[seen]))
         os.write(write, "".join(seen.failed[:1]).encode())

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -125,6 +126,9 @@ def python(count: int, seed: int, kept: Kept, copy: Copy) -> float:
     """So many mutants, drawn; the share that is killed of those that are not equal to the original."""
     drawn, places = draw(count, seed)
     copy.make()
+    for change in chain.from_iterable(zip(*drawn.values(), strict=True)):  # a count that is broken off is of all groups
+        if not why_equal(change):
+            kept.look(change, copy)
     total = dead = 0
     for group, changes in drawn.items():
         counted = [change for change in changes if not why_equal(change)]

@@ -98,12 +98,13 @@ def changed(node: ast.AST) -> bool:
 
 
 def head_of(statement: ast.stmt) -> tuple[int, int]:
-    """First and last line of a statement, without the statements inside it."""
+    """First and last line of a statement, with its decorators and without the statements inside it."""
+    first = min([statement.lineno, *(d.lineno for d in getattr(statement, "decorator_list", []))])
     inner = [
         inside.lineno for inside in ast.walk(statement) if isinstance(inside, ast.stmt) and inside is not statement
     ]
     last = statement.end_lineno or statement.lineno
-    return statement.lineno, max(statement.lineno, min([last, *(line - 1 for line in inner)]))
+    return first, max(statement.lineno, min([last, *(line - 1 for line in inner)]))
 
 
 def statements(tree: ast.AST) -> dict[ast.AST, ast.stmt]:

@@ -172,34 +172,68 @@ def trend_track(t_s: FloatArray, sp: FloatArray, co: FloatArray) -> TrendTrack:
     return TrendTrack(every_s, first, sp[at], co[at])
 
 
-def follows(slave: TrendTrack, master: TrendTrack) -> float:
-    """How far the setpoint of one loop goes with the output of another: their correlation, 0 where it says nothing."""
-    if slave.every_s != master.every_s:
-        return 0.0
-    first = max(slave.first, master.first)
-    x, y = slave.sp[first - slave.first :], master.co[first - master.first :]
-    many = min(len(x), len(y))
-    if many < FEWEST_POINTS:
-        return 0.0
-    x, y = x[:many] - np.mean(x[:many]), y[:many] - np.mean(y[:many])
-    size = float(x @ x) * float(y @ y)
-    return abs(float(x @ y)) / math.sqrt(size) if size > 0 else 0.0
-
-
 FOLLOWS = 0.99
 """Correlation from which a setpoint is another loop's output."""
+AT_ONCE = 256
+"""Slaves that are compared with all masters at once: what that takes stays small with ten thousand loops."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Clocked:
+    """Signals that have their moments in common: of these loops, shape (loops, moments)."""
+
+    every_s: float
+    first: int
+    tags: tuple[str, ...]
+    values: FloatArray
+
+    def between(self, first: int, end: int) -> FloatArray:
+        """The signals at some moments, each of mean 0 and length 1; one that does not move is 0."""
+        x = self.values[:, first - self.first : end - self.first]
+        x = x - np.mean(x, axis=1, keepdims=True)
+        size = np.sqrt(np.sum(x * x, axis=1, keepdims=True))
+        return np.asarray(np.divide(x, size, out=np.zeros_like(x), where=size > 0))
 
 
 def cascades(tracks: Mapping[str, TrendTrack]) -> dict[str, str]:
-    """The master of each slave among loops, by tag."""
-    found = {}
-    masters = {tag: track for tag, track in tracks.items() if _moves(track.co)}
-    for tag, track in tracks.items():
-        if _moves(track.sp):
-            likely = max((t for t in masters if t != tag), key=lambda t: follows(track, masters[t]), default=None)
-            if likely is not None and follows(track, masters[likely]) >= FOLLOWS:
-                found[tag] = likely
-    return found
+    """The master of each slave among loops, by tag: the setpoint goes with its output, their correlation is FOLLOWS."""
+    best: dict[str, tuple[float, str]] = {}
+    masters = _by_clock({tag: (track, track.co) for tag, track in tracks.items() if _moves(track.co)})
+    for slaves in _by_clock({tag: (track, track.sp) for tag, track in tracks.items() if _moves(track.sp)}):
+        for some in masters:
+            if slaves.every_s == some.every_s:
+                for tag, found in _followed(slaves, some):
+                    best[tag] = max(best.get(tag, found), found, key=lambda one: one[0])
+    return {tag: best[tag][1] for tag in tracks if tag in best}
+
+
+def _by_clock(signals: Mapping[str, tuple[TrendTrack, FloatArray]]) -> list[_Clocked]:
+    """Signals, those with the same moments together."""
+    groups: dict[tuple[float, int, int], list[str]] = {}
+    for tag, (track, values) in signals.items():
+        groups.setdefault((track.every_s, track.first, len(values)), []).append(tag)
+    return [
+        _Clocked(every_s, first, tuple(tags), np.stack([signals[tag][1] for tag in tags]))
+        for (every_s, first, _), tags in groups.items()
+    ]
+
+
+def _followed(slaves: _Clocked, masters: _Clocked) -> Iterator[tuple[str, tuple[float, str]]]:
+    """Slaves with how far they follow which of these masters, where that says something."""
+    first = max(slaves.first, masters.first)
+    end = min(slaves.first + slaves.values.shape[1], masters.first + masters.values.shape[1])
+    if end - first < FEWEST_POINTS:
+        return
+    x, y = slaves.between(first, end), masters.between(first, end)
+    place = {tag: j for j, tag in enumerate(masters.tags)}
+    for begin in range(0, len(x), AT_ONCE):
+        told = np.nan_to_num(np.abs(x[begin : begin + AT_ONCE] @ y.T))
+        for row, tag in zip(told, slaves.tags[begin : begin + AT_ONCE], strict=True):
+            if tag in place:
+                row[place[tag]] = 0.0
+            j = int(np.argmax(row))
+            if row[j] >= FOLLOWS:
+                yield tag, (float(row[j]), masters.tags[j])
 
 
 def _moves(x: FloatArray) -> bool:

@@ -105,7 +105,7 @@ def _neither(evidence: dict[str, float], settings: DiagnosisSettings) -> Diagnos
         )
         return Diagnosis(Cause.STICTION, 0.6, evidence, reason)
     reason = (
-        "the oscillation is not explained by the loop, by an external sinusoid or by a sticking valve; "
+        "what moves pv is explained neither by the loop, nor by an external sinusoid, nor by a sticking valve; "
         f"the residual is at least {left:.1f} times the noise"
     )
     return Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason)

@@ -103,6 +103,6 @@ class DiagnosisSettings:
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)
     )
-    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=4.0))
+    cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=10.0))
     robust: RobustSettings = field(default_factory=RobustSettings)
     standing: StandingSettings = field(default_factory=StandingSettings)

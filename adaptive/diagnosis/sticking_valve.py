@@ -138,7 +138,7 @@ PLAYS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2)
 FINE_STARTS = (-0.06, -0.03, -0.015, 0.015, 0.03, 0.06)
 """Steps of it: the first slip comes earlier or later with it, and the beginning of the record hangs on that."""
 POLISHED = 3
-"""Of the finalists, those that are scanned and refined until nothing helps."""
+"""Of these, so many are scanned and refined until nothing helps."""
 ROUNDS = 8
 """Rounds of fine scan and refinement at the most."""
 ENOUGH = 0.5

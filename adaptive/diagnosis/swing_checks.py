@@ -116,14 +116,25 @@ def not_seen(
     second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
     least = settings.unseen_bands * response.band
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
-        looked = trace.e[: int((response.t_end_s - response.t_start_s) / trace.step_s) + 1]
-        by_then = peaks_of(looked)[THIRD - 1 : THIRD]  # a slow swing may pass its band for longer than rest takes
-        due = abs(by_then[0]) / said[0] * seen[0] if by_then else 0.0
+        due = _due(response, trace, said, settings) * seen[0] / said[0]
         missing = response.ending == Ending.QUIET and min(second, due) > least
         return f"{_says(third)}, and the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
         return ""
     return f"{_says(third)}, and it was {seen[2]:.3g}"
+
+
+def _due(response: Response, trace: Trace, said: list[float], settings: SwingSettings) -> float:
+    """How high the third peak would have been by the end of the response, by the model.
+
+    A slow swing may pass its band for longer than rest takes. After a setpoint step that can be told; when a load began
+    cannot, and a swing that lasts has no rest: there the whole peak is due.
+    """
+    if not response.sp_changed or said[2] > settings.shown * said[0]:
+        return said[2]
+    looked = trace.e[: int((response.t_end_s - response.t_start_s) / trace.step_s) + 1]
+    by_then = peaks_of(looked)[THIRD - 1 : THIRD]
+    return abs(by_then[0]) if by_then else 0.0
 
 
 def swings_anyway(

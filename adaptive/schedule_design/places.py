@@ -152,9 +152,12 @@ def iae(model: ProcessModel, gains: PidGains, sample_time_s: float) -> tuple[flo
 
 def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimits) -> Place:
     """The place x of some curves."""
-    ln = curves.ln(np.array([x]))[0]
-    covariance = curves.ln_covariance(x) + LEAST_STD**2 * np.eye(len(ln))
-    sign = curves.form.sign
+    return place_of(x, curves.ln(np.array([x]))[0], curves.ln_covariance(x), curves.form.sign, sample_time_s, limits)
+
+
+def place_of(x: float, ln: FloatArray, p: FloatArray, sign: int, sample_time_s: float, limits: DesignLimits) -> Place:
+    """A place from ln b, ln theta, ln tau (, ln tau2) there and their covariance p. sign : of the process gain."""
+    covariance = p + LEAST_STD**2 * np.eye(len(ln))
     model = model_of(ln, sign)
     values, vectors = np.linalg.eigh(covariance)
     ways = OUT * vectors * np.sqrt(np.maximum(values, 0.0))

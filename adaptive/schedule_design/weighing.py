@@ -23,7 +23,6 @@ from retuner.adaptive.schedule_design.shapes import Shape
 from retuner.adaptive.signals.sample import FloatArray
 
 SHAPES = (Shape.CONSTANT, Shape.LINE, Shape.BENT)
-Rows = np.ndarray[tuple[int], np.dtype[np.int64]]
 SIMPLER = 2.0
 """Nats that a step from constant to line to bent must bring beyond its evidence."""
 
@@ -54,16 +53,14 @@ def weighed(form: Form, told: Agreement) -> Weighed:
     return Weighed(best[:-1], best[-1], covariance, ranked[best] - level)
 
 
-def _kept(form: Form, shapes: Sequence[Shape]) -> Rows:
+def _kept(form: Form, shapes: Sequence[Shape]) -> list[int]:
     """Rows of z that these shapes have."""
     places = [*form.places, form.felt_place]
     sizes = [*map(int, shapes[:-1]), int(shapes[-1]) - 1]
-    return np.concatenate([np.arange(p.start, p.start + n) for p, n in zip(places, sizes, strict=True)]).astype(
-        np.int64
-    )
+    return [row for p, n in zip(places, sizes, strict=True) for row in range(p.start, p.start + n)]
 
 
-def _evidence(kept: Rows, told: Agreement, steps: int) -> float:
+def _evidence(kept: list[int], told: Agreement, steps: int) -> float:
     """ln E of the coefficients that are kept."""
     sub, right = told.normal[np.ix_(kept, kept)], told.right[kept]
     gained = float(right @ np.linalg.solve(sub, right))
@@ -90,7 +87,7 @@ LEAST_WEIGHT = 1e-4
 """Over that of the likeliest, below which shapes say nothing."""
 
 
-def _solved(kept: Rows, told: Agreement) -> tuple[FloatArray, FloatArray]:
+def _solved(kept: list[int], told: Agreement) -> tuple[FloatArray, FloatArray]:
     """z and covariance where only some coefficients are kept; zero for the others."""
     z, covariance = np.zeros_like(told.right), np.zeros_like(told.normal)
     inverse = np.linalg.inv(told.normal[np.ix_(kept, kept)])

@@ -67,7 +67,7 @@ class ResponseRecord:
         if self.entered_s > self.response.t_start_s:
             return True
         regions = self.table.regions
-        if all(axis.variable != "sp" for axis in regions.axes):
+        if not self.response.sp_changed or all(axis.variable != "sp" for axis in regions.axes):
             return False
         spans = [regions.span(self.region, axis) for axis in range(len(regions.axes))]
         return any(

@@ -203,10 +203,13 @@ class GainCourse:
             self._move(CourseInput.RESTARTED)
 
     def leave(self, reason: str) -> None:
-        """Nobody can be written to for now; what runs is read when somebody can. Without read-back it is sent then."""
+        """Nobody can be written to for now; what runs is read when somebody can. Without read-back all is sent anew."""
         if self.busy and self._reads_back:
             self.reason = reason
             self._move(CourseInput.LEFT)
+        elif self.busy:
+            self._at = self._tries = 0
+            self._deadline_s = None
 
     def on_read(self, numbers: Numbers) -> None:
         """The whole set was read, after it was asked for here."""

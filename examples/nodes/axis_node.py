@@ -51,9 +51,9 @@ class Axis:
         if command == GET_IQ and message.is_remote_frame:
             amps = self.torque / NM_PER_A
             return struct.pack("<ff", amps, amps)
-        if command == SET_VELOCITY and message.dlc == 8:
+        if command == SET_VELOCITY and len(message.data) == 8:
             self.wanted = struct.unpack("<ff", message.data)[0]
-        if command == SET_GAINS and message.dlc == 8:
+        if command == SET_GAINS and len(message.data) == 8:
             self.vel_gain, self.integrator_gain = struct.unpack("<ff", message.data)
             print(f"vel_gain {self.vel_gain:.4g} Nm/(rev/s), integrator {self.integrator_gain:.4g} Nm/rev", flush=True)
         return None

@@ -81,6 +81,8 @@ def wrong_in(folder: Path) -> tuple[list[str], dict[str, int]]:
     said = "".join((folder / name).read_text(errors="replace") for name in ("run.err", "device.err"))
     found = ["traceback"] if "Traceback" in said else []
     kinds: dict[str, int] = {}
+    if not (folder / "run" / "ledger.sqlite").exists():  # it did not find the controller
+        return [*found, f"no session: {said[-200:]}"], kinds
     with LedgerReader(folder / "run" / "ledger.sqlite") as ledger:
         found += [] if ledger.verify().ok else ["ledger"]
         for row in ledger.rows():

@@ -98,7 +98,7 @@ def test_the_first_record_of_the_region_agrees_or_stands_alone(loop: Callable) -
     assert agreed.region_model is not None
     assert agreed.region_model.records == 1
     assert agreed.region_model.log.model().k == pytest.approx(1.0, rel=0.05)
-    alone = update_region_model(ask({0: known(20.0, 1e-6)}), window, GAINS, STILL, FitSettings())
+    alone = update_region_model(ask({0: known(200.0, 1e-6)}), window, GAINS, STILL, FitSettings())
     assert alone.agreement == Agreement.FIRST
     assert alone.region_model is not None
     assert alone.region_model.log.model().k == pytest.approx(1.0, rel=0.05)

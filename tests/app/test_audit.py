@@ -154,6 +154,17 @@ def test_rows_are_ranked_and_what_comes_from_another_loop_waits_for_it() -> None
     assert change(row("x", 0.1), row("x", 0.5)) == "better"
 
 
+def test_the_root_of_a_group_is_not_sent_upstream() -> None:
+    rows = [
+        row("upset", 0.9, "external", screen=swinging(100.0)),
+        row("valve", 0.5, "external", screen=swinging(101.0), sticks=0.3, reason="comes from elsewhere"),
+    ]
+    listed, _ = ranked(rows)
+
+    assert (listed[0]["tag"], listed[0]["action"]) == ("valve", "inspect")
+    assert "likely from here: its valve sticks" in str(listed[0]["reason"])
+
+
 def test_names_cannot_leave_the_page(tmp_path: Path) -> None:
     write_results(tmp_path, [row("</script><script>alert(1)", 0.5, reason="<b>")], [], [])
 

@@ -18,6 +18,9 @@ from retuner.commands.run import LedgerSize
 from retuner.errors import LedgerError
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.canonical import canonical_json
+from retuner.ledger.lock import WriterLock
+from retuner.ledger.schema import BUSY_TIMEOUT_S
+from retuner.ledger.store import BUSY_TRIES
 from retuner.live_view.live_screen import LiveScreen
 
 sys.path.append(str(Path(__file__).parent))
@@ -299,6 +302,60 @@ def test_a_lock_file_that_a_killed_run_left_does_no_harm(tmp_path: Path) -> None
     (tmp_path / "l.sqlite.lock").write_bytes(b"")
     written(tmp_path / "l.sqlite")
     assert [path.name for path in tmp_path.iterdir()] == ["l.sqlite"]
+
+
+@pytest.mark.parametrize("size", [1, 2, 511])
+def test_a_file_too_short_for_any_database_stays_as_it_is(tmp_path: Path, size: int) -> None:
+    """SQLite would take it for an empty one and write over it: somebody's notes would be gone."""
+    path = tmp_path / "l.sqlite"
+    path.write_bytes(b"n" * size)
+    with pytest.raises(LedgerError, match="is not a database"):
+        Ledger(path)
+    assert path.read_bytes() == b"n" * size
+
+
+def test_a_broken_ledger_is_let_go_of(tmp_path: Path) -> None:
+    """Its lock stays with nobody: whoever looks into it next is told that it is broken, not that it is in use."""
+    path = tmp_path / "l.sqlite"
+    written(path)
+    tamper(path, "UPDATE ledger SET clock_s = 7 WHERE seq = 2")
+    kept = []
+    for _ in range(2):
+        with pytest.raises(LedgerError, match="row 2 was changed") as found:
+            Ledger(path)
+        kept.append(found)  # whatever the failed object holds is still held here
+    assert not path.with_name("l.sqlite.lock").exists()
+
+
+def test_a_row_is_waited_for_as_long_as_the_page_says() -> None:
+    """docs/safety.md: up to two minutes."""
+    assert BUSY_TRIES * BUSY_TIMEOUT_S == 120.0
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="counts the handles that Linux shows")
+def test_locks_that_were_missed_leave_no_handle_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that writes for weeks must not run out of them."""
+    import fcntl
+
+    lock, flock = tmp_path / "l.sqlite.lock", fcntl.flock
+    missed = [0]
+
+    def late(handle: int, how: int) -> None:
+        flock(handle, how)
+        if missed[0] < 5:
+            missed[0] += 1
+            lock.unlink()
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    held = WriterLock(tmp_path / "l.sqlite")
+    assert (missed[0], len(list(Path("/proc/self/fd").iterdir()))) == (5, before + 1)
+    with pytest.raises(LedgerError, match="another run"):
+        WriterLock(tmp_path / "l.sqlite")
+    assert len(list(Path("/proc/self/fd").iterdir())) == before + 1
+    held.close()
+    held.close()
+    assert (len(list(Path("/proc/self/fd").iterdir())), lock.exists()) == (before, False)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="flock is POSIX's")

@@ -2,6 +2,8 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.decision_page.shown_units import show_units
 from retuner.schedule.document import from_toml
-from retuner.scheduling import RecordedGains, at_limits
+from retuner.schedule_report.sentences import push_sentence
+from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits
 
 Capture = pytest.CaptureFixture[str]
 LOOP = """
@@ -178,3 +181,10 @@ def test_time_at_a_limit_of_the_output_is_told() -> None:
     assert at_limits([window], (None, None)) == pytest.approx(0.5, abs=0.02)
     assert at_limits([window], (0.0, 120.0)) == pytest.approx(0.25, abs=0.02)
     assert at_limits([], (None, None)) == 0.0
+
+
+@pytest.mark.parametrize("pushed", [True, False])
+def test_a_variable_from_outside_is_told_to_leave_the_bands_too_narrow(pushed: bool) -> None:
+    form = SimpleNamespace(pushed=pushed)
+    found = SimpleNamespace(variable="flow", design=SimpleNamespace(curves=SimpleNamespace(form=form)))
+    assert ("flow comes from outside" in push_sentence(cast("ScheduleDesign", found))) == pushed

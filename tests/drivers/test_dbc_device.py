@@ -177,6 +177,23 @@ def test_a_set_goes_out_in_one_frame_in_the_axis_units_and_is_believed_where_tha
     assert samples_of(events)[-1].revision == done.running.seq
 
 
+@pytest.mark.parametrize("before", [0, 10, 20])
+def test_silence_in_the_middle_of_a_write_without_read_back_ends_with_the_set_sent_again(before: int) -> None:
+    stage = Stage()
+    stage.run(10)
+    stage.host.begin_write(PidGains(2.0, 1.5), stage.now_s)
+    events = stage.run(before)
+    send, stage.wire.send = stage.wire.send, lambda _: False  # nothing gets through either way
+    events += stage.run(100, silent=True)
+    stage.wire.send = send
+    events += stage.run(150)
+    assert [e.state for e in events if isinstance(e, LinkChanged)] == [LinkState.SILENT, LinkState.UP]
+    (done,) = [event for event in events if isinstance(event, WriteDone)]
+    assert not stage.host.writing
+    assert stage.host.running is not None
+    assert stage.host.running.gains == done.gains == PidGains(*(50.0 * gain for gain in stage.axis.gains))
+
+
 def test_without_the_users_word_nothing_is_ever_written() -> None:
     stage = Stage(accept="")
     stage.run(10)

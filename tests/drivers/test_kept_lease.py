@@ -18,6 +18,7 @@ from retuner.drivers.device import Event, SamplesLost, WriteDone
 from retuner.drivers.host.connection import CanDevice, CanDeviceSettings
 from retuner.drivers.host.lease_client import UNATTENDED
 from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.drivers.protocol.frames import Ack, Lease, Reason
 from retuner.schedule.gains import PidGains
 
 CHANNELS = itertools.count()
@@ -65,6 +66,26 @@ def bench() -> Bench:
     made.run(20, polled=True)
     assert made.owner == 1
     return made
+
+
+@pytest.mark.parametrize("ahead", range(0, 64, 16))
+@pytest.mark.parametrize("slow", [False, True])
+def test_no_request_is_refused_while_nobody_polls(bench: Bench, ahead: int, slow: bool) -> None:
+    """Wherever its counter stands, and though it be a tenth slower than it says: each request is of a time it takes."""
+    bench.run(ahead, polled=True)
+    ask, answers = bench.device.lease.request, []
+
+    def heard(frame: Lease, epoch: int, sample: int) -> Ack:
+        answers.append(ask(frame, epoch, sample))
+        return answers[-1]
+
+    bench.device.lease.request = heard
+    for second in range(round(UNATTENDED * LEASE) - 5):
+        bench.clock.advance(1.0)
+        bench.on_bus.answer() if slow and second % 10 == 9 else bench.on_bus.sample()
+        bench.host.keep_lease(bench.clock.now_s())
+    assert len(answers) > 8
+    assert {answer.reason for answer in answers} == {Reason.OK}
 
 
 def test_a_lease_is_kept_while_the_host_does_something_else(bench: Bench) -> None:

@@ -43,6 +43,16 @@ def test_a_second_owner_is_refused_and_told_who_the_first_is() -> None:
     assert (answer.reason, answer.seq, answer.latest) == (Reason.NOT_OWNER, OTHER, OWNER)
 
 
+def test_a_lease_is_prolonged_for_ever_round_the_circle_of_its_counter() -> None:
+    """A counter of 8 bits comes round after 256 requests: a session of hours must not lose its controller there."""
+    dev = device()
+    for counter in range(2, 600):
+        assert take_lease(dev, samples=5, counter=counter % 256).reason == Reason.OK
+        step(dev)
+    assert dev.lease.owner == OWNER
+    assert take_lease(dev, samples=6, counter=(599 - 3) % 256).reason == Reason.STALE
+
+
 def test_nothing_is_changed_for_anybody_but_the_owner() -> None:
     dev = device()
     gains = dev.running.gains

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from retuner.drivers.device import RunningSet, WriteDone, WriteFailed
 from retuner.drivers.host.page_reader import PageReader, ReadBack
-from retuner.drivers.host.write_protocol import TRANSITIONS, Sequence, WriteInput, WriteOrder, WritePhase, WriteProtocol
+from retuner.drivers.host.write_protocol import (
+    CLAIMS,
+    TRANSITIONS,
+    Sequence,
+    WriteInput,
+    WriteOrder,
+    WritePhase,
+    WriteProtocol,
+)
 from retuner.drivers.protocol.checksum import page_crc
 from retuner.drivers.protocol.frames import Abort, Ack, Challenge, Commit, Kind, Page, Read, Reason, Stage, reason_text
 from retuner.schedule.gains import PidGains
@@ -53,6 +61,23 @@ def test_a_commit_is_sent_once_and_only_after_the_right_read_back() -> None:
     assert protocol.due(7.0, owned=True) == ORDER.commit()
     assert protocol.due(8.0, owned=True) == []
     assert protocol.due(13.0, owned=True) == [Abort(7)]
+
+
+def test_a_lease_that_runs_out_again_and_again_ends_the_write_without_a_commit() -> None:
+    """Found by the simulation (seed 70030): the fifth time the commit was sent without a lease."""
+    protocol, now_s, sent = started(), 0.0, []
+    for _ in range(CLAIMS + 1):
+        sent += protocol.due(now_s, owned=True)
+        protocol.renumber(7)
+        sent += protocol.due(now_s + TIMEOUT_S, owned=True)
+        protocol.on_staged(ReadBack(Page.STAGED, 7, NEW, RIGHT))
+        assert protocol.phase is WritePhase.COMMITTING
+        now_s += 2 * TIMEOUT_S
+        sent += protocol.due(now_s, owned=False)
+        now_s += 1.0
+    assert not [frame for frame in sent if isinstance(frame, Commit)]
+    assert sent[-1] == Abort(7)
+    assert protocol.phase is WritePhase.FENCING
 
 
 def test_gains_that_are_sent_again_are_read_back_again_before_the_commit() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
-from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS
+from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
 from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault
@@ -104,7 +104,10 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
     by_tag = {str(row["tag"]): row for row in rows}
     for row in rows:
         group = group_of.get(str(row["tag"]))
-        if group is None or group.root is None or group.root == row["tag"] or not is_fault(row):
+        if group is None or group.root is None or not is_fault(row):
+            continue
+        if group.root == row["tag"]:
+            _root_itself(row, group)
             continue
         if row["cause"] in SWUNG and group.coherence is not None:
             row["reason"] = f"swings in step with {group.root} ({group.why}); by itself: {row['reason']}"
@@ -116,6 +119,13 @@ def _from_the_root(rows: Sequence[Row], group_of: Mapping[str, CommonSwing]) -> 
             root = by_tag[group.root]
             root["rank"] = _number(root, "rank") + _number(row, "rank")
             root["upsets"] = int(_number(root, "upsets")) + 1
+
+
+def _root_itself(row: Row, group: CommonSwing) -> None:
+    """What others swing with is not sent upstream by itself: there is nobody it comes from."""
+    if row["cause"] == str(Cause.EXTERNAL):
+        row["action"] = str(Action.LOOK)
+        row["reason"] = f"others swing in step with it, likely from here: {group.why}; by itself: {row['reason']}"
 
 
 def _in_order(rows: Sequence[Row]) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from retuner.adaptive.region_model.refinement import Refinement, refinement
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.supervision.decision import Mode, gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
@@ -36,6 +37,7 @@ from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
 from retuner.schedule.document import to_toml
+from retuner.scheduling import schedule_section
 from retuner.serve.beside import require_page, served_beside
 from retuner.session.assembly import make_plant
 from retuner.session.loop_session import LoopSession
@@ -45,6 +47,8 @@ from retuner.session.outputs import (
     GAINS,
     LEDGER,
     LOOPS,
+    REFINED,
+    REFINED_SCHEDULE,
     REPORT,
     SUMMARY,
     TREND,
@@ -341,6 +345,7 @@ def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: Loop
     scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns)
     trend = write_trend(folder / TREND, loop.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(loop.table))
+    _write_refined(loop, folder)
     data = ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
@@ -421,10 +426,28 @@ def _tell_what_next(job: _Job, ledger: Ledger, left: Sequence[_Left], screen: Li
                 screen.command(f"  {told.command}")
 
 
-def advice_of(loop: LoopSession) -> tuple[RegionAdvice, ...]:
-    """Whether regions should be split or merged, by what their records say."""
+def advice_of(loop: LoopSession) -> tuple[RegionAdvice | Refinement, ...]:
+    """Whether regions should be split or merged, or the schedule be another, by what their records say."""
     retuner = loop.retuner
-    return region_advice(retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s, AdviceSettings())
+    regions, models, dt_s = retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s
+    advice = region_advice(regions, models, dt_s, AdviceSettings())
+    other = refined(loop)
+    return (*advice, other) if other is not None else advice
+
+
+def refined(loop: LoopSession) -> Refinement | None:
+    """The schedule that the records ask for, at the time of the newest of them; None where the present one does."""
+    retuner = loop.retuner
+    models, now_s = retuner.region_models, max((one.t_s for one in retuner.region_models.values()), default=0.0)
+    return refinement(retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker)
+
+
+def _write_refined(loop: LoopSession, folder: Path) -> None:
+    """The proposed schedule as files that a person may take up."""
+    other = refined(loop)
+    if other is not None:
+        write_whole(folder / REFINED, to_toml(other.table))
+        write_whole(folder / REFINED_SCHEDULE, schedule_section(other.table))
 
 
 def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:

@@ -9,7 +9,13 @@ from retuner.schedule.controller_units import ControllerUnits
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable
 from retuner.schedule_report.drawing import schedule_png
-from retuner.schedule_report.sentences import experiment_sentence, limit_sentence, motion_sentences, why_sentence
+from retuner.schedule_report.sentences import (
+    experiment_sentence,
+    limit_sentence,
+    motion_sentences,
+    push_sentence,
+    why_sentence,
+)
 from retuner.scheduling import ScheduleDesign, schedule_section
 
 
@@ -26,7 +32,7 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
         ),
         *([] if found.table is None else [_sets(found.table)]),
         "<h2>In motion</h2>",
-        *([paragraph(limit_sentence(found))] if limit_sentence(found) else []),
+        *(paragraph(told) for told in (push_sentence(found), limit_sentence(found)) if told),
         *(paragraph(sentence) for sentence in motion_sentences(found)),
         "<h2>What to record next</h2>",
         paragraph(experiment_sentence(found)),

@@ -54,6 +54,16 @@ def experiment_sentence(found: ScheduleDesign) -> str:
     return told + " The limit of co holds it smaller than noise asks for: repeat it." * wanted.held
 
 
+def push_sentence(found: ScheduleDesign) -> str:
+    """That the variable moves pv by itself, which bands do not count; empty where it is a signal of the loop."""
+    if not found.design.curves.form.pushed:
+        return ""
+    return (
+        f"{found.variable} comes from outside and may move pv by itself. How it does so is known only roughly, "
+        "and the bands leave that out. Confirm the gains with a setpoint step at each end."
+    )
+
+
 TOLD_AT_LIMITS = 0.02
 """Share of the samples with co at a limit from which it is told."""
 

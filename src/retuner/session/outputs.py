@@ -33,7 +33,9 @@ LIVE = "live"
 LOOPS = "loops"
 LOG_NAME = re.compile(r"(?:pretune-)?bus(?:_[0-9]+)?(?:-[0-9]+)?\.blf")
 """Logs of buses and their parts."""
-OURS = {LEDGER, REPORT, SUMMARY, GAINS, BUS_LOG, CONFIG, MEMORY, MEMORY_BEFORE, MEMORY_START}
+REFINED, REFINED_SCHEDULE = "refined.toml", "refined-schedule.toml"
+"""A schedule that the records ask for, as a gain table and as the [schedule] of a configuration."""
+OURS = {LEDGER, REPORT, SUMMARY, GAINS, REFINED, REFINED_SCHEDULE, BUS_LOG, CONFIG, MEMORY, MEMORY_BEFORE, MEMORY_START}
 
 
 def loop_folder(session: Path, loop: str) -> Path:

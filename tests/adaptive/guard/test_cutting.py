@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retuner.adaptive.guard import KC_ONLY, NO_DERIVATIVE, NO_LOCKS, ChangeRequest, GuardSettings, Locks, Ruling, prove
-from retuner.adaptive.guard.limits import Goal, goals
+from retuner.adaptive.guard.limits import Goal, calmer, goals
 from retuner.adaptive.guard.ruling import LimitNumbers
+from retuner.adaptive.guard.step_size import extent, less_of_everything
 from retuner.adaptive.rules.rule import Tuning
 from retuner.schedule.forms import IdealGains
 from retuner.schedule.gains import PidGains
@@ -32,6 +33,18 @@ def cut(
 
 def times_of(gains: PidGains) -> tuple[float, float, float]:
     return gains.kp, gains.kp / gains.ki, gains.kd / gains.kp
+
+
+@given(kp=st.floats(0.01, 100.0), tau_i=st.floats(1.0, 1000.0), sign=st.sampled_from([1.0, -1.0]))
+def test_calmer_settings_are_less_of_something_the_smallest_step_first(kp: float, tau_i: float, sign: float) -> None:
+    """Where the rule gives nothing, a loop over its limit is offered less action, never more, in growing steps."""
+    old = PidGains(sign * kp, sign * kp / tau_i)
+    found = [goal.gains for goal in calmer(request(old), Goal(old, old, 5.0))]
+    steps = [round(extent(old, gains), 9) for gains in found]
+    assert len(found) == 10
+    assert all(less_of_everything(old, gains) and gains != old for gains in found)
+    assert steps == sorted(steps)
+    assert steps[-1] == pytest.approx(math.log(4.0))
 
 
 def test_within_the_limits_nothing_is_cut() -> None:

@@ -23,7 +23,7 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.table import GainTable
-from retuner.schedule_report.sentences import experiment_sentence, limit_sentence, motion_sentences
+from retuner.schedule_report.sentences import experiment_sentence, limit_sentence, motion_sentences, push_sentence
 from retuner.scheduling import AUTO, OWN, RecordedGains, ScheduleDesign, design_schedule, schedule_section
 from retuner.verbosity import quiet
 
@@ -218,8 +218,8 @@ def described(found: ScheduleDesign) -> list[str]:
     lines = [f"{found.variable}: {found.reason}", *_place_lines(found)]
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
-    limited = limit_sentence(found)
-    return [*lines, "", *([limited] if limited else []), *motion_sentences(found), experiment_sentence(found)]
+    doubts = [told for told in (push_sentence(found), limit_sentence(found)) if told]
+    return [*lines, "", *doubts, *motion_sentences(found), experiment_sentence(found)]
 
 
 def _place_lines(found: ScheduleDesign) -> list[str]:
