@@ -131,7 +131,7 @@ def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit
         first = _best(misfit(FIRST, loads), points)
         with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
         found += [integrating, first, with_lag]
-        found.append(with_second_lag(first, SECOND, [with_lag], 3))
+        found.append(with_second_lag(first, SECOND, [with_lag], 2 + (loads > 0)))
     drifting = partial(replace, ramp=True)
     return [*found, *_drifting(drifting(misfit(FIRST, 0)), drifting(misfit(INTEGRATING, 0)), seeds[0])]
 
@@ -146,7 +146,7 @@ def _drifting(lag: Misfit, slope: Misfit, points: list[FloatArray]) -> list[Fit]
     first = _best(lag, points)
     integrating = refine(slope, starts(slope, 0, 1)[0][0])
     with_lag = with_second_lag(integrating, INTEGRATING_LAG, [], 1)
-    return [first, with_second_lag(first, SECOND, [with_lag], 3), integrating, with_lag]
+    return [first, with_second_lag(first, SECOND, [with_lag], 2), integrating, with_lag]
 
 
 def _best(misfit: Misfit, points: list[FloatArray]) -> Fit:
