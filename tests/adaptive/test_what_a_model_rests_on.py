@@ -32,11 +32,12 @@ def weighed(
     ready: bool = True,
 ) -> StageResult:
     """The pipeline's last stages on one response, with what comes before them given."""
-    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=())
+    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True)
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
         "predicted": lambda *_: None,
+        "promise_of": lambda *_: None,
         "propose": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "_proved": lambda *_: verdict,
         "not_as_modelled": lambda *_: None,
@@ -54,6 +55,9 @@ def weighed(
         region_models={},
         region=0,
         table=SimpleNamespace(lookup=Lookup.HARD),
+        crossed=False,
+        at=(0.0, None),
+        pattern=None,
         response=SimpleNamespace(sp_changed=clear, peaks=()),
         window=SimpleNamespace(t_s=np.array([0.0, 1.0])),
     )
