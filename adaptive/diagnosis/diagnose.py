@@ -67,13 +67,19 @@ def rival_verdict(
         cause = Cause.STICTION
     else:
         cause = Cause.EXTERNAL
-    if leads[cause] < needed:
+    if leads[cause] < needed or (cause == Cause.EXTERNAL and not _repeats(tone, settings)):
         return None
     if tone_left > settings.rival_explains and cause == Cause.EXTERNAL:
         return _neither(evidence, settings)
     apart = abs(math.log(stuck_left / tone_left / (1 if cause == Cause.EXTERNAL else allowed)))
     confidence = 0.5 + 0.5 * math.tanh(min(leads[cause] / needed / 2, 4 * apart))
     return Diagnosis(cause, confidence, evidence, _reason(cause, tone, valve, evidence))
+
+
+def _repeats(tone: Candidate, settings: DiagnosisSettings) -> bool:
+    """Whether a tone goes on for as many cycles as make an oscillation; with fewer it is a load like any other."""
+    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    return tone.fit.misfit.record.span_s >= settings.tone_cycles * period_s
 
 
 def _within(valve: Sticking) -> bool:

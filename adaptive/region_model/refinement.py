@@ -1,13 +1,15 @@
 """A schedule that the regions' own records ask for: other knots, or more of them, than the table has.
 
 The curves through what is known of the regions (along.py) are put to the same question as those of a whole record
-(schedule_design/places.py, cover.py): the fewest sets, as steps or as knots, with which every place that is known keeps
-Ms and J on all models still allowed. It is proposed where the table in force does not keep them everywhere and the
-other would. Nothing is changed by it: a person takes it up, or leaves it.
+(schedule_design/places.py, cover.py): the fewest sets, as steps, with which every place that is known keeps
+Ms and J on all models still allowed. It is proposed where every region is known, and the table in force does not keep
+them everywhere, and the other would. Knots are not proposed: a live session tunes them by what is known of one region,
+and what runs between two is the mean. Nothing is changed by it: a person takes it up, or leaves it.
 
 Pure: a table and region models in, a proposal out.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -18,7 +20,7 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.along import curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings
-from retuner.adaptive.schedule_design.cover import Layout, knots, steps
+from retuner.adaptive.schedule_design.cover import Layout, steps
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions, choose, enter
@@ -60,7 +62,7 @@ class Refinement:
         return (
             f"Another schedule serves more places: {many}. It keeps Ms {self.limits.ms:g} and J {self.limits.j:g} at "
             f"{self.kept_then} of {self.places} known places, the present one at {self.kept}. "
-            f"The largest Ms is {self.ms_then:.2f} instead of {self.ms:.2f}."
+            f"The largest Ms is {_ms(self.ms_then)} instead of {_ms(self.ms)}."
         )
 
     def to_dict(self) -> dict[str, object]:
@@ -74,8 +76,12 @@ class Refinement:
             "gains": [{"kp": one.kp, "ki": one.ki, "kd": one.kd} for one in self.table.gains],
             "places": self.places,
             "kept": [self.kept, self.kept_then],
-            "ms": [self.ms, self.ms_then],
+            "ms": [one if math.isfinite(one) else None for one in (self.ms, self.ms_then)],
         }
+
+
+def _ms(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "that of an unstable loop"
 
 
 def refinement(
@@ -102,10 +108,10 @@ def refinement(
     kept = sum(place.keeps(gains, wanted) for place, gains in zip(known, now, strict=True))
     if kept == len(known):
         return None
-    options = [found for found in (steps(places, wanted, MOST_SETS), knots(places, wanted, MOST_SETS)) if found]
-    if not options:
+    layout = steps(places, wanted, MOST_SETS)
+    if layout is None:
         return None
-    other = _table_of(table, min(options, key=lambda one: (len(one.sets), one.lookup is Lookup.INTERPOLATED)))
+    other = _table_of(table, layout)
     then = [in_force(other, place.x) for place in known]
     kept_then = sum(place.keeps(gains, wanted) for place, gains in zip(known, then, strict=True))
     if kept_then <= kept:
@@ -133,7 +139,7 @@ def _places(
     """Places from the lowest to the highest region that knows its process, with the process there."""
     sign, regions = table.gains[0].direction, table.regions
     own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
-    if len(own) < 2 or len(regions.axes) > 1:
+    if len(own) < max(len(regions), 2) or len(regions.axes) > 1:  # what is not known must keep its own set
         return ()
     curve = curves(own, regions, t_s, tracker).get(ProcessType.FOPDT)
     if curve is None:

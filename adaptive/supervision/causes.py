@@ -61,6 +61,10 @@ FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATI
 
 TAKEN_SAMPLES = 5
 """Samples after which the recogniser has taken a setpoint step at the latest."""
+SURELY_TO_AND_FRO = 2
+"""Whole steps from which large ones are taken for steps to and fro: a person may set back by twice what he had set."""
+SMALL_STEP = 0.05
+"""Share of pv's span up to which one whole step is enough: as large as bumps are made."""
 PART = "to_and_fro"
 """Code: the response is a part of what is judged as a whole."""
 
@@ -72,6 +76,9 @@ def joining(found: Findings) -> None:
     if steps is None or record.entered_s > record.samples[steps.whole[0]].t_s:  # in another region
         return
     began_s, seen = record.response.t_start_s, len(steps.whole)
+    half = abs(record.samples[steps.opened].sp - steps.base)
+    if seen < SURELY_TO_AND_FRO and half > SMALL_STEP * found.settings.pv_span:
+        return
     closed_s = record.samples[steps.closed].t_s if steps.closed is not None else math.inf
     after = closed_s - record.samples[steps.whole[-1]].t_s
     if began_s > closed_s + after:

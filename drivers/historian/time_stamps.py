@@ -72,7 +72,8 @@ def from_numbers(values: FloatArray, name: str, unit: str, form: RecordForm) -> 
             told = Assumption(f"time counted from 1970 in {known}", f'time_unit = "{known}"')
             return Stamps(values * TIME_UNITS[known], (told,))
     finite = values[np.isfinite(values)]
-    step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 1.0
+    apart = np.abs(np.diff(finite))
+    step = float(np.median(apart[apart > 0])) if np.any(apart > 0) else 1.0  # rounded stamps repeat
     origin = _days_at_1970(values)
     if origin and 0 < step < 1.0 / 24:
         whose = "a spreadsheet" if origin == SPREADSHEET_1970 else "MATLAB"

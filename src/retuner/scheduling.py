@@ -1,5 +1,6 @@
 """`retuner.design_schedule`: a gain schedule from ordinary records of a loop, with what it rests on."""
 
+import json
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -383,10 +384,11 @@ def schedule_section(table: GainTable) -> str:
     if not simple:
         lines.append(f"range = [{axis.low!r}, {axis.high!r}]")
     if axis.variable == CAN:
-        lines += [f'unit = "{axis.unit or "-"}"', 'message = "FILL_IN"', f'signal = "{axis.signal}"']
+        unit, signal = json.dumps(axis.unit or "-"), json.dumps(axis.signal)  # quoted as TOML has it
+        lines += [f"unit = {unit}", 'message = "FILL_IN"', f"signal = {signal}"]
     if axis.bounds:
         lines.append(f"bounds = [{', '.join(map(repr, axis.bounds))}]")
-    for key, value in (("hysteresis", axis.hysteresis), ("min_stay_s", axis.min_stay_s)):
+    for key, value in (("hysteresis", axis.hysteresis), ("min_stay_s", axis.min_stay_s), ("filter_s", axis.filter_s)):
         lines += [f"{key} = {value!r}"] if value else []
     for region, gains in zip(table.regions.names, table.gains, strict=True):
         lines += ["", *_region_lines(region, gains)]

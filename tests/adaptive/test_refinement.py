@@ -76,11 +76,19 @@ def test_a_table_that_serves_every_place_is_left_alone(one_set: GainTable) -> No
         {i: known(3.0 ** (i / 2), 0.3) for i in range(3)},
         {i: replace(known(3.0 ** (i / 2)), identifiable=False) for i in range(3)},
         {},
+        {0: known(1.0), 1: known(3.0)},
     ],
-    ids=["one region", "too few records", "vague", "not settled", "nothing"],
+    ids=["one region", "too few records", "vague", "not settled", "nothing", "a region that never was visited"],
 )
 def test_what_is_not_known_proposes_nothing(models: dict[int, RegionModel], one_set: GainTable) -> None:
     assert refinement(one_set, models, 0.0, 1.0, STILL) is None
+
+
+def test_a_table_that_is_unstable_somewhere_is_told_in_words_and_in_plain_json() -> None:
+    found = refinement(table_of(*[best(0.1)] * 3), rising(3.0), 0.0, 1.0, STILL)
+    assert found is not None
+    assert "instead of that of an unstable loop" in found.sentence
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["ms"][0] is None
 
 
 def test_age_takes_the_proposal_away(one_set: GainTable) -> None:

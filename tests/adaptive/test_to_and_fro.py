@@ -101,6 +101,15 @@ def decided(load: float) -> list[Decision]:
     return [decision for decision in found if decision is not None]
 
 
+def test_a_person_may_set_back_by_twice_what_he_had_set() -> None:
+    bench = made(scaled(0.5, 0.5))
+    large = 0.2 * bench.retuner.settings.pv_span
+    found = [bench.retuner.observe(sample) for sample in stepped(bench, (large, -large))]
+    judged = [decision for decision in found if decision is not None]
+    assert len(judged) >= 2
+    assert not [decision.reason for decision in judged if "to and fro" in decision.reason]
+
+
 def test_under_a_load_that_walks_they_are_judged_once_and_together() -> None:
     decisions = decided(0.03)
     assert [d.reason for d in decisions if d.records] == [d.reason for d in decisions if "joined:" in d.reason]

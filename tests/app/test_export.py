@@ -351,6 +351,21 @@ def test_a_table_of_other_regions_changes_nothing(tmp_path: Path, capsys: pytest
     assert path.read_text() == CONFIG
 
 
+def test_regions_of_the_same_names_at_other_places_change_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, gains = tmp_path / "loop.toml", tmp_path / "gains.toml"
+    path.write_text(CONFIG)
+    table = load_session(path)[0].loops[0].gain_table()
+    tuned = to_toml(table.with_gains("low", PidGains(1.5, 0.01)))
+    (bound,) = table.regions.bounds
+    assert f"[{bound!r}]" in tuned
+    gains.write_text(tuned.replace(f"[{bound!r}]", f"[{bound + 1.0!r}]"))
+    assert main(["export", str(gains), "--into", str(path)]) == 2
+    assert "its boundaries or its lookup are not the table's" in capsys.readouterr().err
+    assert path.read_text() == CONFIG
+
+
 def test_of_several_loops_the_one_that_the_table_names_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

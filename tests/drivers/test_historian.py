@@ -472,6 +472,14 @@ def test_days_of_a_spreadsheet_and_of_matlab_begin_on_their_day(
     assert bool(read.assumed) == (not unit)
 
 
+def test_days_with_so_few_decimals_that_stamps_repeat_are_days(written: Callable[..., Path]) -> None:
+    days = [f"{25569 + e / 86400:.3f}" for e in EPOCH]  # a step every 86.4 s
+    read = read_loop_record([written(text("t,sp,pv,co", days, SP, PV, CO))], RecordForm())
+
+    assert "days of a spreadsheet" in in_a_line(read.assumed)
+    assert read.recording.t_s[-1] - read.recording.t_s[0] == pytest.approx(T[-1] - T[0], abs=200)
+
+
 def test_a_year_of_two_digits_is_where_the_nights_are_short(written: Callable[..., Path]) -> None:
     night = datetime(2024, 3, 4, 23, 55)  # noqa: DTZ001
     first = read_loop_record([written(text("Time,sp,pv,co", stamps("%y-%m-%d %H:%M:%S", night), SP, PV, CO))])

@@ -36,6 +36,7 @@ from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
+from retuner.schedule.axis import CAN
 from retuner.schedule.document import to_toml
 from retuner.scheduling import schedule_section
 from retuner.serve.beside import require_page, served_beside
@@ -438,6 +439,9 @@ def advice_of(loop: LoopSession) -> tuple[RegionAdvice | Refinement, ...]:
 def refined(loop: LoopSession) -> Refinement | None:
     """The schedule that the records ask for, at the time of the newest of them; None where the present one does."""
     retuner = loop.retuner
+    held = (*retuner.settings.region_modes, *retuner.settings.region_locks)
+    if any(axis.variable == CAN for axis in retuner.table.regions.axes) or any(one is not None for one in held):
+        return None  # a region that somebody holds stays as it is; a signal's message stands in the configuration alone
     models, now_s = retuner.region_models, max((one.t_s for one in retuner.region_models.values()), default=0.0)
     return refinement(retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker)
 

@@ -55,6 +55,7 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
             f"{path}: has the regions {', '.join(names)}, the table {', '.join(table.regions.names)}; "
             "gains go back only where they came from"
         )
+    _require_own_boundaries(path, config, table)
     try:
         document = tomlkit.parse(text)
         regions = _regions(document, place if several else None)
@@ -64,6 +65,16 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
     written = tomlkit.dumps(document)
     _require_same(path, written, table, place, same)
     return written, told
+
+
+def _require_own_boundaries(path: Path, config: Config, table: GainTable) -> None:
+    """Names may be alike where places are not; errors as into_config."""
+    own = config.gain_table()
+    if own.lookup != table.lookup or [a.bounds for a in own.regions.axes] != [a.bounds for a in table.regions.axes]:
+        raise UserError(
+            f"{path}: its boundaries or its lookup are not the table's; gains go back only where they came from. "
+            "Take up another schedule by its [schedule] section"
+        )
 
 
 def _sameness(config: Config) -> Same:

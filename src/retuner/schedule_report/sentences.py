@@ -29,7 +29,7 @@ def why_sentence(found: ScheduleDesign) -> str:
 def motion_sentences(found: ScheduleDesign) -> list[str]:
     """What a step over the whole range does with the schedule."""
     if not found.design.crossings:
-        return ["One set, or too little known: there is nothing to cross."]
+        return ["Motion over the range was not simulated: one set, too little known, or a variable from outside."]
     told = []
     for crossing in found.design.crossings:
         way = "up" if crossing.up else "down"
