@@ -240,6 +240,12 @@ def test_wrong_units_are_refused_in_one_line(capsys: Capture, options: list[str]
     assert said in refused(capsys, *TUNE, *options)
 
 
+def test_a_dial_in_percent_is_not_told_of_an_output_that_is_none(tmp_path: Path, capsys: Capture) -> None:
+    path, trade = str(closed_loop(tmp_path / "loop.csv")), ["--controller", "pb-rpm", "--pv-span", "9"]
+    said = refused(capsys, "diagnose", path, *trade, "--co-min", "0", "--co-max", "1")
+    assert "--scale co=0..1:0..100" in said
+
+
 def test_gains_that_act_against_the_record_are_refused(tmp_path: Path, capsys: Capture) -> None:
     path = str(closed_loop(tmp_path / "loop.csv"))
     for command in ("identify", "diagnose"):

@@ -76,18 +76,30 @@ def all_on_bus(session: "SessionConfig", interface: str | None, channel: str | N
     return replace(session, loops=tuple(on_bus(config, interface, channel) for config in session.loops))
 
 
-def controller_units(name: str | None, pv_span: float | None, action: str | None) -> "ControllerUnits | None":
-    """The units that the options name, None without a name.
+NOT_PERCENT = {(0.0, 1.0): "0..1", (4.0, 20.0): "mA"}
+"""Limits of co that are another unit's, and how --scale calls it."""
+
+
+def controller_units(
+    name: str | None,
+    pv_span: float | None,
+    action: str | None,
+    co_limits: tuple[float | None, float | None] = (None, None),
+) -> "ControllerUnits | None":
+    """The units that the options name, None without a name. co_limits : those of co that the options give.
 
     Raises
     ------
     UserError
-        There are no such units, or they need a span that is not given.
+        There are no such units, they need a span that is not given, or co is not in percent of its own.
     """
     from retuner.schedule.controller_units import ControllerUnits  # noqa: PLC0415  most commands need none
 
     if name is not None and pv_span is None and name.split("-")[0] in {"gain", "pb"}:
         raise UserError(f"--controller {name} is told of the span of pv: give --pv-span")
+    recorded = next((told for limits, told in NOT_PERCENT.items() if limits == co_limits), None)
+    if name is not None and recorded and name.split("-")[0] in {"gain", "pb"}:
+        raise UserError(f"--controller {name} counts co in percent: give --scale co={recorded}:0..100, and limits so")
     if name is None:
         if action is not None:
             raise UserError("--action needs --controller: say how the gains are given, as in --controller pb-rpm")

@@ -102,7 +102,7 @@ def controller(options: RecordOptions) -> PidGains | None:
     """
     if options.form not in set(Form):
         raise UserError(f"--form {options.form}: give one of {', '.join(Form)}")
-    units = controller_units(options.controller, options.pv_span, options.action)
+    units = controller_units(options.controller, options.pv_span, options.action, (options.co_min, options.co_max))
     show_units(units)
     if options.kc is None:
         if options.tau_i is not None or options.tau_d:

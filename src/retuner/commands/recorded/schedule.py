@@ -80,7 +80,7 @@ def schedule(options: ScheduleOptions) -> int:
     UserError, RecordingError
         A file or an option cannot be used.
     """
-    show_units(controller_units(options.controller, options.pv_span, options.action))
+    show_units(controller_units(options.controller, options.pv_span, options.action, (options.co_min, options.co_max)))
     gain_columns = _gain_columns(options)
     by = list(dict.fromkeys(options.by or [AUTO]))
     outside = [name for name in by if name not in {AUTO, *OWN}]
