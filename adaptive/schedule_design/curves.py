@@ -38,7 +38,7 @@ class Curves:
     form, z : the curves. rich, covariance : the richest form, and how well its coefficients are known round these.
     joint, noise, now : the fit behind them. log_likelihood : of the white remainder, by which variables are compared.
     evidence : ln E of the shapes over that of a constant process. weight : ln E among other structures. rest : the co
-    that holds each place.
+    that holds each place. differences : standard deviation of each ln p between the stretches, beside the curves.
     """
 
     form: Form
@@ -52,6 +52,7 @@ class Curves:
     evidence: float
     weight: float
     rest: Rest
+    differences: tuple[float, ...] = ()
 
     def ln(self, x: FloatArray) -> FloatArray:
         """ln b, ln theta, ln tau (, ln tau2) at places, shape (n, parameters), at the co that holds each."""
@@ -114,7 +115,8 @@ Fit = tuple[Joint, Form, Noise, At]
 def _chosen(rich: Fit, c: float) -> Curves:
     """The shapes for which most speaks, fitted. rich : with every shape as rich as it may become."""
     joint, form, noise, now = rich
-    told = weighed(form, agreement(form, now, [len(left) for left in now.left], c))
+    together = agreement(form, now, [len(left) for left in now.left], c)
+    told = weighed(form, together)
     felt = None if form.felt is None or told.felt is Shape.CONSTANT else replace(form.felt, shape=told.felt)
     fit = _under(noise, joint, *form.with_shapes(told.shapes, now.z, felt))
     return Curves(
@@ -129,6 +131,7 @@ def _chosen(rich: Fit, c: float) -> Curves:
         evidence=told.evidence,
         weight=evidence_of(fit, c),
         rest=Rest.of(joint.stretches),
+        differences=together.differences,
     )
 
 

@@ -192,7 +192,7 @@ def _designed(
     """Places, sets and the numbers of the lookup."""
     dt = float(np.median([w.sample_time_s for w in windows]))
     places = _visited(chosen, [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)])
-    reason = _at_rest(found) or _unexplained(found) or _nowhere_known(places)
+    reason = _at_rest(found) or _unexplained(found) or _differs(found) or _nowhere_known(places)
     if reason:
         return Design(chosen.name, found, places, None, 0.0, 0.0, evidence, reason)
     layout, j_limit = _affordable(places, limits, lookup)
@@ -237,6 +237,23 @@ def _unexplained(found: Curves) -> str:
     return (
         f"not explained: {loads} load steps would have to have happened in {stretches} stretches of the records; "
         "something else moves pv"
+    )
+
+
+DIFFERS = 0.5
+"""Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
+TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
+
+
+def _differs(found: Curves) -> str:
+    """Why the stretches are of several processes at one and the same place; empty where they agree."""
+    apart = [(v, name) for v, name in zip(found.differences, TOLD_OF, strict=False) if v >= DIFFERS]
+    if not apart:
+        return ""
+    most, name = max(apart)
+    return (
+        f"something else changes the process: its {name} differs by a factor of {math.exp(most):.1f} from stretch to "
+        "stretch at the same place; name what changes with it as the variable"
     )
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from retuner.adaptive.schedule_design import design
-from retuner.adaptive.schedule_design.design import _at_rest, _unexplained
+from retuner.adaptive.schedule_design.design import _at_rest, _differs, _unexplained
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
@@ -31,6 +31,11 @@ def test_records_that_need_two_load_steps_a_stretch_are_not_explained():
 
     assert _unexplained(fitted(2)) == ""
     assert "20 load steps" in _unexplained(fitted(4))
+
+
+def test_stretches_that_differ_at_one_place_give_no_settings():
+    assert _differs(SimpleNamespace(differences=(0.25, 0.06, 0.12))) == ""
+    assert "slope gain differs by a factor of 1.6" in _differs(SimpleNamespace(differences=(0.5, 0.03, 0.06)))
 
 
 def test_a_process_that_needs_too_many_sets_gets_slower_ones(monkeypatch):
