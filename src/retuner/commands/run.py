@@ -329,12 +329,13 @@ def _leave(
 
 
 class _Left(NamedTuple):
-    """What a run leaves of one loop. path : of its report, below the session's folder."""
+    """What a run leaves of one loop. report : below the session's folder. advice : on its regions."""
 
     loop: LoopSession
     unit: str
     scores: list[RegionScore]
     report: Path
+    advice: Sequence[RegionAdvice | Refinement]
 
 
 def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: LoopSession | None) -> _Left:
@@ -346,7 +347,8 @@ def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: Loop
     scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns)
     trend = write_trend(folder / TREND, loop.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(loop.table))
-    _write_refined(loop, folder)
+    advice = advice_of(loop)
+    _write_refined(advice, folder)
     data = ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
@@ -360,11 +362,11 @@ def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: Loop
         events=loop.scenario.played,
         facts=_facts(job, ledger, trend.name, i) | ({"not restored": loop.left_open} if loop.left_open else {}),
         stopped=config.scenario is not None and not loop.scenario.finished,
-        advice=[one.sentence for one in advice_of(loop)],
+        advice=[one.sentence for one in advice],
         ms_limit=config.adaptation.ms_marked,
     )
     write_whole(folder / REPORT, render(data))
-    return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder))
+    return _Left(loop, config.loop.pv_unit, scores, (folder / REPORT).relative_to(job.folder), advice)
 
 
 def _index_lines(session: Session, left: Sequence[_Left]) -> list[LoopLine]:
@@ -388,7 +390,7 @@ def _show(
 ) -> None:
     """The result as a file, and for whoever asked for it."""
     folder, several = job.folder, job.config.several
-    results = [result(one.loop, one.scores, ledger, folder / one.report.parent) for one in left]
+    results = [result(one, ledger, folder / one.report.parent) for one in left]
     whole = {"folder": str(folder), "loops": results, "absent": session.absent, "ledger_head": ledger.head()}
     document = {**(whole if several else results[0]), "interrupted": interrupted}
     write_json(folder / SUMMARY, document)
@@ -446,12 +448,12 @@ def refined(loop: LoopSession) -> Refinement | None:
     return refinement(retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker)
 
 
-def _write_refined(loop: LoopSession, folder: Path) -> None:
+def _write_refined(advice: Sequence[RegionAdvice | Refinement], folder: Path) -> None:
     """The proposed schedule as files that a person may take up."""
-    other = refined(loop)
-    if other is not None:
-        write_whole(folder / REFINED, to_toml(other.table))
-        write_whole(folder / REFINED_SCHEDULE, schedule_section(other.table))
+    for other in advice:
+        if isinstance(other, Refinement):
+            write_whole(folder / REFINED, to_toml(other.table))
+            write_whole(folder / REFINED_SCHEDULE, schedule_section(other.table))
 
 
 def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:
@@ -472,8 +474,9 @@ def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[
     }
 
 
-def result(loop: LoopSession, scores: list[RegionScore], ledger: Ledger, folder: Path) -> dict[str, object]:
+def result(left: _Left, ledger: Ledger, folder: Path) -> dict[str, object]:
     """The run of a loop as one JSON document: decisions, gains before and after per region, scores."""
+    loop = left.loop
     return {
         "loop": loop.name,
         "folder": str(folder),
@@ -482,8 +485,8 @@ def result(loop: LoopSession, scores: list[RegionScore], ledger: Ledger, folder:
             {"region": name, **gains_dict(gains)}
             for name, gains in zip(loop.table.regions.names, loop.table.gains, strict=True)
         ],
-        "scores": [score.to_dict() for score in scores],
-        "advice": [one.to_dict() for one in advice_of(loop)],
+        "scores": [score.to_dict() for score in left.scores],
+        "advice": [one.to_dict() for one in left.advice],
         "revision": loop.table.revision,
         "ledger_head": ledger.head(),
     }
