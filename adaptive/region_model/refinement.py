@@ -1,4 +1,4 @@
-"""A schedule that the regions' own records ask for: other knots, or more of them, than the table has.
+"""A schedule that the regions' own records ask for: other regions, or more of them, than the table has.
 
 The curves through what is known of the regions (along.py) are put to the same question as those of a whole record
 (schedule_design/places.py, cover.py): the fewest sets, as steps, with which every place that is known keeps
@@ -24,7 +24,7 @@ from retuner.adaptive.schedule_design.cover import Layout, steps
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions, choose, enter
-from retuner.schedule.table import GainTable, Lookup
+from retuner.schedule.table import GainTable
 
 PLACES = 13
 MOST_SETS = 8
@@ -57,8 +57,7 @@ class Refinement:
         """The proposal in a sentence or two."""
         axis = self.table.regions.axes[0]
         where = ", ".join(f"{self.table.regions.centre(i):.4g}" for i in range(len(self.table.gains)))
-        how = "knots at" if self.table.lookup is Lookup.INTERPOLATED else "steps about"
-        many = f"{len(self.table.gains)} {how} {axis.label} = {where} {axis.unit}".rstrip()
+        many = f"{len(self.table.gains)} steps about {axis.label} = {where} {axis.unit}".rstrip()
         return (
             f"Another schedule serves more places: {many}. It keeps Ms {self.limits.ms:g} and J {self.limits.j:g} at "
             f"{self.kept_then} of {self.places} known places, the present one at {self.kept}. "
