@@ -55,7 +55,7 @@ class Ground(StrEnum):
     CO_FROZEN = "co does not move: no information for the model"
     PV_FROZEN = "pv does not move: no information for the model"
     LOW_EXCITATION = (
-        "the response is only {peak_bands:.1f} noise bands high: too small to update the model ({limit:g} needed)"
+        "the response is too small to update the model: {peak_bands:.4g} noise bands high, {limit:g} needed"
     )
 
 
