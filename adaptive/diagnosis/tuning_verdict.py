@@ -255,6 +255,9 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
+    if math.isinf(evidence["ms"]) and not _grows(window):
+        reason = "the fitted process would be unstable with the active gains, but the record does not grow"
+        return Doubt(Cause.UNKNOWN, reason)
     explained = left < settings.second_explained
     unexplained = _unexplained(steps, loads, left, settings)
     if unexplained:
@@ -264,7 +267,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if as_likely and evidence["external_left"] < as_good * left:
         reason = "load steps explain the record, but an external oscillation explains it better"
         return Doubt(Cause.EXTERNAL, reason, explained and not oscillates)
-    if oscillates and not steps:
+    if oscillates and not steps and (as_likely or not explained):
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
     if not steps and share < settings.explained_alone:
@@ -273,9 +276,6 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     waves = _waves(loop.best.fit.explained)
     if verdict.cause == Cause.AGGRESSIVE and not steps and waves < settings.waves_a_load * loads:
         reason = f"perhaps aggressive, but {loads:.0f} load steps are needed to explain {waves} half cycles"
-        return Doubt(Cause.UNKNOWN, reason)
-    if math.isinf(evidence["ms"]) and not _grows(window):
-        reason = "the fitted process would be unstable with the active gains, but the record does not grow"
         return Doubt(Cause.UNKNOWN, reason)
     return None
 

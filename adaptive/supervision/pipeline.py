@@ -334,7 +334,7 @@ def _as_good(found: Findings, verdict: Verdict, promised: Promise | None) -> str
         swings
         or verdict.urgent
         or cost < settings.worth_iae
-        or not limit < verdict.ms_before <= settings.guard.ms_worst
+        or verdict.ms_before > settings.guard.ms_worst
     ):
         return ""
     if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):
