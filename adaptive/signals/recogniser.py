@@ -3,8 +3,8 @@
 Everything that affects its states and transitions stands in this file. The states are Foxboro EXACT's (TI 039-200,
 1995): LOCATE n follows the error outward until it has retreated from an extreme by the noise band, VERIFY n waits until
 the error crosses to the other side (the extreme was a peak) or rests (the response is over) or grows past the extreme
-(it was none). ADAPT lasts one sample, in which the response is handed out; SETTLE waits for rest or a new upset: an error
-beyond all that was left of the last response is one, for a slow tail may last until the next load.
+(it was none). ADAPT lasts one sample, in which the response is handed out; SETTLE waits for rest or a new upset: an
+error beyond all that was left of the last response is one, for a slow tail may last until the next load.
 
 What a sample means is worked out first, as one event; then the table says where to go:
 
@@ -102,7 +102,8 @@ class RecogniserState(NamedTuple):
     started : an upset is being followed. since_s : when the wait for the present peak began.
     inside_s : since when the error is inside the band, infinite outside. sp, sp_changed : last setpoint taken; whether
     the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed; in
-    SETTLE after a response, what was left of it. t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, once in ADAPT. event : what led to the last move.
+    SETTLE after a response, what was left of it. t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, from
+    ADAPT on. event : what led to the last move.
     e_near : smallest |error| since the extreme, by which a coming back is seen; infinite outside VERIFY_1.
     """
 
