@@ -341,8 +341,6 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
     """
     record, settings = found.record, found.settings
-    if cost <= settings.own_iae and record.table.gains_of(record.region) != record.commissioned.gains_of(record.region):
-        return ""
     seen, limit = decay_seen(record.response), settings.cause.ms_high
     swings = seen is not None and seen > settings.trial.harmless_decay
     if (
@@ -351,6 +349,9 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
         or cost < settings.worth_iae
         or not limit < verdict.ms_before <= settings.guard.ms_worst
     ):
+        return ""
+    own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
+    if own and cost <= settings.own_iae:
         return ""
     if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):
         return ""
