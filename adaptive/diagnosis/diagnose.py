@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, counted
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, counted
 from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
@@ -33,6 +33,7 @@ from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
@@ -167,8 +168,30 @@ def diagnose_window(
     window : the record. gains : in force; without them nothing can be said of the tuning.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
     """
-    found = _diagnosed(window, gains, (co_min, co_max), settings or DiagnosisSettings(), direction)
+    settings = settings or DiagnosisSettings()
+    found = _as_recorded(window, _diagnosed(window, gains, (co_min, co_max), settings, direction), settings)
     return replace(found, diagnosis=counted(found.diagnosis))
+
+
+def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> Found:
+    """Undecided, where too much of a record was filled with the last values for a verdict on the tuning."""
+    told = found.diagnosis
+    decided = told.cause == Cause.UNKNOWN and told.confidence > UNDECIDED
+    if decided or told.cause not in TUNING_CAUSES | {Cause.OK, Cause.UNKNOWN}:
+        return found
+    holds = held_together(window.pv, window.co)
+    if holds is None or holds.share < settings.held_share:
+        return found
+    reason = (
+        f"pv and co stand still together for {holds.samples * window.sample_time_s:.3g} s again and again, "
+        f"{holds.share:.0%} of the record: gaps that were filled with the last values; what happened in them is lost"
+    )
+    verdict = replace(told, cause=Cause.UNKNOWN, confidence=0.9, reason=reason)
+    return replace(found, diagnosis=verdict, tuning=None, aim=None)
+
+
+UNDECIDED = 0.5
+"""Confidence of an answer that leaves the cause open."""
 
 
 def _diagnosed(

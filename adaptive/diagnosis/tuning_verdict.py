@@ -22,6 +22,7 @@ from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
+from retuner.adaptive.indexes.condition import one_sided
 from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -125,11 +126,12 @@ def _in_order(loop: Loop, found: Found) -> Found:
     if peaks[0] > settings.cause.ms_high or robust < settings.majority:
         return found
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
+    open_because = CONTRADICTED if verdict.reason == UNSTABLE else verdict.reason
     room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
     if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
-        slow = replace(verdict, reason=f"{told}, and is perhaps slower than necessary: {verdict.reason}")
+        slow = replace(verdict, reason=f"{told}, and is perhaps slower than necessary: {open_because}")
         return replace(found, diagnosis=slow)
-    reason = f"{told}; the record does not show how fast it could be: {verdict.reason}"
+    reason = f"{told}; the record does not show how fast it could be: {open_because}"
     return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, verdict.evidence | {"ms": peaks[0]}, reason))
 
 
@@ -258,7 +260,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     explained = left < settings.second_explained
     unexplained = _unexplained(steps, loads, left, settings)
     if unexplained:
-        return Doubt(Cause.UNKNOWN, unexplained, explained)
+        return Doubt(Cause.UNKNOWN, unexplained + _not_brought_back(window), explained)
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
@@ -275,15 +277,32 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         reason = f"perhaps aggressive, but {loads:.0f} load steps are needed to explain {waves} half cycles"
         return Doubt(Cause.UNKNOWN, reason)
     if math.isinf(evidence["ms"]) and not _grows(window):
-        reason = "the fitted process would be unstable with the active gains, but the record does not grow"
-        return Doubt(Cause.UNKNOWN, reason)
+        return Doubt(Cause.UNKNOWN, UNSTABLE)
     return None
+
+
+def _not_brought_back(window: Window) -> str:
+    """What is seen where pv stays on one side of its setpoint while co goes one way; empty where it is not so."""
+    share = one_sided(window)
+    if share is None:
+        return ""
+    side = "above" if float(np.mean(window.pv - window.sp)) > 0 else "below"
+    return (
+        f". pv stays {side} its setpoint for {share:.0%} of the record while co goes one way, "
+        f"from {window.co[0]:.4g} to {window.co[-1]:.4g}. The integral is slow for it, or the valve hardly acts"
+    )
+
+
+UNSTABLE = "the fitted process would be unstable with the active gains, but the record does not grow"
+CONTRADICTED = "with load steps at the setpoint changes a model explains pv as well on which the loop would be unstable"
+"""The same, told of a loop that is called stable without such load steps."""
 
 
 def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSettings) -> str:
     """Why the loop by itself does not explain a record, or only with load steps enough for any; empty when it does."""
     if left > (settings.explained_steps if steps > 1 else settings.explained):
-        return f"an unexplained disturbance: {loads:.0f} load steps leave a residual of {left:.1f} times the noise"
+        leave = "1 load step leaves" if loads == 1 else f"{loads:.0f} load steps leave"
+        return f"an unexplained disturbance: {leave} a residual of {left:.1f} times the noise"
     if loads >= (settings.many_loads_beside if steps else settings.many_loads):
         return f"an unexplained disturbance: {loads:.0f} load steps explain the record, and so many explain any"
     return ""
