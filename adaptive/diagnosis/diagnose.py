@@ -1,6 +1,7 @@
 """From a record to a cause: explain the record in rival ways, then look at what the best explanation means.
 
     no loop at work in the record (dead, manual, no response, ...)   unknown, said in words
+    co switches between two values                                   unknown: no PID controller moves it
     the error runs away with co pushing it on                        unknown: the controller acts the wrong way
     co at its limits for much of the time                            saturation
     nothing but noise                                                noise
@@ -33,6 +34,7 @@ from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.indexes.limits import switches_between
 from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -203,7 +205,7 @@ def _diagnosed(
 ) -> Found:
     """The same with the confidence that a verdict has among those that were weighed."""
     seen = screen(window, gains, *limits)
-    obvious = _obvious(seen, settings)
+    obvious = _switched(window, seen) or _obvious(seen, settings)
     sign = gains.direction if gains else direction
     if sign and (obvious is None or obvious.cause == Cause.SATURATION):
         wrong = acts_wrong_way(window, sign, settings.fit)
@@ -217,6 +219,19 @@ def _diagnosed(
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
     return _compared(window, gains, found, seen, settings)
+
+
+def _switched(window: Window, seen: Screening) -> Diagnosis | None:
+    """No PID controller moves a co that knows two values only."""
+    values = switches_between(window.co)
+    if values is None or seen.condition.condition in NOT_AT_WORK:
+        return None
+    low, high = values
+    reason = (
+        f"co switches between {low:.4g} and {high:.4g}: an on-off controller, a relay test, or a gain so large that co "
+        "goes from limit to limit"
+    )
+    return Diagnosis(Cause.UNKNOWN, 0.95, dict(seen.evidence), reason)
 
 
 def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:

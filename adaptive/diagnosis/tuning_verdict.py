@@ -260,7 +260,8 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     explained = left < settings.second_explained
     unexplained = _unexplained(steps, loads, left, settings)
     if unexplained:
-        return Doubt(Cause.UNKNOWN, unexplained + _not_brought_back(window), explained)
+        seen = _overshoots(evidence, settings) or _not_brought_back(window)
+        return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
@@ -279,6 +280,12 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if math.isinf(evidence["ms"]) and not _grows(window):
         return Doubt(Cause.UNKNOWN, UNSTABLE)
     return None
+
+
+def _overshoots(evidence: Mapping[str, float], settings: DiagnosisSettings) -> str:
+    """What setpoint responses show whatever explains the record; empty where they do not overshoot."""
+    overshoot = evidence.get("overshoot", 0.0)
+    return f". Its setpoint responses overshoot by {overshoot:.0%}" if overshoot > settings.most_overshoot else ""
 
 
 def _not_brought_back(window: Window) -> str:

@@ -189,3 +189,15 @@ def test_a_real_record_whose_gaps_were_filled_is_said_to_be_so():
     assert found.diagnosis.cause == Cause.UNKNOWN
     assert "stand still together for 170 s" in found.diagnosis.reason
     assert found.settings is None
+
+
+def test_a_real_relay_test_is_no_oscillation_from_outside():
+    found = api.diagnose(*recorded("../servo/relay.csv")).diagnosis
+    assert found.cause == Cause.UNKNOWN
+    assert "co switches between -100 and 100" in found.reason
+
+
+def test_a_real_servo_that_overshoots_is_said_to():
+    found = api.diagnose(*recorded("../servo/pid_step.csv")).diagnosis
+    assert found.cause == Cause.UNKNOWN
+    assert "Its setpoint responses overshoot by 4" in found.reason
