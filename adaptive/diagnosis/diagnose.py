@@ -81,8 +81,12 @@ def rival_verdict(
 
 def _repeats(tone: Candidate, settings: DiagnosisSettings) -> bool:
     """Whether a tone goes on for as many cycles as make an oscillation; with fewer it is a load like any other."""
-    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
-    return tone.fit.misfit.record.span_s >= settings.tone_cycles * period_s
+    return tone.fit.misfit.record.span_s >= settings.tone_cycles * _period_s(tone)
+
+
+def _period_s(tone: Candidate) -> float:
+    """Of a tone from outside."""
+    return 2 * math.pi / math.exp(float(tone.fit.p[-1]))
 
 
 def _within(valve: Sticking) -> bool:
@@ -130,7 +134,7 @@ def _reason(cause: Cause, tone: Candidate, valve: Sticking, evidence: dict[str, 
             f"a sticking valve explains the record (stiction band {stick:.3g} of co, slip jump {jump:.3g}); "
             f"residual {evidence['stuck_left']:.1f} times the noise with it, {before:.1f} without"
         )
-    period = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    period = _period_s(tone)
     evidence["external_period_s"] = period
     return (
         f"an external oscillation with a period of {period:.3g} s explains the record; "
@@ -264,8 +268,10 @@ def _compared(
         against = against_rivals(best, seen, settings, len(setpoint_changes(window)))
         evidence, fits = against.evidence, against.fits
         verdict = against.verdict
-        if verdict is not None and verdict.cause == Cause.EXTERNAL and _of_setpoint(window, verdict):
-            verdict = None
+        if _of_setpoint(window, against.fits["external"]):
+            verdict = None if verdict is not None and verdict.cause == Cause.EXTERNAL else verdict
+            evidence.pop("external_lead")
+            fits.pop("external")
         if verdict is not None and (stood is None or _outweighs(verdict, seen, stood, settings)):
             return Found(verdict, fits=fits)
     if stood is not None:
@@ -278,7 +284,7 @@ def _compared(
 def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found:
     """External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well."""
     record = tone.fit.misfit.record
-    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    period_s = _period_s(tone)
     if told.diagnosis.cause != Cause.UNKNOWN or _left(tone) > settings.tone_explains:
         return told
     size = np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2])
@@ -292,11 +298,11 @@ def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found
     return replace(told, diagnosis=Diagnosis(Cause.EXTERNAL, 0.6, evidence, reason))
 
 
-def _of_setpoint(window: Window, verdict: Diagnosis) -> bool:
-    """Whether a tone is the setpoint's own: it repeats with the same period."""
-    period_s = verdict.evidence.get("external_period_s")
+def _of_setpoint(window: Window, tone: Candidate) -> bool:
+    """Whether a tone is the setpoint's own: it repeats with the same period, and so does what it moves."""
+    period_s = _period_s(tone)
     moves = window.sp - float(np.mean(window.sp))
-    if not period_s or not np.any(moves):
+    if not np.any(moves):
         return False
     t = window.t_s - window.t_s[0]
     turns = [f(2 * math.pi * i * t / period_s) for i in range(1, SETPOINT_HARMONICS + 1) for f in (np.cos, np.sin)]

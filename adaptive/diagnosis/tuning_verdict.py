@@ -49,13 +49,17 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """What a verdict is about. found : linear explanations, best first. fits : as identification makes them."""
+    """What a verdict is about. found : linear explanations, best first. fits : as identification makes them.
+
+    tone : the explanation by an oscillation from outside, where one was tried.
+    """
 
     window: Window
     gains: PidGains
     found: list[Candidate]
     fits: Fits
     settings: DiagnosisSettings
+    tone: Candidate | None = None
 
     @property
     def best(self) -> Candidate:
@@ -80,7 +84,7 @@ def linear_verdict(
     if gains is None:
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
-    loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings)
+    loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external"))
     told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
@@ -265,8 +269,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
-        reason = "load steps explain the record, but an external oscillation explains it better"
-        return Doubt(Cause.EXTERNAL, reason, explained and not oscillates)
+        return _by_tone_instead(loop, evidence, explained and not oscillates)
     if oscillates and not steps:
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
@@ -280,6 +283,17 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if math.isinf(evidence["ms"]) and not _grows(window):
         return Doubt(Cause.UNKNOWN, UNSTABLE)
     return None
+
+
+def _by_tone_instead(loop: Loop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
+    """External, where a tone that goes on explains a record better; with few cycles it is a load like any other."""
+    assert loop.tone is not None
+    period_s = 2 * math.pi / math.exp(float(loop.tone.fit.p[-1]))
+    if loop.tone.fit.misfit.record.span_s >= loop.settings.tone_cycles * period_s:
+        reason = "load steps explain the record, but an external oscillation explains it better"
+        return Doubt(Cause.EXTERNAL, reason, may_be_asked)
+    reason = f"load steps explain the record; a swing of {period_s:.3g} s does it better, too short to tell its cause"
+    return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, loop.settings), may_be_asked)
 
 
 def _overshoots(evidence: Mapping[str, float], settings: DiagnosisSettings) -> str:
