@@ -343,15 +343,10 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     record, settings = found.record, found.settings
     seen, limit = decay_seen(record.response), settings.cause.ms_high
     swings = seen is not None and seen > settings.trial.harmless_decay
-    if (
-        swings
-        or verdict.urgent
-        or cost < settings.worth_iae
-        or verdict.ms_before > settings.guard.ms_worst
-    ):
+    if swings or verdict.urgent or cost < settings.worth_iae or verdict.ms_before > settings.guard.ms_worst:
         return ""
     own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
-    if own and cost <= settings.own_iae:
+    if own and verdict.ms_before > limit and cost <= settings.own_iae:
         return ""
     if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):
         return ""
