@@ -17,6 +17,10 @@ from retuner.commands.recorded.record_form import read_record, tell_assumed
 from retuner.commands.work.experiment_options import (
     OnDemandOptions,
     RecordedOptions,
+    RelayOptions,
+    SetpointOptions,
+    StepOptions,
+    UltimateOptions,
 )
 from retuner.config import Config, load_config
 from retuner.drivers.device import DeviceError
@@ -47,6 +51,29 @@ class ExperimentSignal(NamedTuple):
     bias: float = 0.0
     hysteresis: float | None = None
     kc0: float | None = None
+
+
+def step(options: StepOptions) -> int:
+    """A step of co; the exit status."""
+    return _test(Kind.STEP, options, question_for(Kind.STEP, options), ExperimentSignal(options.amplitude))
+
+
+def setpoint(options: SetpointOptions) -> int:
+    """A step of the setpoint; the exit status."""
+    question = question_for(Kind.SETPOINT, options, options.kc0)
+    return _test(Kind.SETPOINT, options, question, ExperimentSignal(options.amplitude, kc0=options.kc0))
+
+
+def relay(options: RelayOptions) -> int:
+    """Relay feedback; the exit status."""
+    question = question_for(Kind.RELAY, options, None, options.hysteresis)
+    shape = ExperimentSignal(options.amplitude, options.cycles, options.bias, options.hysteresis)
+    return _test(Kind.RELAY, options, question, shape)
+
+
+def ultimate(options: UltimateOptions) -> int:
+    """A recorded swing; the exit status."""
+    return from_recording(options.file, options, question_for(ULTIMATE, options, options.kc))
 
 
 def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
