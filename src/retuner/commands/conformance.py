@@ -15,7 +15,6 @@ from retuner.errors import UserError
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
     from retuner.drivers.conformance.examination import Examination
 
-RESTART_S = 60.0  # how long somebody may take to switch the device off and on
 
 app = typer.Typer(add_completion=False)
 
