@@ -338,9 +338,10 @@ def test_nothing_passes_unproved(
 
 
 def assert_within_change_limits(old: PidGains, new: PidGains, limits: GuardSettings, urgent: bool) -> None:
-    tau_i = () if urgent else ((old.ki / old.kp, new.ki / new.kp),)
-    for before, after in ((old.kp, new.kp), (old.ki, new.ki), *tau_i):
-        assert after / before <= limits.step_up_max * (1 + 1e-9)
+    up = limits.step_up_max
+    tau_i = () if urgent else ((old.ki / old.kp, new.ki / new.kp, up),)
+    for before, after, most in ((old.kp, new.kp, up), (old.ki, new.ki, up**2), *tau_i):
+        assert after / before <= most * (1 + 1e-9)
         assert urgent or before / after <= limits.step_down_max * (1 + 1e-9)
     assert abs(new.kp) <= limits.total_ratio_max * abs(old.kp) * (1 + 1e-9)
     assert new.ki / new.kp <= limits.total_ratio_max * old.ki / old.kp * (1 + 1e-9)
