@@ -26,6 +26,8 @@ LAG_NODES = 9
 THETA_NODES = 9
 LOAD_NODES = 48
 """Candidates for lag, dead time and the time of a load step."""
+SOON = (0.2, 0.45)
+"""Further candidates for that time before the first of them, as shares of it."""
 MOST_ROWS = 400
 """The search looks at no more samples than this; the refinement uses all."""
 LAG_RANGE = (1.5, 3.0)
@@ -80,7 +82,16 @@ class Grid:
             lags = np.array([math.inf])
         longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
         thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
-        return cls(Clock.of(t), u, pv, lags, thetas, np.linspace(0.0, record.span_s, LOAD_NODES + 2)[1:-1])
+        return cls(Clock.of(t), u, pv, lags, thetas, instants(record.span_s, LOAD_NODES))
+
+
+def instants(span_s: float, count: int) -> FloatArray:
+    """Where a load step is looked for: evenly along the record, and closer where it begins.
+
+    A record is often cut where something happens, and a step that came before the first even one is no start either.
+    """
+    even = np.linspace(0.0, span_s, count + 2)[1:-1]
+    return np.concatenate([even[0] * np.array(SOON), even])
 
 
 class Node(NamedTuple):

@@ -99,18 +99,19 @@ def _on(record: Record, found: Candidate) -> Candidate:
 
 
 def _seeds(rivals: list[Candidate]) -> list[Candidate]:
-    """Where the improvement starts: the best, the best of another structure, without load steps, and with a drift.
+    """Where the improvement starts: the best, the best of another structure, without load steps, all with a drift.
 
-    Where even the best leaves more than noise, the best of every structure: the truth may need more loads than seeded.
+    Where even the best leaves more than white noise, the best of every structure: the truth may need more loads than
+    seeded. A drift takes every structure along: beside one, and with a load to find, which is best is not known yet.
     """
     best = rivals[0]
     same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
     by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
     by_type.sort(key=lambda c: c.criterion)
-    far = best.colour.std > FAR * best.fit.misfit.record.noise_std
+    far = best.colour.std > FAR * best.fit.misfit.record.noise_std or bool(best.colour.ar)
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
-    drifting = [c for c in same if c.fit.misfit.ramp][:1]
-    return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting]))
+    drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
+    return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
 
 
 def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit]:
