@@ -11,17 +11,22 @@ the time at a limit, and l of the integral of |error| come up there, nearly all 
 
     odds = one-sidedness  x  (l / (1 - l)) / (w / (1 - w))
 
-Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way. A stretch in
+Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way.
+
+What a visit may bring is a share of the mean |error|. Where a process was identified and settings are proposed, it is
+what they would have made of the stretches (attainable.py). A limit's is the error that comes up there. Elsewhere the
+Harris index H of the variance stands in, of which the mean |error| feels 1 - sqrt(1 - H). A stretch in
 which nothing happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks
 against.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
 
+from retuner.adaptive.audit.attainable import Foreseen
 from retuner.adaptive.audit.loop_screen import LoopScreen
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.indexes.condition import SENTENCES, Condition
@@ -36,6 +41,10 @@ LEAST_AT_LIMIT, LEAST_LOSS, LEAST_ONE_SIDED = 0.02, 0.2, 0.7
 """Share of the time at a limit, share of the loss there, and one-sidedness, from which a limit is asked for."""
 TWO_SIDED = 0.3
 """One-sidedness below which no limit binds, whatever a stretch says: co rests there, and the error has both signs."""
+CALM = 0.5
+"""What a share of co's travel counts beside the same share of the error: an actuator wears."""
+LEAST_BENEFIT = 0.05
+"""A fault stays in the list even where settings that cure it take no error away: it is short of margin."""
 SWINGS = 0.5
 """Share of the stretches in which an oscillation lasts from which the loop swings."""
 
@@ -59,12 +68,12 @@ EFFORT = MappingProxyType(
     {
         Action.RETUNE: 1.0,
         Action.AUTOMATIC: 1.0,
-        Action.SIGNAL: 2.0,
-        Action.UPSTREAM: 2.0,
-        Action.LOOK: 3.0,
-        Action.VALVE: 3.0,
-        Action.SIZE: 5.0,
-        Action.RECORD: 4.0,
+        Action.SIGNAL: 1.5,
+        Action.UPSTREAM: 1.5,
+        Action.LOOK: 2.0,
+        Action.VALVE: 1.75,
+        Action.SIZE: 2.25,
+        Action.RECORD: 2.0,
         Action.EXPORT: 1.0,
         Action.NOTHING: 10.0,
     }
@@ -102,14 +111,23 @@ class StretchVerdict:
     reason: str
 
 
+class Basis(StrEnum):
+    """Where the avoidable error comes from."""
+
+    SIMULATED = "simulated"
+    LIMIT = "at the limit"
+    HARRIS = "Harris"
+    NONE = ""
+
+
 @dataclass(frozen=True, slots=True)
 class LoopVerdict:
     """What is behind a loop's behaviour over all of its record.
 
     cause : or unknown. confidence : joined over the stretches, 0 to 1. action : what to do. reason : one sentence.
     since_s : begin of the first stretch that shows it, from the begin of the record; None where nothing is shown.
-    seen, looked_at : stretches that show it, and all. avoidable : share of the error's variance that the action may
-    take away, 0 to 1. rank : benefit times certainty over effort.
+    seen, looked_at : stretches that show it, and all. avoidable : share of the mean |error| that the action may take
+    away, 0 to 1. rank : benefit times certainty over effort. basis : of avoidable.
     """
 
     cause: Cause
@@ -121,6 +139,23 @@ class LoopVerdict:
     looked_at: int
     avoidable: float
     rank: float
+    basis: Basis = Basis.NONE
+
+
+def error_share(variance_share: float) -> float:
+    """The share of the mean |error| that goes with a share of its variance, 0 to 1."""
+    return 1 - math.sqrt(1 - min(max(variance_share, 0.0), 1.0))
+
+
+def with_foreseen(verdict: LoopVerdict, found: Foreseen) -> LoopVerdict:
+    """A verdict of tuning whose benefit is what its settings would have made of the record.
+
+    Less travel of co is a benefit as well; the error may even grow where a loop was too strong.
+    """
+    saved = min(max(found.saved, 0.0), 1.0)
+    benefit = max(saved, CALM * found.calmer, LEAST_BENEFIT)
+    rank = verdict.confidence * benefit / EFFORT[verdict.action]
+    return replace(verdict, avoidable=saved, rank=rank, basis=Basis.SIMULATED)
 
 
 def joined_confidence(cause: Cause, stretches: Sequence[StretchVerdict]) -> float:
@@ -184,8 +219,8 @@ def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdic
     reason = f"co stands at a limit for {w:.0%} of the time, where {loss:.0%} of the error comes up, on one side"
     showing = [s for s in stretches if s.cause == Cause.SATURATION]
     since = showing[0].begin_s if showing else None
-    rank = sure * loss / EFFORT[action] ** 0.5
-    return LoopVerdict(Cause.SATURATION, sure, action, reason, since, len(showing), len(stretches), loss, rank)
+    rank, seen, basis = sure * loss / EFFORT[action], len(showing), Basis.LIMIT
+    return LoopVerdict(Cause.SATURATION, sure, action, reason, since, seen, len(stretches), loss, rank, basis)
 
 
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
@@ -200,11 +235,11 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
     sure = joined_confidence(cause, stretches)
     action = FOR_CAUSE[cause]
     clearest = max(showing, key=lambda s: s.confidence)
-    avoidable = screen.harris * max(len(showing) / len(stretches), screen.swinging if cause not in TUNING_CAUSES else 0)
-    rank = sure * avoidable / EFFORT[action] ** 0.5
-    return LoopVerdict(
-        cause, sure, action, clearest.reason, showing[0].begin_s, len(showing), len(stretches), avoidable, rank
-    )
+    often = max(len(showing) / len(stretches), screen.swinging if cause not in TUNING_CAUSES else 0)
+    avoidable, seen, since = error_share(screen.harris) * often, len(showing), showing[0].begin_s
+    rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+    basis = Basis.HARRIS
+    return LoopVerdict(cause, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
 
 
 def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
@@ -212,9 +247,9 @@ def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVer
     swings = screen.swinging >= SWINGS
     action = Action.LOOK if swings else Action.RECORD if screen.setpoint else Action.EXPORT
     reason = stretches[-1].reason if stretches else _of_screen(screen)
-    rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0
-    avoidable = screen.harris * screen.strength if swings else 0.0
-    return LoopVerdict(Cause.UNKNOWN, 0.5, action, reason, None, 0, len(stretches), avoidable, rank)
+    avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
+    rank, basis = HALF * avoidable / EFFORT[action], Basis.HARRIS if swings else Basis.NONE
+    return LoopVerdict(Cause.UNKNOWN, HALF, action, reason, None, 0, len(stretches), avoidable, rank, basis)
 
 
 def _of_screen(screen: LoopScreen) -> str:

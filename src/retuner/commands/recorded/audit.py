@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
 from retuner.audit.result_store import ResultStore, rows_of, signature
-from retuner.audit.results import write_joined, write_results
+from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine, processes
 from retuner.commands.options import Json, signed_by
 from retuner.commands.recorded.record_form import FormOptions, record_form
@@ -125,16 +125,37 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
     sys.stderr.write(
         f"names: {_names_told(found)}; {options.out / JOINED} has all, to mend and give back by --record\n"
     )
-    worth = [row for row in rows if is_fault(row)]
-    sys.stdout.write(f"{len(worth)} of {len(rows)} loops deserve a visit\n")
-    for row in worth[:SHOWN]:
-        sys.stdout.write(f"{row['place']:>4}  {row['tag']:<20}  {row['action']}: {row['reason']}\n")
+    sys.stdout.write(summary(rows, len(found.refused)) + "\n")
+    for row in [row for row in rows if is_fault(row)][:SHOWN]:
+        sure = f", {row['confidence']:.0%} sure" if row["confidence"] is not None else ""
+        sys.stdout.write(f"{row['place']:>4}  {row['tag']}: {row['action']}{sure}{_cost(row)}\n      {row['reason']}\n")
+    if options.since is not None:
+        sys.stdout.write(_changed(rows))
     sys.stdout.write(f"the page: {options.out / 'index.html'}\n")
+
+
+def _cost(row: Row) -> str:
+    """What a loop's error is, and how much of it may go."""
+    error, share = mean_error(row), row.get("avoidable")
+    if error is None or not isinstance(share, float) or not row.get("basis"):
+        return ""
+    return f"; mean error {error:.3g}, of which {share:.0%} may go ({row['basis']})"
+
+
+def _changed(rows: Sequence[Row]) -> str:
+    """What became worse since the earlier audit, in a line."""
+    worse = [f"{row['tag']} ({row['change']})" for row in rows if str(row["change"]).startswith("worse")]
+    more = f" and {len(worse) - SHOWN} more" if len(worse) > SHOWN else ""
+    return f"worse since then: {', '.join(worse[:SHOWN]) or 'none'}{more}\n"
 
 
 def _names_told(found: Catalogue) -> str:
     """How names were joined to loops, by its first."""
     tag, roles = next(((tag, roles) for tag, roles in found.signals.items() if tag), ("", {}))
-    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) or "a loop for each file"
+    apart = [task for task in found.tasks if task.separate]
+    files = sum(len(task.files) for task in apart)
+    by_name = f"{files} files are records of {len(apart)} {'loop' if len(apart) == 1 else 'loops'}, by their names"
+    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) + ("; " if roles and apart else "")
+    shown += by_name if apart else ""
     more = f"; {len(found.others)} names belong to no loop" if found.others else ""
     return (f"{tag}: " if tag else "") + shown + more
