@@ -11,13 +11,12 @@ the time at a limit, and l of the integral of |error| come up there, nearly all 
 
     odds = one-sidedness  x  (l / (1 - l)) / (w / (1 - w))
 
-Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way.
+Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way. A stretch in which nothing
+happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks against.
 
-What a visit may bring is a share of the mean |error|. Where a process was identified and settings are proposed, it is
-what they would have made of the stretches (attainable.py). A limit's is the error that comes up there. Elsewhere the
-Harris index H of the variance stands in, of which the mean |error| feels 1 - sqrt(1 - H). A stretch in
-which nothing happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks
-against.
+What a visit may bring is a share of the mean |error|. Where a process was identified, it is what other settings would
+have made of parts spread over the record (attainable.py). A limit's is the error that comes up there. Elsewhere the
+Harris index H of the variance stands in, of which the mean |error| feels 1 - sqrt(1 - H).
 """
 
 import math
@@ -53,6 +52,7 @@ class Action(StrEnum):
     """What to do about a loop."""
 
     RETUNE = "retune"
+    STEP = "record a setpoint step, then retune"
     VALVE = "repair the valve"
     UPSTREAM = "look upstream"
     SIZE = "check actuator size and load"
@@ -67,6 +67,7 @@ class Action(StrEnum):
 EFFORT = MappingProxyType(
     {
         Action.RETUNE: 1.0,
+        Action.STEP: 1.75,
         Action.AUTOMATIC: 1.0,
         Action.SIGNAL: 1.5,
         Action.UPSTREAM: 1.5,
@@ -147,15 +148,22 @@ def error_share(variance_share: float) -> float:
     return 1 - math.sqrt(1 - min(max(variance_share, 0.0), 1.0))
 
 
-def with_foreseen(verdict: LoopVerdict, found: Foreseen) -> LoopVerdict:
-    """A verdict of tuning whose benefit is what its settings would have made of the record.
+def with_foreseen(verdict: LoopVerdict, found: Foreseen | None, *, proposed: bool) -> LoopVerdict:
+    """A verdict of tuning whose benefit is what other settings would have made of the record.
 
-    Less travel of co is a benefit as well; the error may even grow where a loop was too strong.
+    Less travel of co is a benefit as well; the error may even grow where a loop was too strong. Where the record does
+    not show what the settings should be, it is what the worst model that it allows would have had.
+
+    found : None where no process was identified. proposed : settings are proposed, and found is of them.
     """
-    saved = min(max(found.saved, 0.0), 1.0)
-    benefit = max(saved, CALM * found.calmer, LEAST_BENEFIT)
-    rank = verdict.confidence * benefit / EFFORT[verdict.action]
-    return replace(verdict, avoidable=saved, rank=rank, basis=Basis.SIMULATED)
+    action = verdict.action if proposed else Action.STEP
+    saved = None if found is None else found.saved if proposed else found.least
+    if saved is None or found is None or not math.isfinite(saved):
+        return replace(verdict, action=action, rank=verdict.rank * EFFORT[verdict.action] / EFFORT[action])
+    saved = min(max(saved, 0.0), 1.0)
+    benefit = max(saved, CALM * found.calmer if proposed else 0.0, LEAST_BENEFIT)
+    rank = verdict.confidence * benefit / EFFORT[action]
+    return replace(verdict, action=action, avoidable=saved, rank=rank, basis=Basis.SIMULATED)
 
 
 def joined_confidence(cause: Cause, stretches: Sequence[StretchVerdict]) -> float:
@@ -201,6 +209,18 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         sure, count = min(sure, MOST_SURE), len(calm)
         return LoopVerdict(calm[-1].cause, sure, Action.NOTHING, calm[-1].reason, None, count, len(stretches), 0.0, 0.0)
     return _unknown(screen, stretches)
+
+
+def asks(screen: LoopScreen) -> float:
+    """How much a screening asks for a diagnosis, 0 to 1; nothing where it tells the fault itself, or has no setpoint.
+
+    Any of three raises it: error that a controller could take away, a controller that waits or swings in parts with
+    constant setpoint (idle index), an oscillation that lasts.
+    """
+    if not screen.setpoint or screen.condition in FOR_CONDITION:
+        return 0.0
+    signs = (screen.harris, abs(screen.idle or 0.0), screen.swinging * screen.strength)
+    return 1 - math.prod(1 - min(max(sign, 0.0), 1.0) for sign in signs)
 
 
 def limit_confidence(screen: LoopScreen) -> float:

@@ -12,6 +12,7 @@ from audit_work import dies_or_works
 
 from retuner.audit.catalogue import Task, catalogue, files_of
 from retuner.audit.loop_row import SCHEMA, AuditSettings, Row, audit_task, drawn, is_fault
+from retuner.audit.planning import expected
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import change, ranked, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine
@@ -236,6 +237,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
         (["--stretches", "25"], "stretches = 25: give 0 to 24"),
         (["--since", "nowhere"], "no audit in it"),
         (["--tag-pattern", "("], "--tag-pattern"),
+        (["--diagnose", "101"], "--diagnose 101: give 0 to 100 percent"),
     ],
 )
 def test_wrong_options_end_in_one_line(
@@ -305,3 +307,34 @@ def test_a_cluster_does_the_same_work() -> None:
         ((done, rows),) = on_a_cluster([task], AuditSettings(1), cluster.scheduler_address)
     assert done == task
     assert rows[0]["cause"] == "stiction"
+
+
+def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(
+    plant: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(VALVE, plant / "valve.csv")
+    arguments = ["audit", str(plant), "--out", str(tmp_path / "out"), "--jobs", "1", "--stretches", "1", "--json"]
+
+    def diagnosed(*more: str) -> set[str]:
+        assert main([*arguments, *more]) == 0
+        rows = json.loads(capsys.readouterr().out)["rows"]
+        return {row["tag"] for row in rows if row.get("looked_at")}
+
+    assert diagnosed("--diagnose", "0") == set()
+    assert diagnosed("--diagnose", "17") == {"valve"}
+    with ResultStore(tmp_path / "out") as store:
+        before = store.done()
+    assert diagnosed("--diagnose", "17") == {"valve"}
+    assert {"valve", "A", "B"} <= diagnosed()
+    with ResultStore(tmp_path / "out") as store:
+        after = store.done()
+    assert after["valve"] == before["valve"]
+    assert after["A"] != before["A"]
+
+
+def test_a_long_audit_is_foretold() -> None:
+    assert expected(100, 4, 1.0, 2) == ""
+    told = expected(10_000, 4, 1.0, 2)
+    assert "10000 loops, 100% of them diagnosed on up to 4 stretches of each record: about 1.7 h on 2 cores" in told
+    assert "--diagnose 20 takes the worst of them only, about 24 min" in told
+    assert "--diagnose" not in expected(10_000, 4, 0.2, 1)

@@ -15,9 +15,10 @@ import numpy as np
 from retuner.adaptive.audit.attainable import Foreseen, foreseen
 from retuner.adaptive.audit.loop_screen import LoopScreen, joined_screen, screen_loop
 from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
-from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, loop_verdict, with_foreseen
-from retuner.adaptive.audit.windows import stretches_of_interest
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, asks, loop_verdict, with_foreseen
+from retuner.adaptive.audit.windows import spread_over, stretches_of_interest
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import RecordDiagnosis, diagnose_record
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
@@ -115,7 +116,7 @@ class _Seen:
 
     screens: list[LoopScreen] = field(default_factory=list)
     parts: list[tuple[StretchVerdict, Row, RecordDiagnosis]] = field(default_factory=list)
-    stretches: list[Window] = field(default_factory=list)
+    spread: list[Window] = field(default_factory=list)
     trends: list[tuple[float, Trend]] = field(default_factory=list)
     assumed: dict[str, None] = field(default_factory=dict)
     begin_s: float | None = None
@@ -137,7 +138,8 @@ class _Seen:
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
             file = Path(record.recording.source).name
             self.parts.append((seen, {"file": file, **_stretch(stretch, seen, found)}, found))
-            self.stretches.append(stretch)
+        if settings.stretches and known:
+            self.spread += [_own_copy(part) for part in spread_over(window)]
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
             self.tracks = _tracks(window, record.begin_s or 0.0, screen, _own_period_s(self.parts))
         self.end_s = max(self.end_s, later_s + float(window.t_s[-1]))
@@ -176,14 +178,17 @@ def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
     screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
     verdict = loop_verdict(screen, [part[0] for part in seen.parts])
     cure = _cure(verdict, [part[2] for part in seen.parts])
-    then = _foreseen(cure, seen.stretches) if cure is not None else None
-    verdict = with_foreseen(verdict, then) if then is not None else verdict
+    then = _foreseen(cure, seen.spread) if cure is not None else None
+    if verdict.cause in TUNING_CAUSES:
+        verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
     harmonics = (part[2].diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
     return {
         **_told(tag, seen, screen, verdict),
+        "asks": asks(screen),
         "harmonic": max(harmonics, default=0.0),
         "sticks": sum(p[0].confidence for p in seen.parts if p[0].cause == Cause.STICTION) / max(len(seen.parts), 1),
-        "settings": _settings(cure, then),
+        "settings": _settings(cure),
+        "process": _process(cure, then),
         "tracks": seen.tracks if common_clock else {},
         "stretches": [part[1] for part in seen.parts],
         "trend": _one_trend(seen.trends),
@@ -236,28 +241,45 @@ def _moment(begin_s: float | None, after_s: float) -> str | None:
 
 
 def _cure(verdict: LoopVerdict, found: Sequence[RecordDiagnosis]) -> RecordDiagnosis | None:
-    """The surest stretch that has settings that would cure the loop."""
-    fitting = [f for f in found if f.diagnosis.cause == verdict.cause and f.diagnosis.retune and f.settings is not None]
-    return max(fitting, key=lambda f: f.diagnosis.confidence, default=None)
-
-
-def _foreseen(cure: RecordDiagnosis, stretches: Sequence[Window]) -> Foreseen | None:
-    """What the settings would have made of all stretches that were looked at."""
-    if cure.estimate is None or cure.settings is None:
+    """The surest stretch of a cause of tuning that told the process, one with settings where there is one."""
+    if verdict.cause not in TUNING_CAUSES:
         return None
-    models = [one.model for one in cure.estimate.plausible] or [cure.estimate.log.model()]
-    return foreseen(stretches, models, cure.settings.gains)
+    telling = [f for f in found if f.diagnosis.cause == verdict.cause and f.estimate is not None]
+    return max(telling, key=lambda f: (f.settings is not None, f.diagnosis.confidence), default=None)
 
 
-def _settings(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
-    """The settings that would cure the loop, with their margins, the process that they are for, and what they bring."""
+def _own_copy(part: Window) -> Window:
+    """A part that does not hold its whole record."""
+    return Window(part.t_s.copy(), part.sp.copy(), part.pv.copy(), part.co.copy())
+
+
+def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | None:
+    """What settings would have made of parts spread over the record; the rule's own where none are proposed."""
+    estimate = cure.estimate
+    if estimate is None or not records:
+        return None
+    rule = RobustSettings()
+    models = [one.model for one in believed(estimate.plausible, rule.believed)] or [estimate.log.model()]
+    if cure.settings is not None:
+        return foreseen(records, models, cure.settings.gains)
+    interval_s = min(record.sample_time_s for record in records)
+    return foreseen(records, models, robust_simc(estimate, interval_s, rule).tuning.gains)
+
+
+def _settings(cure: RecordDiagnosis | None) -> Row | None:
+    """The settings that would cure the loop, with their margins."""
     if cure is None or cure.settings is None:
         return None
     told = cure.settings.to_dict()
-    model = cure.estimate.log.model().to_dict() if cure.estimate is not None else None
+    return {name: told[name] for name in ("gains", "form", "margins")} | {"first_step": cure.aim is not None}
+
+
+def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
+    """The process that was identified, and what settings for it would have made of the record."""
+    if cure is None or cure.estimate is None:
+        return None
     brings = {name: value for name, value in asdict(then).items() if value != -math.inf} if then is not None else None
-    of_them = {name: told[name] for name in ("gains", "form", "margins")}
-    return of_them | {"first_step": cure.aim is not None, "model": model, "foreseen": brings}
+    return {"model": cure.estimate.log.model().to_dict(), "foreseen": brings}
 
 
 def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:

@@ -304,8 +304,8 @@ def mean_error(row: Row) -> float | None:
 
 def _calmer(row: Row) -> float | None:
     """Share of co's travel that would go with the settings proposed."""
-    settings = row.get("settings")
-    found = settings.get("foreseen") if isinstance(settings, Mapping) else None
+    process = row.get("process")
+    found = process.get("foreseen") if isinstance(process, Mapping) and row.get("settings") else None
     return float(found["calmer"]) if found else None
 
 

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from retuner.adaptive.audit.attainable import foreseen
+from retuner.adaptive.audit.attainable import Foreseen, foreseen
+from retuner.adaptive.audit.verdict import Action, Basis, LoopVerdict, error_share, with_foreseen
+from retuner.adaptive.audit.windows import spread_over
+from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.drivers.plants.linear_plant import LinearPlant
@@ -75,3 +78,43 @@ def test_settings_that_no_model_holds_are_told_by_none_and_doubtful_ones_by_thei
     assert found.most - found.least > 0.01
     assert found.span_s == pytest.approx(2 * 600 * DT_S)
     assert math.isfinite(found.least)
+
+
+def test_parts_stand_for_the_whole_record_and_hold_no_gap() -> None:
+    n = 40_000
+    t_s = np.arange(n) * 5.0 + 4_000.0 * (np.arange(n) >= 17_500)
+    record = Window(t_s, np.zeros(n), np.arange(n) * 1.0, np.ones(n))
+    parts = spread_over(record)
+
+    assert 6 <= len(parts) <= 8
+    assert all(np.max(np.diff(part.t_s)) < 6 for part in parts)
+    assert parts[0].pv[0] == 0
+    assert parts[-1].pv[-1] == n - 1
+    assert spread_over(record.part(slice(0, 5_000)))[0].t_s.shape == (5_000,)
+
+
+SLUGGISH = LoopVerdict(Cause.SLUGGISH, 0.8, Action.RETUNE, "slow", 0.0, 2, 2, 0.9, 0.72, Basis.HARRIS)
+
+
+def told(saved: float, least: float, calmer: float) -> Foreseen:
+    return Foreseen(100.0, (1.0, 2.0), (3.0, 4.0), saved, least, max(saved, 0.9), calmer)
+
+
+def test_the_benefit_of_a_retune_is_what_was_foreseen() -> None:
+    found = with_foreseen(SLUGGISH, told(0.4, 0.3, -2.0), proposed=True)
+    assert (found.avoidable, found.basis, found.action) == (0.4, Basis.SIMULATED, Action.RETUNE)
+    assert found.rank == pytest.approx(0.8 * 0.4)
+    calmer = with_foreseen(SLUGGISH, told(-0.1, -0.2, 0.6), proposed=True)
+    assert calmer.avoidable == 0.0
+    assert calmer.rank == pytest.approx(0.8 * 0.3)
+    assert with_foreseen(SLUGGISH, told(-0.1, -0.2, 0.0), proposed=True).rank > 0
+
+
+def test_what_is_not_sure_enough_to_be_proposed_counts_by_the_worst_model_and_asks_for_a_step() -> None:
+    found = with_foreseen(SLUGGISH, told(0.4, 0.3, 0.9), proposed=False)
+    assert (found.avoidable, found.basis, found.action) == (0.3, Basis.SIMULATED, Action.STEP)
+    for unknown in (None, told(0.4, -math.inf, 0.9)):
+        found = with_foreseen(SLUGGISH, unknown, proposed=False)
+        assert (found.avoidable, found.basis, found.action) == (0.9, Basis.HARRIS, Action.STEP)
+        assert 0 < found.rank < SLUGGISH.rank
+    assert error_share(0.75) == pytest.approx(0.5)
