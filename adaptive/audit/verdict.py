@@ -60,6 +60,7 @@ class Action(StrEnum):
     AUTOMATIC = "find out why it is in manual"
     RECORD = "record a setpoint step"
     EXPORT = "export its setpoint"
+    SCREENED = "screened only"
     LOOK = "inspect"
     NOTHING = "nothing"
 
@@ -76,6 +77,7 @@ EFFORT = MappingProxyType(
         Action.SIZE: 2.25,
         Action.RECORD: 2.0,
         Action.EXPORT: 1.0,
+        Action.SCREENED: 1.0,
         Action.NOTHING: 10.0,
     }
 )
@@ -265,7 +267,8 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
 def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
     """Nothing can be named; a loop that swings is worth a look all the same."""
     swings = screen.swinging >= SWINGS
-    action = Action.LOOK if swings else Action.RECORD if screen.setpoint else Action.EXPORT
+    told_by_itself = Action.RECORD if stretches else Action.SCREENED
+    action = Action.LOOK if swings else told_by_itself if screen.setpoint else Action.EXPORT
     reason = stretches[-1].reason if stretches else _of_screen(screen)
     avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
     rank, basis = HALF * avoidable / EFFORT[action], Basis.HARRIS if swings else Basis.NONE

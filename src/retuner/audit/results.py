@@ -194,11 +194,13 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     visits = Counter(_kind_of_visit(row) for row in rows if is_fault(row))
     worth, quiet = sum(visits.values()), sum(row["cause"] in calm for row in rows)
     broken = sum("failed" in row for row in rows)
-    untold = len(rows) - worth - quiet - broken
+    screened = sum(row["action"] == str(Action.SCREENED) for row in rows)
+    untold = len(rows) - worth - quiet - broken - screened
     kinds = ", ".join(f"{count} {kind}" for kind, count in visits.most_common())
     told = [f"{worth} of {len(rows)} loops deserve a visit{': ' * bool(kinds)}{kinds}"]
     told += [f"{quiet} {'is' if quiet == 1 else 'are'} in order"] * bool(quiet)
     told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to tell; each says what would"] * bool(untold)
+    told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing stands out"] * bool(screened)
     told += [f"{broken} could not be judged"] * bool(broken)
     told += [f"{refused} {'file is' if refused == 1 else 'files are'} no record"] * bool(refused)
     return ". ".join(told) + "."
