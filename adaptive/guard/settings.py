@@ -31,10 +31,6 @@ class GuardSettings:
     """
 
     ms_nominal: Annotated[float, Setting("Largest Ms on the identified process", 1.2, 3.0)] = 1.75
-    ms_target: Annotated[
-        float,
-        Setting("Ms that proposals aim at by their tau_c: the process is never quite the one identified", 1.2, 3.0),
-    ] = 1.65
     ms_worst: Annotated[float, Setting("Largest Ms on any plausible model", 1.2, 5.0)] = 2.1
     tau_c_max_ratio: Annotated[float, Setting("Largest tau_c over theta that robustness may ask for", 1.0, 3.0)] = 1.3
     corner_std: Annotated[

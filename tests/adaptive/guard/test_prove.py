@@ -170,7 +170,7 @@ def test_an_urgent_step_is_held_by_the_limits_that_point_to_more_action() -> Non
 
 def test_no_dead_band_for_a_loop_over_its_limit() -> None:
     over = PidGains(GAINS.kp * 1.04, GAINS.ki * 1.04)
-    tight = GuardSettings(ms_nominal=1.62, ms_target=1.6)
+    tight = GuardSettings(ms_nominal=1.62)
     assert ms_of(MODEL, over) > 1.62 > ms_of(MODEL, GAINS)
     assert prove(request(over), SETTINGS).ruling == Ruling.TOO_SMALL
     verdict = prove(request(over), tight)
