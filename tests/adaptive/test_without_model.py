@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.identification.identify import FitSettings
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
 from retuner.adaptive.supervision.proposal_without_model import WithoutModelSettings
@@ -75,3 +77,13 @@ def test_a_tone_from_outside_moves_nothing() -> None:
     decisions = decided(PidGains(3.0, 3.0 / 40), SETTINGS, upsets=1, sine=0.4, length=250)
     assert decisions
     assert all(d.action is Action.NONE for d in decisions)
+
+
+def test_a_pattern_gives_no_more_action_where_a_plausible_model_says_too_much() -> None:
+    """Ms 1.55, 1.72, 1.97, back, and on again: what does not carry settings still says how far not to go."""
+    decisions = decided(PidGains(4.5, 4.5 / 100), SETTINGS)
+    process = LinearProcess(1.0, (50.0,), (), 5.5)
+    after = [sensitivity_peak(process, d.gains_after) for d in decisions if d.gains_after is not None]
+    assert after
+    assert max(after) < 1.8
+    assert any("not done: on a plausible model Ms would be" in d.reason for d in decisions)
