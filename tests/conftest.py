@@ -26,19 +26,13 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.markexpr = EFFORT.marks
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long tests run without the tracer."""
-    for item in items:
-        if item.get_closest_marker("slow"):
-            item.add_marker(pytest.mark.no_cover)
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """And so do the further cases of a test that has taken its time under it."""
+    """Without the tracer run long tests, and the further cases of a test that has taken its time under it."""
     test, begun_s = item.nodeid.partition("[")[0], time.process_time()
-    if _spent_s[test] > COUNTED_S:
-        item.add_marker(pytest.mark.no_cover)
+    long = any(item.get_closest_marker(mark) for mark in ("slow", "uncounted"))
+    if (long or _spent_s[test] > COUNTED_S) and not item.config.getoption("cov_context", None):  # who runs which line?
+        item.add_marker("no_cover")
     try:
         return (yield)
     finally:
