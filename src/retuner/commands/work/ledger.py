@@ -144,20 +144,21 @@ def show(session: Path, selection: Selection, *, as_json: bool) -> int:
     rows, broken = believed(path)
     chosen = selection.rows(rows)
     show_units_told(part(rows[0].body, "config") if rows else {})
+    lines = _in_words(rows, chosen)
     if as_json:
         document = {
             "ledger": str(path),
             "ok": not broken,
             "reason": broken or None,
-            "rows": [{**told(row).to_dict(), "body": row.body} for row in chosen],
+            "rows": [{**line.to_dict(), "body": row.body} for line, row in zip(lines, chosen, strict=True)],
         }
         sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
     else:
         console = Console()
         if console.width >= WIDE:
-            console.print(_table([told(row) for row in chosen]))
+            console.print(_table(lines))
         elif chosen:
-            console.print(_list(chosen), highlight=False, soft_wrap=True)
+            console.print(_list(lines), highlight=False, soft_wrap=True)
         ending = f"broken: {broken}" if broken else "the chain holds"
         console.print(
             f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
@@ -186,10 +187,15 @@ def _several(lines: list[Told]) -> bool:
     return len({line.loop for line in lines if line.loop}) > 1
 
 
-def _list(rows: list[Row]) -> str:
+def _in_words(rows: list[Row], chosen: list[Row]) -> list[Told]:
+    """The chosen ones of all rows in words: a row is told by those before it."""
+    wanted = {row.seq for row in chosen}
+    return [line for line in told(rows) if line.row in wanted]
+
+
+def _list(lines: list[Told]) -> str:
     """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
-    out, lines = [], list(map(told, rows))
-    several = _several(lines)
+    out, several = [], _several(lines)
     for line in lines:
         where = f"{line.loop} {line.region}" if several else line.region
         head = f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {where}"
@@ -229,8 +235,8 @@ def _csv(rows: list[Row]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     names = [field.name for field in fields(Told)]
     writer.writerow([*names, "body", "hash"])
-    for row in rows:
-        line = told(row).to_dict()
+    for row, one in zip(rows, told(rows), strict=True):
+        line = one.to_dict()
         writer.writerow([*(_no_formula(line[name]) for name in names), row.text, row.hash])
     return stream.getvalue()
 

@@ -15,6 +15,7 @@ from retuner.decision_page.shown_units import show_units_of
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.ledger import Row
+from retuner.ledger.decided import without_place
 from retuner.replay.recorded_trend import recorded_columns
 from retuner.report.loops_index import loop_line, render_index
 from retuner.report.report import ReportData, render
@@ -23,7 +24,7 @@ from retuner.schedule.document import from_toml
 from retuner.schedule.table import GainTable
 from retuner.session.assembly import make_plant
 from retuner.session.outputs import GAINS, REPORT, SUMMARY
-from retuner.session.recorded_session import RecordedSession, read_loops, without_place
+from retuner.session.recorded_session import RecordedSession, read_loops
 from retuner.session.scenario import loads_at
 from retuner.verbosity import busy
 
