@@ -57,7 +57,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words
-from retuner.adaptive.trial.phase import TO_BE_SEEN, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
@@ -238,12 +238,12 @@ class Retuner:
         stored = self.table.stored_for(region, gains, *at)
         if stored is None:
             return self._decision(region, StageResult("edit_not_taken", NOT_TAKEN))
+        on_trial = self.trials.phase(region) in UNDECIDED
         self._change(region, stored)
         self.trials.edited(region, stored, ours, self._now_s)
         trial = self.trials.of(region)
-        words = edit_words(ours, stored, self._still_allowed(region), trial.until_s - self._now_s)
-        made = self._decision(region, StageResult("edited", words))
-        return replace(made, gains_before=ours, gains_after=None)
+        words = edit_words(ours, stored, self._still_allowed(region), trial.until_s - self._now_s, on_trial=on_trial)
+        return replace(self._decision(region, StageResult("edited", words)), gains_before=ours, gains_after=None)
 
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions where that was awaited."""
