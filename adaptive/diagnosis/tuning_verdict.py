@@ -261,7 +261,8 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
-    explained = left < settings.second_explained
+    refuted = math.isinf(evidence["ms"]) and not _grows(window)
+    explained = left < settings.second_explained and not refuted
     unexplained = _unexplained(steps, loads, left, settings)
     if unexplained:
         seen = _overshoots(evidence, settings) or _not_brought_back(window)
@@ -270,7 +271,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
         return _by_tone_instead(loop, evidence, explained and not oscillates)
-    if oscillates and not steps:
+    if oscillates and not steps and (as_likely or not explained):
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
     if not steps and share < settings.explained_alone:
@@ -280,7 +281,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if verdict.cause == Cause.AGGRESSIVE and not steps and waves < settings.waves_a_load * loads:
         reason = f"perhaps aggressive, but {loads:.0f} load steps are needed to explain {waves} half cycles"
         return Doubt(Cause.UNKNOWN, reason)
-    if math.isinf(evidence["ms"]) and not _grows(window):
+    if refuted:
         return Doubt(Cause.UNKNOWN, UNSTABLE)
     return None
 
