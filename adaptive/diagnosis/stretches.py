@@ -4,9 +4,9 @@ A fit condenses a record to some hundred samples. Where that would leave fewer t
 oscillation's shape would be lost (a clean limit cycle of 290 rounds came out as noise), so stretches of fifteen cycles
 are diagnosed instead: at the beginning, at the largest setpoint change or in the middle, and at the end.
 
-Without one that is so quick, what happens in a long record are its setpoint changes: stretches of three of them are diagnosed,
-each from the middle of the plateau before to that of the plateau after, so that no response is cut whatever the
-sampling. (Two days of a real sticking valve, named in 21 of its 23 pieces, came out as unknown when condensed.)
+Without one that is so quick, what happens in a long record are its setpoint changes. Stretches of three of them are
+diagnosed, each from the middle of the plateau before to that of the plateau after, so that no response is cut whatever
+the sampling. (Two days of a real sticking valve, named in 21 of its 23 pieces, came out as unknown when condensed.)
 """
 
 from collections import Counter
