@@ -298,8 +298,9 @@ class Retuner:
             self._change(region, gains)
 
     def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes."""
+        """The one place where the table changes; an oscillation that was explained is to be explained anew."""
         self.table = self.table.with_gains(region, gains)
+        self.standing.pop(region, None)
         self._finder.gains_changed()
 
     def _gains_at(self, region: int, x: float, x2: float) -> PidGains:
@@ -468,8 +469,7 @@ class Retuner:
         accepted: bool,
     ) -> Decision:
         """The record; accepted : gains may be written, as far as proof and trial are concerned."""
-        verdict, learned = outcome.verdict, outcome.learned
-        mode = self.settings.mode_of(region)
+        verdict, learned, mode = outcome.verdict, outcome.learned, self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
         region_model = learned.region_model if learned else None
         self._decisions += 1
