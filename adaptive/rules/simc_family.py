@@ -60,9 +60,6 @@ def simc_improved(model: ProcessModel, tau_c_s: float | None = None, c: float = 
     return tuning("simc-improved", "series", lag / (model.k * span), min(lag, c * span), 0.0, tau_c_s)
 
 
-KIND = ControllerKind.PI
-"""The rule exists for PI only in the source."""
-
 PI, PID = ControllerKind.PI, ControllerKind.PID
 
 

@@ -152,7 +152,7 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
         row = RuleRow(result, performance(model.linear(), result.tuning.gains), None)
         _draw(model, (row,), path)
         return
-    from retuner.report.tuning_plots import pareto_png  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.report.tuning_plots import pareto_png
 
     with user_input("--plot"):
         picture = pareto_png(model)
@@ -161,7 +161,7 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
 
 def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
     """The responses of rules in one figure."""
-    from retuner.report.tuning_plots import responses_png  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.report.tuning_plots import responses_png
 
     with user_input("--plot"):
         picture = responses_png(model, rows)
