@@ -16,8 +16,8 @@ from retuner.audit.planning import Pass, diagnosing, expected, screening
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine, processes
-from retuner.commands.options import Json, signed_by
-from retuner.commands.recorded.record_form import FormOptions, record_form
+from retuner.commands.options import FormOptions, Json, signed_by
+from retuner.commands.recorded.record_form import record_form
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
 from retuner.verbosity import quiet
