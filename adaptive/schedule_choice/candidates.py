@@ -81,12 +81,14 @@ def silent(stage: str, share: float) -> None:
     del stage, share
 
 
-def curves_over_both(windows: Sequence[Window], both: tuple[Candidate, Candidate], axes: Sequence[Axis]) -> Curves:
-    """Over two variables at once: every parameter a product of a curve over each."""
+def curves_over_both(windows: Sequence[Window], both: tuple[Candidate, Candidate], alone: Sequence[Curves]) -> Curves:
+    """Over two variables at once: every parameter a product of a curve over each. alone : along either by itself."""
     one, two = both
+    axes = [found.form.axis for found in alone]
     second = Second(axes[1], (Shape.CONSTANT,) * 3, two.outside)
+    richest = max((found.rich for found in alone), key=lambda form: (len(form.shapes), form.felt is not None))
     some = stretches_of(windows, one, two)
-    return curves(some, axes[0], direction(windows), silent, pushed=one.outside, second=second)
+    return curves(some, axes[0], direction(windows), silent, pushed=one.outside, second=second, known=richest)
 
 
 SEEN = 5

@@ -7,15 +7,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.candidates import (
+from retuner.adaptive.schedule_choice.candidates import (
     Candidate,
     axis_of,
     curves_along,
     curves_over_both,
 )
-from retuner.adaptive.schedule_design.cells import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.cells import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.cover import Layout, knots, steps
-from retuner.adaptive.schedule_design.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
 from retuner.adaptive.schedule_design.shapes import Shape
@@ -109,7 +109,7 @@ def design(
     moving = [c for c in able if any(e.variable == c.name and e.changes for e in evidence)]
     for both in _pairs(chosen.one, moving):
         progress(f"{both[0].name} and {both[1].name}", len(able) / stages)
-        pair = _Chosen(*both, curves_over_both(windows, both, tuple(found[c.name].form.axis for c in both)))
+        pair = _Chosen(*both, curves_over_both(windows, both, [found[c.name] for c in both]))
         evidence.append(_evidence(pair.name, pair.curves))
         if pair.both_matter and pair.curves.log_likelihood > chosen.curves.log_likelihood:
             chosen = pair

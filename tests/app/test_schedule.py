@@ -142,7 +142,7 @@ def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_pat
     wide = tmp_path / "wide.csv"
     more = [f"{row},{30 + 20 * np.sin(i / 90):.4f},1.2,0.06" for i, row in enumerate(rows[1:])]
     wide.write_text("\n".join([f"{rows[0]},FI104,KP,KI", *more]) + "\n")
-    options = ["--by", "FI104", "--gain-columns", "KP,KI", "--co-max", "60"]
+    options = ["--by", "FI104", "--gain-columns", "KP,KI", "--co-max", "100"]
 
     assert main(["schedule", str(wide), *options, "--json"]) == 0
 
@@ -185,6 +185,6 @@ def test_time_at_a_limit_of_the_output_is_told() -> None:
 
 @pytest.mark.parametrize("pushed", [True, False])
 def test_a_variable_from_outside_is_told_to_leave_the_bands_too_narrow(pushed: bool) -> None:
-    form = SimpleNamespace(pushed=pushed)
+    form = SimpleNamespace(pushed=pushed, second=None)
     found = SimpleNamespace(variable="flow", design=SimpleNamespace(curves=SimpleNamespace(form=form)))
     assert ("flow comes from outside" in push_sentence(cast("ScheduleDesign", found))) == pushed
