@@ -8,6 +8,7 @@ import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
+from retuner.adaptive.schedule_design.motion import recursion
 from retuner.adaptive.schedule_design.shapes import Axis, Second, Shape
 from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of, without_gaps
 from retuner.adaptive.schedule_design.weighing import SIMPLER
@@ -22,15 +23,16 @@ OWN = ("sp", "pv", "co")
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A variable at the samples of every record."""
+    """A variable at the samples of every record. follows : it goes after a signal of the loop, as a filtered pv."""
 
     name: str
     values: tuple[FloatArray, ...]
+    follows: bool = False
 
     @property
     def outside(self) -> bool:
         """Whether it is no signal of the loop itself, and so may move pv on its own."""
-        return self.name not in OWN
+        return self.name not in OWN and not self.follows
 
     def span(self) -> tuple[float, float]:
         """Lowest and highest value visited, noise apart."""
@@ -41,6 +43,40 @@ class Candidate:
     def noise(self) -> float:
         """Standard deviation of its noise."""
         return max(noise_sigma(v) for v in self.values)
+
+
+FOLLOWS = 0.95
+"""Share of a variable's variance that a lag of sp, pv or co explains where it follows the loop."""
+LAGS = 12
+"""Lags that are tried, from a sample to a tenth of the record."""
+
+
+def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> bool:
+    """Whether a variable is a signal of the loop behind a lag: it cannot move pv on its own then.
+
+    A filtered pv, a temperature beside the one that is controlled, a valve's position. Taken for a variable from
+    outside, its push would explain what the process does.
+    """
+    varied = max(float(np.var(np.concatenate(list(values)))), 1e-300)
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    longest = max(0.1 * float(windows[0].t_s[-1] - windows[0].t_s[0]), 2 * dt)
+    for lag in (0.0, *np.geomspace(dt, longest, LAGS).tolist()):
+        for name in OWN:
+            behind = np.concatenate([_behind(getattr(w, name), math.exp(-dt / lag) if lag else 0.0) for w in windows])
+            if float(np.ptp(behind)) and _left(behind, np.concatenate(list(values))) < (1 - FOLLOWS) * varied:
+                return True
+    return False
+
+
+def _behind(x: FloatArray, decay: float) -> FloatArray:
+    """A signal behind a first-order lag, at rest at first."""
+    return recursion(np.full(len(x) - 1, decay), (1 - decay) * x[1:], x[0])
+
+
+def _left(x: FloatArray, y: FloatArray) -> float:
+    """Variance of y round a straight line in x."""
+    slope, level = np.polyfit(x - float(np.mean(x)), y, 1)
+    return float(np.var(y - level - slope * (x - float(np.mean(x)))))
 
 
 def axis_of(candidate: Candidate, span: tuple[float | None, float | None]) -> Axis:

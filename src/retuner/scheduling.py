@@ -13,7 +13,7 @@ import numpy as np
 from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.process.model import ProcessModel
-from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, silent
+from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
 from retuner.adaptive.schedule_choice.cells import COUNT, Cells
 from retuner.adaptive.schedule_choice.design import Design, design
 from retuner.adaptive.schedule_choice.next_experiment import NextExperiment, next_experiment
@@ -345,7 +345,7 @@ def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequen
     for array, window in zip(arrays, windows, strict=True):
         if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
-    return Candidate(name, tuple(arrays))
+    return Candidate(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
 
 
 def table_of(found: Design, name: str, unit: str) -> GainTable | None:

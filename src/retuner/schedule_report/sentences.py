@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from retuner.adaptive.schedule_choice.crossing import Crossing
 from retuner.adaptive.schedule_design.shapes import Shape
 from retuner.scheduling import ScheduleDesign
 
@@ -72,10 +73,22 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
         told.append(
             f"A setpoint step {way} over {crossing.share:.0%} of the range, gains looked up by {crossing.variable}; "
             f"IAE {ratio} that with each place's own gains, "
-            f"overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})"
-            + (": no worse for moving." if crossing.proper else ": WORSE in motion than at rest; ramp such steps.")
+            f"overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})" + _moving_words(crossing)
         )
     return told
+
+
+TOO_LARGE = 0.5
+"""Overshoot with each place's own gains from which a step is too large for any gains."""
+
+
+def _moving_words(crossing: Crossing) -> str:
+    """What follows from a crossing."""
+    if not crossing.proper:
+        return ": WORSE in motion than at rest; ramp such steps."
+    if crossing.own_overshoot > TOO_LARGE:
+        return ": no worse for the schedule, but such a step is too large for any gains here; ramp it."
+    return ": no worse for moving."
 
 
 def experiment_sentence(found: ScheduleDesign) -> str:
@@ -98,9 +111,10 @@ def push_sentence(found: ScheduleDesign) -> str:
         pushing.append(found.second)
     if not pushing:
         return ""
+    verb = "comes" if len(pushing) == 1 else "come"
     return (
-        f"{' and '.join(pushing)} comes from outside and may move pv by itself. How it does so is known only roughly, "
-        "and the bands leave that out. Confirm the gains with a setpoint step at each end."
+        f"{' and '.join(pushing)} {verb} from outside and may move pv by itself. How it does so is known only "
+        "roughly, and the bands leave that out. Confirm the gains with a setpoint step at each end."
     )
 
 
