@@ -57,10 +57,10 @@ class ScheduleOptions(FormOptions):
     ]
     by: Annotated[
         list[str] | None,
-        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses."),
+        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses one or two."),
     ] = None
-    low: Annotated[float | None, typer.Option(help="Lower end of the variable; default: what was visited.")] = None
-    high: Annotated[float | None, typer.Option(help="Upper end of the variable.")] = None
+    low: Annotated[float | None, typer.Option(help="Lower end of the first variable; default: what was visited.")] = None
+    high: Annotated[float | None, typer.Option(help="Upper end of the first variable.")] = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
     ms: Annotated[float, typer.Option(help="Largest Ms anywhere, over the plausible models; 1.5 to 2.5.")] = 1.8
