@@ -57,9 +57,11 @@ class ScheduleOptions(FormOptions):
     ]
     by: Annotated[
         list[str] | None,
-        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses one or two."),
+        typer.Option(
+            "--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses 1 or 2."
+        ),
     ] = None
-    low: Annotated[float | None, typer.Option(help="Lower end of the first variable; default: what was visited.")] = None
+    low: Annotated[float | None, typer.Option(help="Lower end of the first variable; default: as visited.")] = None
     high: Annotated[float | None, typer.Option(help="Upper end of the first variable.")] = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
