@@ -4,17 +4,21 @@ shown of gains on trial: what they promise, what was seen, and what is known by 
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.between import eased, worst_between
+from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
+from retuner.adaptive.region_model.at_knots import at_knots
+from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.kalman import gate
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
@@ -22,6 +26,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import JudgedResponse
@@ -29,7 +34,7 @@ from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posteri
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 
 def change_request(
@@ -52,7 +57,8 @@ def change_request(
     damping : of the response, None when it did not swing.
     """
     in_force, commissioned = tables
-    known = {index: still_allowed(region_model, t_s, settings) for index, region_model in region_models.items()}
+    at_their_knots = where_gains_run(in_force, region_models, t_s, settings)
+    known = {index: still_allowed(region_model, t_s, settings) for index, region_model in at_their_knots.items()}
     contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
     return ChangeRequest(
         in_force=in_force.gains_of(region),
@@ -74,6 +80,70 @@ def change_request(
         locks=settings.locks_of(region),
         units=settings.units,
     )
+
+
+def where_gains_run(
+    table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> Mapping[int, RegionModel]:
+    """What is known where the regions' own sets run alone: in an interpolated table at the knots, and there of every
+    region, by what the others lend where it knows nothing itself.
+    """
+    if table.lookup is Lookup.HARD:
+        return region_models
+    regions, sign = table.regions, table.gains[0].direction
+    found = at_knots(region_models, regions, t_s, settings.tracker)
+    for region in range(len(regions)):
+        if region not in found:
+            lent = borrowed(region_models, region, regions, t_s, sign, settings.borrowing, settings.tracker)
+            found.update({} if lent is None else {region: lent})
+    return found
+
+
+def tuning_of(
+    table: GainTable,
+    region: int,
+    region_models: Mapping[int, RegionModel],
+    in_force: PidGains,
+    t_s: float,
+    settings: RetunerSettings,
+) -> RobustProposal:
+    """What the rule gives for a region, and whether its tuning is a cause.
+
+    In an interpolated table what ran, in_force, is a mean of several sets. Asked is what the region's own does: alone
+    at its knot, and mixed on its half of the ways to the others.
+    """
+    if table.lookup is Lookup.HARD:
+        model = region_models[region]
+        return propose(model, predicted(model, t_s, settings.tracker), in_force, settings)
+    known = where_gains_run(table, region_models, t_s, settings)
+    return propose_knot(table, region, known, t_s, settings)
+
+
+def propose_knot(
+    table: GainTable, region: int, known: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> RobustProposal:
+    """What the rule gives for a region's knot, eased to what its half of the ways to the neighbours bears.
+
+    known : by region, where their sets run alone. t_s : now.
+    """
+    model, own = known[region], table.gains_of(region)
+    log, dt_s = predicted(model, t_s, settings.tracker), settings.sample_time_s
+    at_knot, process = propose(model, log, own, settings), log.model()
+    allowed_there = {i: still_allowed(one, t_s, settings) for i, one in known.items() if i != region}
+    borders = borders_of(table, region, allowed_there)
+    limit, wanted = settings.guard.ms_nominal, at_knot.tuning.gains
+    easier = eased(wanted, borders, process, limit, dt_s, settings.filter_s)
+    found = replace(at_knot, tuning=replace(at_knot.tuning, gains=easier))
+    if easier == wanted:
+        return found
+    given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s))
+    found = replace(found, diagnosis=tuning_cause(*given, settings.cause))
+    worst = worst_between(borders, process, own, dt_s, settings.filter_s)
+    if worst is None or worst.ms <= settings.cause.ms_high or abs(easier.ki) >= abs(own.ki):
+        return found
+    words = f"Ms {worst.ms:.2f} between here and region {worst.to} is over {settings.cause.ms_high:g}"
+    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
+    return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 
 def unproved_request(
@@ -100,22 +170,33 @@ def unproved_request(
 
 
 def known_of(
-    region_model: RegionModel | None,
-    table: GainTable,
-    region: int,
-    at: tuple[float, float],
-    t_s: float,
-    settings: RetunerSettings,
+    region_models: Mapping[int, RegionModel], table: GainTable, region: int, t_s: float, settings: RetunerSettings
 ) -> StillAllowed:
     """What is known of a region's process now, as it is asked which of its sets is to run.
 
-    at : scheduling values, where in an interpolated table a mean of several regions' sets runs.
+    In an interpolated table that is asked at the region's knot, and half way to its neighbours.
     """
-    if region_model is None:
+    known, dt_s = where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
+    if region not in region_models:
         return NOTHING_KNOWN
-    models = still_allowed(region_model, t_s, settings)
-    sampled = tuple(found.model.seen_by_controller(settings.sample_time_s).linear() for found in models)
-    return StillAllowed(sampled, lambda own: table.with_gains(region, own).at(region, *at), settings.filter_s)
+    models = {i: still_allowed(one, t_s, settings) for i, one in known.items()}
+    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in models[region])
+    if table.lookup is Lookup.HARD:
+        return StillAllowed(alone, settings.filter_s)
+    borders = borders_of(table, region, {i: allowed for i, allowed in models.items() if i != region})
+    best = models[region][0].model
+    halves = [
+        (
+            likeliest_between(border, best, HALF).seen_by_controller(dt_s).linear(),
+            partial(mixed, border=border, share=HALF),
+        )
+        for border in borders
+    ]
+    return StillAllowed(alone, settings.filter_s, tuple(halves))
+
+
+HALF = 0.5
+"""Weight of a neighbour half way to it."""
 
 
 def _urgent(damping: float | None, settings: RetunerSettings) -> bool:

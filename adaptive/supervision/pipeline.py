@@ -16,7 +16,7 @@ from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
@@ -35,9 +35,15 @@ from retuner.adaptive.supervision.causes import (
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import change_request, posterior_of, promise_of, unproved_request
+from retuner.adaptive.supervision.guard_request import (
+    change_request,
+    posterior_of,
+    promise_of,
+    tuning_of,
+    unproved_request,
+)
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal, behaves, half_seen, over_limit, propose
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, behaves, half_seen, over_limit
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen
@@ -207,8 +213,8 @@ def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> 
 
 def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    log = predicted(model, float(record.window.t_s[-1]), settings.tracker)
-    return propose(model, log, record.in_force, settings)
+    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
+    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
 
 
 def without_a_model(found: Findings) -> None:
