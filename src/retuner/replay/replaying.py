@@ -26,6 +26,7 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.drivers.recorded.sample_note import Notes
 from retuner.errors import UserError
 from retuner.ledger import Row
+from retuner.proposed_schedule import ROW, refined, same_proposal
 from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
 from retuner.session.ledger_rows import feed
 from retuner.session.memory_file import started_with
@@ -221,6 +222,8 @@ class Replay:
         """One row: a decision to compare, or something that the retuner was told."""
         if row.kind == "decision":
             self._compare(row)
+        elif row.kind == ROW:
+            self._schedule(row)
         elif row.kind == "link" and row.body["state"] != "up":
             self._heard.contact_lost()
         else:
@@ -245,6 +248,13 @@ class Replay:
         else:
             key, then, now = first_difference(recorded, again)
         self._result.difference = Difference(made.number, row.seq, key, then, now)
+
+    def _schedule(self, row: Row) -> None:
+        """A schedule that was proposed, with the one that the records ask for now."""
+        found = refined(self._retuner)
+        if not same_proposal(row.body, found, rounded=self._result.engines is not None):
+            now = MISSING if found is None else found.sentence
+            self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
 
     def _log_trouble(self) -> str:
         """What the ledger says of trouble with the log."""
