@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from retuner import proposed_schedule
 from retuner.adaptive.region_model.refinement import Refinement
 from retuner.adaptive.schedule_design.places import DesignLimits
 from retuner.cli import main
 from retuner.config.loading import load_session
+from retuner.decisions import proposed_schedule
+from retuner.decisions.proposed_schedule import digest_of, taken_up
 from retuner.errors import UserError
 from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger import Row
-from retuner.proposed_schedule import digest_of, taken_up
 from retuner.report.ledger_words import told
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions

@@ -19,11 +19,11 @@ from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import show_units_of
+from retuner.decisions.proposed_schedule import table_in
 from retuner.errors import LedgerError, UserError, one_line, user_input
 from retuner.files import write_whole
 from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
-from retuner.proposed_schedule import table_in
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
 from retuner.session.outputs import CONFIG, loop_folder

@@ -23,6 +23,7 @@ from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decision_page.shown_units import show_units_of
+from retuner.decisions.proposed_schedule import ROW, refined, row_body, taken_up
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
@@ -31,7 +32,6 @@ from retuner.ledger import Ledger, Recorder
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.watching import OnScreen, Watching
 from retuner.live_view.what_next import Changed, narrow_scores, what_next
-from retuner.proposed_schedule import ROW, refined, row_body, taken_up
 from retuner.report.console import counted, scores_table, screen_console
 from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render

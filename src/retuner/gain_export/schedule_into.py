@@ -12,8 +12,8 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Table
 
 from retuner.config.loading import UnusableError, load_session, parse_session
+from retuner.decisions.proposed_schedule import digest_of, stands
 from retuner.errors import UserError
-from retuner.proposed_schedule import digest_of, stands
 from retuner.schedule.table import GainTable
 from retuner.scheduling import schedule_section
 

@@ -18,6 +18,7 @@ from retuner.adaptive.fit.engine import engine_name
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.pipeline import decide
+from retuner.decisions.proposed_schedule import ROW, refined, same_proposal
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.recorded.bus_log_samples import Overhearing
@@ -26,7 +27,6 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.drivers.recorded.sample_note import Notes
 from retuner.errors import UserError
 from retuner.ledger import Row
-from retuner.proposed_schedule import ROW, refined, same_proposal
 from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
 from retuner.session.ledger_rows import feed
 from retuner.session.memory_file import started_with

@@ -16,9 +16,9 @@ from retuner.adaptive.supervision.decision import Action, Decision, Mode, gains_
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.decisions.proposed_schedule import ROW as SCHEDULE
 from retuner.errors import LedgerError, one_line
 from retuner.ledger import Recorder, Row
-from retuner.proposed_schedule import ROW as SCHEDULE
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind

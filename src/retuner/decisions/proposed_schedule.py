@@ -54,8 +54,9 @@ def same_proposal(body: Mapping[str, Any], found: Refinement | None, *, rounded:
     if found is None:
         return False
     if rounded:
-        return len(body["proposal"]["gains"]) == len(found.table.gains)
-    return body["hash"] == digest_of(found.table) and body["proposal"] == json.loads(json.dumps(found.to_dict()))
+        return bool(len(body["proposal"]["gains"]) == len(found.table.gains))
+    again = {"hash": digest_of(found.table), "proposal": json.loads(json.dumps(found.to_dict()))}
+    return again == {name: body[name] for name in again}
 
 
 def table_in(body: Mapping[str, Any]) -> GainTable:
