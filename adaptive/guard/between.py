@@ -1,9 +1,12 @@
-"""What runs between the knots of an interpolated table: the mean of two sets, on a process between two.
+"""What runs at the far places of a region, where the process is no longer its own.
+
+Between the knots of an interpolated table that is the mean of two sets, on a process between two. In a table of steps
+it is the region's own set up to its border. The records of a region show its middle, so nobody would ask there.
 
 Where the process gain is r times as large at the next knot it is sqrt(r) times as large half way, and the mean of two
 gains that suit their knots is (1 + 1/r)/2 of the first. Their product exceeds that at the knots by
 (sqrt(r) + 1/sqrt(r))/2: 6 % for r = 2, 25 % for r = 4. So sets that suit both knots may be too much between them, and a
-region answers for its own half of every way to a neighbour.
+region answers for its own half of every way to a neighbour. Up to a border of a table of steps it is sqrt(r) whole.
 """
 
 from collections.abc import Sequence
@@ -22,7 +25,7 @@ EASED = (1.0, 0.94, 0.88, 0.82, 0.76, 0.7, 0.65, 0.6, 0.55, 0.5)
 
 
 class PlaceBetween(NamedTuple):
-    """The place of largest Ms in the region's half of the ways to its neighbours. to : name of that neighbour."""
+    """The place of largest Ms on the region's part of the ways to its neighbours. to : name of that neighbour."""
 
     ms: float
     to: str
@@ -35,7 +38,7 @@ def worst_between(
     sample_time_s: float,
     filter_s: float = 0.0,
 ) -> PlaceBetween | None:
-    """On the best models; None where no border is interpolated.
+    """On the best models; None where nothing is known beyond any border.
 
     Parameters
     ----------
@@ -44,8 +47,8 @@ def worst_between(
     asked = [
         PlaceBetween(_ms(border, own, gains, share, sample_time_s, filter_s), border.name)
         for border in borders
-        if border.interpolated
-        for share in OWN_HALF
+        if border.interpolated or border.models
+        for share in (OWN_HALF if border.interpolated else (border.reach,))
     ]
     return max(asked, default=None)
 
@@ -65,7 +68,7 @@ def eased(
     sample_time_s: float,
     filter_s: float = 0.0,
 ) -> PidGains:
-    """As much of the wanted gains as keeps Ms within a limit in the region's half; other arguments as above."""
+    """As much of the wanted gains as keeps Ms within a limit on the region's part; other arguments as above."""
     for share in EASED:
         gains = PidGains(wanted.kp * share, wanted.ki * share, wanted.kd * share)
         found = worst_between(borders, own, gains, sample_time_s, filter_s)

@@ -2,6 +2,7 @@
 shown of gains on trial: what they promise, what was seen, and what is known by then of the tried set and the old one.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -57,8 +58,7 @@ def change_request(
     damping : of the response, None when it did not swing.
     """
     in_force, commissioned = tables
-    at_their_knots = where_gains_run(in_force, region_models, t_s, settings)
-    known = {index: still_allowed(region_model, t_s, settings) for index, region_model in at_their_knots.items()}
+    known = allowed_where_gains_run(in_force, region_models, t_s, settings)
     contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
     return ChangeRequest(
         in_force=in_force.gains_of(region),
@@ -85,18 +85,36 @@ def change_request(
 def where_gains_run(
     table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
 ) -> Mapping[int, RegionModel]:
-    """What is known where the regions' own sets run alone: in an interpolated table at the knots, and there of every
-    region, by what the others lend where it knows nothing itself.
+    """What is known where the regions' own sets run: in an interpolated table at the knots. Of every region, by what
+    the others lend where nothing is known of it itself.
     """
-    if table.lookup is Lookup.HARD:
-        return region_models
     regions, sign = table.regions, table.gains[0].direction
-    found = at_knots(region_models, regions, t_s, settings.tracker)
+    hard = table.lookup is Lookup.HARD
+    found = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
     for region in range(len(regions)):
         if region not in found:
             lent = borrowed(region_models, region, regions, t_s, sign, settings.borrowing, settings.tracker)
             found.update({} if lent is None else {region: lent})
     return found
+
+
+def allowed_where_gains_run(
+    table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> dict[int, tuple[Plausible, ...]]:
+    """The models that are still allowed there, by region.
+
+    A step ends at its border: of what is only lent beyond it, the likeliest model is asked. A mean of two sets runs all
+    the way, and is asked of all.
+    """
+    found = {}
+    for region, model in where_gains_run(table, region_models, t_s, settings).items():
+        only_lent = table.lookup is Lookup.HARD and region not in region_models
+        found[region] = still_allowed(model, t_s, settings)[: 1 if only_lent else None]
+    return found
+
+
+BEYOND = 1.05
+"""Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
 
 
 def tuning_of(
@@ -107,41 +125,28 @@ def tuning_of(
     t_s: float,
     settings: RetunerSettings,
 ) -> RobustProposal:
-    """What the rule gives for a region, and whether its tuning is a cause.
+    """What the rule gives for a region, eased to what its part of the ways to the neighbours bears (guard/between.py);
+    and whether its tuning is a cause.
 
-    In an interpolated table what ran, in_force, is a mean of several sets. Asked is what the region's own does: alone
-    at its knot, and mixed on its half of the ways to the others.
+    In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
     """
-    if table.lookup is Lookup.HARD:
-        model = region_models[region]
-        return propose(model, predicted(model, t_s, settings.tracker), in_force, settings)
-    known = where_gains_run(table, region_models, t_s, settings)
-    return propose_knot(table, region, known, t_s, settings)
-
-
-def propose_knot(
-    table: GainTable, region: int, known: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
-) -> RobustProposal:
-    """What the rule gives for a region's knot, eased to what its half of the ways to the neighbours bears.
-
-    known : by region, where their sets run alone. t_s : now.
-    """
-    model, own = known[region], table.gains_of(region)
-    log, dt_s = predicted(model, t_s, settings.tracker), settings.sample_time_s
-    at_knot, process = propose(model, log, own, settings), log.model()
-    allowed_there = {i: still_allowed(one, t_s, settings) for i, one in known.items() if i != region}
-    borders = borders_of(table, region, allowed_there)
-    limit, wanted = settings.guard.ms_nominal, at_knot.tuning.gains
-    easier = eased(wanted, borders, process, limit, dt_s, settings.filter_s)
-    found = replace(at_knot, tuning=replace(at_knot.tuning, gains=easier))
-    if easier == wanted:
+    hard, dt_s, guard = table.lookup is Lookup.HARD, settings.sample_time_s, settings.guard
+    model = where_gains_run(table, region_models, t_s, settings)[region]
+    log, own = predicted(model, t_s, settings.tracker), in_force if hard else table.gains_of(region)
+    found, process = propose(model, log, own, settings), log.model()
+    known = allowed_where_gains_run(table, region_models, t_s, settings)
+    borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
+    limit, high = (guard.ms_border, BEYOND * guard.ms_border) if hard else (guard.ms_nominal, settings.cause.ms_high)
+    easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
+    if easier == found.tuning.gains:
         return found
     given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s))
-    found = replace(found, diagnosis=tuning_cause(*given, settings.cause))
+    found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=tuning_cause(*given, settings.cause))
     worst = worst_between(borders, process, own, dt_s, settings.filter_s)
-    if worst is None or worst.ms <= settings.cause.ms_high or abs(easier.ki) >= abs(own.ki):
+    if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
         return found
-    words = f"Ms {worst.ms:.2f} between here and region {worst.to} is over {settings.cause.ms_high:g}"
+    seen = "the loop is unstable" if math.isinf(worst.ms) else f"Ms {worst.ms:.2f} is over {high:g}"
+    words = f"{seen} on the way to region {worst.to}"
     evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
@@ -176,10 +181,9 @@ def known_of(
 
     In an interpolated table that is asked at the region's knot, and half way to its neighbours.
     """
-    known, dt_s = where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
     if region not in region_models:
         return NOTHING_KNOWN
-    models = {i: still_allowed(one, t_s, settings) for i, one in known.items()}
+    models, dt_s = allowed_where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
     alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in models[region])
     if table.lookup is Lookup.HARD:
         return StillAllowed(alone, settings.filter_s)

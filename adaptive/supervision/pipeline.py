@@ -117,7 +117,7 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = _across(found, known) if record.crossed else _inside(record, known, settings)
+        learned = _across(found, known) if record.crossed else _inside(found, known)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
@@ -125,8 +125,18 @@ def identification(found: Findings) -> None:
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
-def _inside(record: ResponseRecord, known: RegionModel | None, settings: RetunerSettings) -> Learned:
-    """What a response teaches the region in which it began and ended."""
+def _inside(found: Findings, known: RegionModel | None) -> Learned:
+    """What a response teaches the region in which it began and ended.
+
+    One that went far is fitted in motion first. Where that does not agree with what is known, or does not settle it, it
+    is judged as any other: the process may have changed in time.
+    """
+    record, settings = found.record, found.settings
+    if record.moved:
+        learned = _across(found, known)
+        settled = learned.region_model is not None and learned.region_model.identifiable
+        if settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
+            return learned
     return update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
 
 

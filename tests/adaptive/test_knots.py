@@ -19,8 +19,9 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.at_knots import at_knots
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings
+from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import simc
-from retuner.adaptive.supervision.guard_request import change_request, known_of, propose_knot, where_gains_run
+from retuner.adaptive.supervision.guard_request import change_request, known_of, tuning_of, where_gains_run
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -103,7 +104,7 @@ def test_no_accepted_change_makes_a_place_between_knots_too_much(
     now = table(*(PidGains(f * one.kp, f * one.ki) for f, one in zip(start, sets, strict=True)))
     told = {i: known(models[i], x[i]) for i in range(3) if known_there[i] or i == region}
     there = where_gains_run(now, told, 0.0, ASKED)
-    wanted = propose_knot(now, region, there, 0.0, ASKED)
+    wanted = tuning_of(now, region, told, now.gains_of(region), 0.0, ASKED)
     verdict = prove(change_request(wanted.tuning, region, (now, now), told, None, 0.0, ASKED), ASKED.guard)
     if verdict.gains is None:
         return
@@ -121,8 +122,7 @@ def tuned(now: GainTable, told: dict[int, RegionModel], rounds: int) -> tuple[Ga
     for _ in range(rounds):
         made.append(0)
         for region in range(3):
-            there = where_gains_run(now, told, 0.0, ASKED)
-            wanted = propose_knot(now, region, there, 0.0, ASKED)
+            wanted = tuning_of(now, region, told, now.gains_of(region), 0.0, ASKED)
             if not wanted.diagnosis.retune:
                 continue
             verdict = prove(change_request(wanted.tuning, region, (now, now), told, None, 0.0, ASKED), ASKED.guard)
@@ -147,13 +147,13 @@ def test_a_place_that_is_too_much_is_told_as_what_it_is() -> None:
     models = [process(k) for k in (1.0, 6.0, 1.0)]
     told = {i: known(model, x) for i, (model, x) in enumerate(zip(models, KNOTS, strict=True))}
     now = table(*map(best, models))
-    found = propose_knot(now, 0, where_gains_run(now, told, 0.0, ASKED), 0.0, ASKED)
+    found = tuning_of(now, 0, told, now.gains[0], 0.0, ASKED)
     assert found.diagnosis.cause == Cause.AGGRESSIVE
-    assert "between here and region middle" in found.diagnosis.reason
+    assert "on the way to region middle" in found.diagnosis.reason
     alike = [process(1.0)] * 3
     same = {i: known(model, x) for i, (model, x) in enumerate(zip(alike, KNOTS, strict=True))}
     level = table(*map(best, alike))
-    assert propose_knot(level, 0, where_gains_run(level, same, 0.0, ASKED), 0.0, ASKED).diagnosis.cause == Cause.OK
+    assert tuning_of(level, 0, same, level.gains[0], 0.0, ASKED).diagnosis.cause == Cause.OK
 
 
 def test_which_set_is_to_run_is_asked_at_the_knot_and_half_way() -> None:
@@ -165,3 +165,26 @@ def test_which_set_is_to_run_is_asked_at_the_knot_and_half_way() -> None:
     assert asked.ms(now.gains[0])[-1] == pytest.approx(half, rel=0.02)
     hard = replace(now, lookup=Lookup.HARD)
     assert len(known_of(told, hard, 0, 0.0, ASKED).ms(now.gains[0])) == len(asked.ms(now.gains[0])) - 1
+
+
+def test_a_step_is_eased_where_its_border_bears_less() -> None:
+    models = [process(k) for k in (1.0, 9.0, 9.0)]
+    told = {i: known(model, x) for i, (model, x) in enumerate(zip(models, KNOTS, strict=True))}
+    now = replace(table(*map(best, models)), lookup=Lookup.HARD)
+    found = tuning_of(now, 0, told, now.gains[0], 0.0, ASKED)
+    assert found.diagnosis.cause == Cause.AGGRESSIVE
+    assert "on the way to region middle" in found.diagnosis.reason
+    verdict = prove(change_request(found.tuning, 0, (now, now), told, None, 0.0, ASKED), ASKED.guard)
+    assert verdict.gains is not None
+    assert verdict.gains.kp < 0.8 * now.gains[0].kp
+    middle = tuning_of(now, 1, told, now.gains[1], 0.0, ASKED)  # towards less gain its set is calmer
+    assert middle.diagnosis.cause == Cause.OK
+
+
+def test_beyond_the_border_of_a_step_stands_in_what_the_others_lend() -> None:
+    told = {i: known(process(k), KNOTS[i], 0.01) for i, k in ((0, 1.0), (1, 4.0))}
+    now = replace(table(*[best(process(4.0))] * 3), lookup=Lookup.HARD)
+    (low, high) = change_request(Tuning("x", "", now.gains[1]), 1, (now, now), told, None, 0.0, ASKED).borders
+    assert len(low.models) > 1
+    (lent,) = high.models
+    assert lent.model.k > 4.4  # the gain that rises goes on, as far as the prior of slopes believes it
