@@ -5,7 +5,7 @@ PYTEST ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
-PIP    := $(BIN)/python -m pip install -q --disable-pip-version-check
+PIP    := $(BIN)/python -m pip install -q --no-compile --disable-pip-version-check
 
 .PHONY: demo test lint docs lowest release bench nightly clean
 

@@ -1,8 +1,10 @@
 """How often is the right cause found? Counts over records of the eight causes and over the traps, drawn from a seed.
 
     python benchmarks/diagnosis.py [--seed 1] [--cases 160] [--traps 190] [--jobs 1] [--only stiction]
-                                   [--save-failures FOLDER]
+                                   [--save-failures FOLDER] [--not-tuning] [--out FILE]
 
+--out keeps every score as a line as soon as it is known, and draws no case again whose line is there: a long count is
+made in pieces. --not-tuning leaves the three causes of tuning out, for the count of changes of gains that must not be.
 Right: the answer is among those that the group allows (one cause for the eight; cases/traps.py says which for a trap).
 False retune: a change of gains is advised where the cause is not tuning. Settings advised are held to the Ms limit,
 max(1.8, 1.03 x the Ms of SIMC with perfect knowledge), on the true process. Records between two causes are not drawn
@@ -37,10 +39,12 @@ PRODUCT = (3.8, 4.2)
 class Score(NamedTuple):
     """One case scored."""
 
+    seed: int
     index: int
     group: str
     family: str
     hidden: str
+    tuning: bool
     allowed: list[str]
     answer: str
     right: bool
@@ -81,8 +85,8 @@ def score(seed: int, folder: str | None, trap: bool, item: tuple[int, str | None
     if folder and (not right or wrong_change or not kept):
         _picture(case, answer, after, reason, evidence, Path(folder))
     return Score(
-        index, case.group, case.family, case.hidden, sorted(case.right), answer, right, retune, wrong_change,
-        confidence, before, after, kept, product, seconds, len(record.t), reason, evidence,
+        seed, index, case.group, case.family, case.hidden, case.retune_right, sorted(case.right), answer, right, retune,
+        wrong_change, confidence, before, after, kept, product, seconds, len(record.t), reason, evidence,
     )  # fmt: skip
 
 
@@ -143,7 +147,8 @@ def summary(scores: list[Score], name: str) -> list[str]:
     unknown = sum(s.answer in {"unknown", "refused"} and not s.right for s in scores)
     lines = [
         f"{name}: right       {share(sum(s.right for s in scores), n)}; of the rest {unknown} undecided",
-        f"{name}: false retune {share(sum(s.false_retune for s in scores), n)}",
+        f"{name}: change of gains where the cause is not tuning "
+        f"{share(sum(s.false_retune for s in scores), sum(not s.tuning for s in scores))}",
         f"{name}: settings within the Ms limit {share(sum(s.ms_kept for s in changed), len(changed))}; "
         f"worst Ms {max((s.ms_after for s in changed), default=math.nan):.2f}",
     ]
@@ -158,11 +163,43 @@ def summary(scores: list[Score], name: str) -> list[str]:
     return lines
 
 
-def numbered(names: list[str], count: int, only: str | None) -> list[tuple[int, str | None]]:
-    """Which cases to draw: the first `count`, or that many of one group."""
+def numbered(names: list[str], count: int, only: str | None, left_out: frozenset[str]) -> list[tuple[int, str | None]]:
+    """Which cases to draw: the first `count`, or that many of one group, without those of groups left out."""
     if only is None:
-        return [(i, None) for i in range(count)]
+        return [(i, None) for i in range(count) if names[i % len(names)] not in left_out]
     return [(names.index(only) + len(names) * i, only) for i in range(count)] if only in names else []
+
+
+def known(path: Path | None, seed: int) -> list[Score]:
+    """The scores that a file holds of a seed; a line that was cut off is drawn again."""
+    if path is None or not path.is_file():
+        return []
+    whole = [line for line in path.read_text(encoding="utf-8").splitlines(keepends=True) if line.endswith("\n")]
+    path.write_text("".join(whole), encoding="utf-8")
+    return [s for s in (Score(**json.loads(line)) for line in whole) if s.seed == seed]
+
+
+def scored(options: argparse.Namespace, trap: bool, items: list[tuple[int, str | None]]) -> list[Score]:
+    """The scores of these cases in order, those that are known taken as they are."""
+    found = {s.index: s for s in known(options.out, options.seed) if (s.group in traps.TRAPS) == trap}
+    missing = [item for item in items if item[0] not in found]
+    work = functools.partial(score, options.seed, options.save_failures, trap)
+    for each in spread(work, missing, options.jobs):
+        found[each.index] = each
+        if options.out is not None:
+            with options.out.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(each._asdict()) + "\n")
+    return [found[index] for index, _ in items]
+
+
+def told(scores: list[Score]) -> list[str]:
+    """A line for each score that is not as it should be."""
+    return [
+        f"{s.group} {s.index} {s.family} [{s.hidden}]: {s.answer} ({s.confidence:.2f}) "
+        f"{'FALSE RETUNE ' if s.false_retune else ''}Ms {s.ms_before:.2f} -> {s.ms_after:.2f}: {s.reason}"
+        for s in scores
+        if not s.right or s.false_retune or not s.ms_kept
+    ]
 
 
 def main() -> int:
@@ -172,38 +209,25 @@ def main() -> int:
     parser.add_argument("--traps", type=int, default=190, help="of all traps, or of the one of --only")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", choices=[*diagnosis.CAUSES, *traps.TRAPS])
+    parser.add_argument("--not-tuning", action="store_true", help="without the three causes of tuning")
     parser.add_argument("--save-failures", metavar="FOLDER")
-    parser.add_argument("--out", metavar="FILE", help="every score as a line of JSON")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="every score as a line of JSON; goes on where it ends")
     options = parser.parse_args()
-    if not hasattr(api, "diagnose"):
-        sys.stderr.write("this retuner has no diagnose(t, sp, pv, co, gains=, co_min=, co_max=): nothing to measure\n")
-        return 1
+    left_out = frozenset({"aggressive", "sluggish", "slow_integrating"} if options.not_tuning else ())
     lines, everything = [f"seed {options.seed}"], []
     for name, names, count in (
         ("causes", list(diagnosis.CAUSES), options.cases),
         ("traps", list(traps.TRAPS), options.traps),
     ):
-        items = numbered(names, count, options.only)
+        items = numbered(names, count, options.only, left_out)
         if not items:
             continue
-        work = functools.partial(score, options.seed, options.save_failures, name == "traps")
-        scores = list(spread(work, items, options.jobs))
+        scores = scored(options, name == "traps", items)
         lines += ["", *summary(scores, name), "", *table(scores)]
         if name == "causes":
             lines += ["", *confusion(scores)]
         everything += scores
-    lines += [
-        "",
-        *(
-            f"{s.group} {s.index} {s.family} [{s.hidden}]: {s.answer} ({s.confidence:.2f}) "
-            f"{'FALSE RETUNE ' if s.false_retune else ''}Ms {s.ms_before:.2f} -> {s.ms_after:.2f}: {s.reason}"
-            for s in everything
-            if not s.right or s.false_retune or not s.ms_kept
-        ),
-    ]
-    sys.stdout.write("\n".join(lines) + "\n")
-    if options.out:
-        Path(options.out).write_text("".join(json.dumps(s._asdict()) + "\n" for s in everything), encoding="utf-8")
+    sys.stdout.write("\n".join([*lines, "", *told(everything)]) + "\n")
     return 0
 
 

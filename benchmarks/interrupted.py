@@ -10,10 +10,13 @@ gap          20 samples are missing
 end          the session ends and the next one goes on from its memory
 telemetry    no samples come any more: 40 are missing, and the session says so
 restart      the controller restarts, and the session says so
+frozen       the sensor stands still, 20 to 400 samples, while the controller goes on: its output runs off to a limit
+limit        a load beyond what the output can do, for 20 to 100 samples
+memory       the session dies and goes on from memory at drawn moments, a change under way or not
 
 Counted: loops in spec at the end (as benchmarks/online has it); writes that replaced a set by another cause than
 evidence against it; of these, those that made the loop less robust (true Ms larger, and over 2.1), and those that took
-back a set in spec for one that is not.
+back a set in spec for one that is not; and changes for the worse whatever they rest on (as benchmarks/online/harm.py).
 
 Example: OMP_NUM_THREADS=1 python benchmarks/interrupted.py --seed 1 --loops 8
 """
@@ -25,10 +28,13 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from cases.case import FloatArray
+from cases.loop import FAR
 from cases.plant import HeldPlant
 from cases.processes import FAMILIES, log_uniform
 from cases.setting import Loop, draw_loop, scaled
 from online.counting import counted
+from online.harm import effects
 from online.judge import Judge
 from online.loop import LostLoop, WatchedLoop
 from online.supervisors import WRITTEN, Watching, one_region, settings
@@ -39,7 +45,7 @@ from retuner.adaptive.supervision.state_file import remember, restore
 from retuner.adaptive.trial.phase import TrialEvent
 from retuner.schedule.gains import PidGains
 
-KINDS = ("rare", "slow", "manual", "gap", "end", "telemetry", "restart")
+KINDS = ("rare", "slow", "manual", "gap", "end", "telemetry", "restart", "frozen", "limit", "memory")
 STEPS = 6
 LENGTH_THETA = 60.0
 DAY_S = 86400.0
@@ -47,6 +53,12 @@ THETA_S = {"rare": 300.0, "slow": 3 * 3600.0}
 TOLD = {"end": TrialEvent.STOPPED, "telemetry": TrialEvent.LOST_TELEMETRY, "restart": TrialEvent.RESTARTED}
 UNSEEN = {"gap": 20, "end": 20, "telemetry": 40}
 IN_MANUAL = 20
+FROZEN, PUSHED = (20, 400), (20, 100)
+"""Samples for which a sensor stands still, and for which a load is beyond the output's range."""
+DIES_EVERY = 150
+"""Samples between two ends of a session, in the mean."""
+ROOM, BEYOND = 5.0, 8.0
+"""Of the output about its resting point, over what holds the setpoint's step; and of the load that is beyond it."""
 EVIDENCE = frozenset({"undo_worse", "undo_runaway"})
 
 
@@ -60,6 +72,7 @@ class Count:
     taken_back: int = 0
     less_robust: int = 0
     right_taken_back: int = 0
+    worse: int = 0
     stories: list[str] = field(default_factory=list)
 
 
@@ -71,23 +84,44 @@ class Interrupted(Watching):
         self.kind, self.happened, self.ran = kind, 0, [gains]
         self.why: list[str] = [""]
         self._rng, self._wait, self._left, self._unseen = rng, -1, 0, 0
+        self._stuck: float | None = None
 
     def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
         """As live; at a drawn sample after a write it happens."""
         self._wait -= 1
         if self._wait == 0 and self.retuner.trials.undecided:
             self.happened += 1
-            self._left = IN_MANUAL if self.kind == "manual" else 0
+            self._left = self._lasts()
             self._unseen = UNSEEN.get(self.kind, 0)
             if self.kind in TOLD:
                 return self._follow(self.retuner.abort(TOLD[self.kind]))
         if self._unseen > 0:
             self._unseen -= 1
             return None
-        if self._left > 0:
-            self._left -= 1
+        if self.kind == "memory" and self._rng.uniform() < 1 / DIES_EVERY:
+            self.happened += 1
+            self._go_on()
+        self._left -= self._left > 0
+        if self.kind == "manual" and self._left > 0:
             sample = sample._replace(mode=LoopMode.MANUAL)
         return super().observe(sample)
+
+    def _lasts(self) -> int:
+        """Samples for which it goes on, where that is no matter of the session."""
+        span = {"frozen": FROZEN, "limit": PUSHED}.get(self.kind, (IN_MANUAL, IN_MANUAL + 1))
+        return int(self._rng.integers(*span))
+
+    def sensor(self, pv: float) -> float:
+        """What the transmitter says: pv, or what it said when it got stuck."""
+        if self.kind != "frozen" or self._left <= 0:
+            self._stuck = None
+            return pv
+        self._stuck = pv if self._stuck is None else self._stuck
+        return self._stuck
+
+    def pushed(self, load: float) -> float:
+        """The load that is beyond the output's range, while it is there."""
+        return load if self.kind == "limit" and self._left > 0 else 0.0
 
     def written(self, region: int, gains: PidGains) -> None:
         """As read back; a change is interrupted some time later."""
@@ -145,16 +179,29 @@ def run(kind: str, seed: int, index: int, count: Count) -> None:
     rng = np.random.default_rng([seed, index, KINDS.index(kind), 41])
     loop, gains, judge = drawn(kind, rng, aggressive=index % 2 == 0)
     watching = Interrupted(gains, loop.dt_s, kind, rng)
-    watched = WatchedLoop(HeldPlant(loop.process, loop.dt_s), watching.retuner.table, loop.dt_s, watching)
+    plant = HeldPlant(loop.process, loop.dt_s)
+    room = ROOM * judge.load_like_setpoint()
+    low, high = (-room, room) if kind in {"frozen", "limit"} else (-FAR, FAR)
+    watched = WatchedLoop(
+        plant, watching.retuner.table, loop.dt_s, watching, low=low, high=high, sensor=watching.sensor
+    )
     n = int((2 * DAY_S if kind == "rare" else LENGTH_THETA * loop.theta_s) / loop.dt_s)
     try:
         for i in range(STEPS):
-            watched.run(float(1 - i % 2), 0.0, (0.01 * rng.standard_normal(n)).tolist())
+            for noise in _pieces(0.01 * rng.standard_normal(n), 1 if kind == "limit" else n):
+                watched.run(float(1 - i % 2), watching.pushed(BEYOND * room / ROOM), noise)
     except LostLoop:
         count.stories.append(f"{kind} {index}: lost")
     count.loops += 1
     count.interrupted += watching.happened
     count.in_spec += judge.of(watched.table.gains_of(0)).in_spec
+    for one in effects(judge, watching):
+        if one.worse and not one.restored:
+            count.worse += 1
+            count.stories.append(
+                f"{kind} {index}: WORSE at {one.t_s:.6g} s, Ms {one.before.ms:.2f} -> {one.after.ms:.2f}, "
+                f"J {one.before.j:.2f} -> {one.after.j:.2f}"
+            )
     for (before, now), why in zip(pairwise(watching.ran), watching.why[1:], strict=True):
         if not why.startswith("undo_") or why in EVIDENCE:
             continue
@@ -163,6 +210,11 @@ def run(kind: str, seed: int, index: int, count: Count) -> None:
         count.less_robust += then.ms > max(1.01 * was.ms, 2.1)
         count.right_taken_back += was.in_spec and not then.in_spec
         count.stories.append(f"{kind} {index}: {why}, Ms {was.ms:.2f} -> {then.ms:.2f}, J {was.j:.2f} -> {then.j:.2f}")
+
+
+def _pieces(noise: FloatArray, length: int) -> list[list[float]]:
+    """The noise in pieces, between which the load may change."""
+    return [noise[i : i + length].tolist() for i in range(0, len(noise), length)]
 
 
 def main() -> int:
@@ -175,7 +227,8 @@ def main() -> int:
     options = parser.parse_args()
     lines = [
         f"interrupted trials, seed {options.seed}, {options.loops} loops a kind",
-        f"{'kind':<11}{'interrupted':>12}{'taken back':>12}{'less robust':>13}{'right ones':>12}   in spec at the end",
+        f"{'kind':<11}{'interrupted':>12}{'taken back':>12}{'less robust':>13}{'right ones':>12}{'worse':>7}"
+        "   in spec at the end",
     ]
     for kind in KINDS if options.kind == "all" else (options.kind,):
         count = Count()
@@ -183,7 +236,7 @@ def main() -> int:
             run(kind, options.seed, index, count)
         lines.append(
             f"{kind:<11}{count.interrupted:>12}{count.taken_back:>12}{count.less_robust:>13}"
-            f"{count.right_taken_back:>12}   {counted(count.in_spec, count.loops)}"
+            f"{count.right_taken_back:>12}{count.worse:>7}   {counted(count.in_spec, count.loops)}"
         )
         lines += count.stories if options.verbose else []
     sys.stdout.write("\n".join(lines) + "\n")

@@ -1,7 +1,6 @@
-"""What do identify and diagnose say of real loops? A line a record, counts by tag, and pictures.
+"""What do identify and diagnose say of real loops? A line a record, and counts by tag.
 
-    python benchmarks/plant_records.py --data FOLDER [--also FILE] [--only TAG] [--out FILE] [--sheets FOLDER]
-    python benchmarks/plant_records.py --from FILE --data FOLDER --sheets FOLDER
+    python benchmarks/plant_records.py --data FOLDER [--also FILE] [--only TAG] [--out FILE]
 
 FOLDER holds index.csv (file, tag, sampling_time_s, samples, label) and the records (t, sp, pv, co). Labels are
 "stiction" and "no stiction"; "no stiction" does not mean healthy. --also names a record outside it, of a loop of its
@@ -9,13 +8,12 @@ own. The settings in force are not known: they are read off the record where it 
 
 Named: called stiction, or said not to move while co moves. Settings that are given are held to two models that do
 not know of each other: identification's, and a plain first order with dead time fitted to pv after the setpoint steps
-alone (the recorded co as input, no load, no filter). --out keeps every answer as a line of JSON, from which --from
-draws again without a fit.
+alone (the recorded co as input, no load, no filter). --out keeps every answer as a line of JSON, from which
+real_record_page.py draws the pictures.
 """
 
 import argparse
 import csv
-import functools
 import json
 import math
 import sys
@@ -25,6 +23,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from cases.case import FloatArray, Record
 from cases.counting import spread
 from scipy.optimize import least_squares
@@ -37,8 +36,8 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
+BoolArray = npt.NDArray[np.bool_]
 STANDS = "does not move while co moves"
-TAGS_A_SHEET, RECORDS_A_TAG = 4, 3
 MS_MOST = 2.5
 STEP_SHARE = 0.05
 """A setpoint step of less than this share of pv's range shows nothing."""
@@ -138,15 +137,31 @@ def plain_model(window: Window) -> ProcessModel | None:
     steps = np.flatnonzero(np.abs(np.diff(window.sp)) > STEP_SHARE * np.ptp(window.pv)) + 1
     if not steps.size or steps.size > len(window.sp) / 10:
         return None
-    dt, n = window.sample_time_s, len(window.sp)
+    n = len(window.sp)
     counted = np.zeros(n, dtype=bool)
     for at in steps:
         counted[max(at - 5, 0) : min(at + 40, n)] = True
+    return _plain(window.pv, window.co, counted, window.sample_time_s)
+
+
+def plain_step(t: FloatArray, pv: FloatArray, co: FloatArray) -> ProcessModel:
+    """The same fitted to a whole record in manual."""
+    found = _plain(pv, co, np.ones(len(t), dtype=bool), float(np.median(np.diff(t))))
+    if found is None:
+        raise ValueError("pv does not follow co")
+    return found
+
+
+def _plain(pv: FloatArray, co: FloatArray, counted: BoolArray, dt: float) -> ProcessModel | None:
+    """First order with dead time by least squares over the samples that count."""
+
+    def columns(p: FloatArray) -> FloatArray:
+        moved = _first_order(co, math.exp(p[0]), math.exp(p[1]))
+        return np.column_stack([moved, np.ones(len(co))])[counted]
 
     def left(p: FloatArray) -> FloatArray:
-        moved = _first_order(window.co, math.exp(p[0]), math.exp(p[1]))
-        columns = np.column_stack([moved, np.ones(n)])[counted]
-        return window.pv[counted] - columns @ np.linalg.lstsq(columns, window.pv[counted], rcond=None)[0]
+        x = columns(p)
+        return pv[counted] - x @ np.linalg.lstsq(x, pv[counted], rcond=None)[0]
 
     fits = [
         least_squares(left, np.log([lag, delay + 0.1]), bounds=([-3, -3], [7, 5]))
@@ -154,8 +169,7 @@ def plain_model(window: Window) -> ProcessModel | None:
         for delay in START_DELAYS
     ]
     p = min(fits, key=lambda f: f.cost).x
-    columns = np.column_stack([_first_order(window.co, math.exp(p[0]), math.exp(p[1])), np.ones(n)])[counted]
-    k = float(np.linalg.lstsq(columns, window.pv[counted], rcond=None)[0][0])
+    k = float(np.linalg.lstsq(columns(p), pv[counted], rcond=None)[0][0])
     return ProcessModel(ProcessType.FOPDT, k, math.exp(p[0]) * dt, 0.0, math.exp(p[1]) * dt) if k else None
 
 
@@ -199,49 +213,6 @@ def _counted(rows: list[Row]) -> str:
     return ", ".join(f"{cause} {causes.count(cause)}" for cause in dict.fromkeys(causes))
 
 
-def sheets(rows: list[Row], paths: dict[str, Path], folder: Path) -> None:
-    """Pictures of the records, pv and co over time and pv over co, a few tags a sheet."""
-    tags = sorted({r.tag for r in rows})
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, first in enumerate(range(0, len(tags), TAGS_A_SHEET), 1):
-        shown = [r for tag in tags[first : first + TAGS_A_SHEET] for r in _of_tag(rows, tag)]
-        _sheet(shown, paths, folder / f"real-records-{number}.png")
-
-
-def _of_tag(rows: list[Row], tag: str) -> list[Row]:
-    """A few records of a tag, one of each answer first."""
-    own = [r for r in rows if r.tag == tag]
-    firsts = list({r.cause: r for r in reversed(own)}.values())
-    return [*firsts, *(r for r in own if r not in firsts)][:RECORDS_A_TAG]
-
-
-def _sheet(rows: list[Row], paths: dict[str, Path], path: Path) -> None:
-    """One picture, a row a record."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 1.9 * len(rows)), layout="constrained")
-    axes = figure.subplots(len(rows), 2, squeeze=False, width_ratios=[3, 1])
-    for (over_time, over_co), row in zip(axes, rows, strict=True):
-        record = read(paths[row.file])
-        over_time.plot(record.t, record.sp, lw=0.7, color="C1")
-        over_time.plot(record.t, record.pv, lw=0.7, color="C0")
-        second = over_time.twinx()
-        second.plot(record.t, record.co, lw=0.6, color="C2")
-        over_co.plot(record.co, record.pv, lw=0.5, color="C0")
-        said = f"{row.file.removesuffix('.csv')} [{row.label}]: {row.told}. {row.reason}"
-        over_time.set_title(_wrapped(said), fontsize=6, loc="left")
-        for each in (over_time, second, over_co):
-            each.tick_params(labelsize=5)
-    axes[0, 1].set_title("pv over co", fontsize=6)
-    figure.savefig(path, dpi=75, pil_kwargs={"optimize": True})
-
-
-def _wrapped(text: str, width: int = 150, lines: int = 2) -> str:
-    """The beginning of a sentence in so many lines."""
-    pieces = [text[i : i + width] for i in range(0, len(text), width)]
-    return "\n".join(pieces[:lines]) + ("..." if len(pieces) > lines else "")
-
-
 def entries_of(data: Path, also: list[Path], only: str | None) -> list[dict[str, str]]:
     """The records to look at."""
     with (data / "index.csv").open(encoding="utf-8") as lines:
@@ -256,23 +227,16 @@ def main() -> int:
     parser.add_argument("--also", type=Path, action="append", default=[], metavar="FILE")
     parser.add_argument("--only", metavar="TAG")
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--from", type=Path, dest="kept")
-    parser.add_argument("--sheets", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     if not (options.data / "index.csv").is_file():
         sys.stderr.write(f"{options.data / 'index.csv'} is not there; give the folder of the records with --data\n")
         return 2
     entries = entries_of(options.data, options.also, options.only)
-    if options.kept is not None:
-        rows = [Row(**json.loads(line)) for line in options.kept.read_text(encoding="utf-8").splitlines()]
-    else:
-        rows = list(spread(functools.partial(judge), entries, options.jobs))
+    rows = list(spread(judge, entries, options.jobs))
     if options.out is not None:
         options.out.write_text("".join(json.dumps(asdict(r)) + "\n" for r in rows), encoding="utf-8")
     sys.stdout.write("\n".join(summary(rows)) + "\n")
-    if options.sheets is not None:
-        sheets(rows, {e["file"]: Path(e["path"]) for e in entries}, options.sheets)
     return 0
 
 

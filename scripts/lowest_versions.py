@@ -65,7 +65,7 @@ def run(*arguments: str | Path) -> None:
 
 def environment(source: Path) -> None:
     """Make the environment, unless it is there with these versions; what is in source is installed anew in any case."""
-    constraints, pip = lowest(), ("-m", "pip", "install", "-q", "--disable-pip-version-check")
+    constraints, pip = lowest(), ("-m", "pip", "install", "-q", "--no-compile", "--disable-pip-version-check")
     if STAMP.exists() and STAMP.read_text("utf-8") == constraints:
         run(*pip, "--no-deps", "--force-reinstall", source)
         return

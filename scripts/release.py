@@ -29,7 +29,8 @@ NOT_SOURCE = shutil.ignore_patterns(
 )
 WITHOUT_ENGINE = "RETUNER_WITHOUT_ENGINE"
 RECORD = ROOT / "tests" / "data" / "release_step.csv"
-TOOLS = ("build", "twine>=6.1", "cyclonedx-bom>=7")
+TOOLS = ("build", "twine>=6.1")
+SBOM_TOOL = "cyclonedx-bom>=7"
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Trial:
 def run(*command: str | Path, cwd: Path | None = None, **environment: str) -> str:
     """Run a command; what it printed. It ends this script where it fails."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "COV", "VIRTUAL_ENV"))}
+    kept["PIP_NO_COMPILE"] = "1"  # these environments are used once: what is not imported needs no bytecode
     done = subprocess.run(
         list(map(str, command)), cwd=cwd, env=kept | environment, capture_output=True, text=True, check=False
     )
@@ -150,7 +152,8 @@ def steps(options: argparse.Namespace) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as folder:
         run(sys.executable, "-m", "venv", folder)
         tools = Path(folder) / "bin" / "python"
-        run(tools, "-m", "pip", "install", "-q", "--disable-pip-version-check", *TOOLS)
+        more = () if options.no_sbom else (SBOM_TOOL,)
+        run(tools, "-m", "pip", "install", "-q", "--disable-pip-version-check", *TOOLS, *more)
         sdist, wheels = archives(tools, options.out)
         run(tools, "-P", "-m", "twine", "check", "--strict", sdist, *wheels)
         yield f"built and checked: {', '.join(path.name for path in (sdist, *wheels))}"

@@ -11,17 +11,21 @@ the time at a limit, and l of the integral of |error| come up there, nearly all 
 
     odds = one-sidedness  x  (l / (1 - l)) / (w / (1 - w))
 
-Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way. A stretch in
-which nothing happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks
-against.
+Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way. A stretch in which nothing
+happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks against.
+
+What a visit may bring is a share of the mean |error|. Where a process was identified, it is what other settings would
+have made of parts spread over the record (attainable.py). A limit's is the error that comes up there. Elsewhere the
+Harris index H of the variance stands in, of which the mean |error| feels 1 - sqrt(1 - H).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
 
+from retuner.adaptive.audit.attainable import Foreseen
 from retuner.adaptive.audit.loop_screen import LoopScreen
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.indexes.condition import SENTENCES, Condition
@@ -36,6 +40,10 @@ LEAST_AT_LIMIT, LEAST_LOSS, LEAST_ONE_SIDED = 0.02, 0.2, 0.7
 """Share of the time at a limit, share of the loss there, and one-sidedness, from which a limit is asked for."""
 TWO_SIDED = 0.3
 """One-sidedness below which no limit binds, whatever a stretch says: co rests there, and the error has both signs."""
+CALM = 0.5
+"""What a share of co's travel counts beside the same share of the error: an actuator wears."""
+LEAST_BENEFIT = 0.05
+"""A fault stays in the list even where settings that cure it take no error away: it is short of margin."""
 SWINGS = 0.5
 """Share of the stretches in which an oscillation lasts from which the loop swings."""
 
@@ -44,6 +52,7 @@ class Action(StrEnum):
     """What to do about a loop."""
 
     RETUNE = "retune"
+    STEP = "record a setpoint step, then retune"
     VALVE = "repair the valve"
     UPSTREAM = "look upstream"
     SIZE = "check actuator size and load"
@@ -51,6 +60,7 @@ class Action(StrEnum):
     AUTOMATIC = "find out why it is in manual"
     RECORD = "record a setpoint step"
     EXPORT = "export its setpoint"
+    SCREENED = "screened only"
     LOOK = "inspect"
     NOTHING = "nothing"
 
@@ -58,14 +68,16 @@ class Action(StrEnum):
 EFFORT = MappingProxyType(
     {
         Action.RETUNE: 1.0,
+        Action.STEP: 1.75,
         Action.AUTOMATIC: 1.0,
-        Action.SIGNAL: 2.0,
-        Action.UPSTREAM: 2.0,
-        Action.LOOK: 3.0,
-        Action.VALVE: 3.0,
-        Action.SIZE: 5.0,
-        Action.RECORD: 4.0,
+        Action.SIGNAL: 1.5,
+        Action.UPSTREAM: 1.5,
+        Action.LOOK: 2.0,
+        Action.VALVE: 1.75,
+        Action.SIZE: 2.25,
+        Action.RECORD: 2.0,
         Action.EXPORT: 1.0,
+        Action.SCREENED: 1.0,
         Action.NOTHING: 10.0,
     }
 )
@@ -102,14 +114,23 @@ class StretchVerdict:
     reason: str
 
 
+class Basis(StrEnum):
+    """Where the avoidable error comes from."""
+
+    SIMULATED = "simulated"
+    LIMIT = "at the limit"
+    HARRIS = "Harris"
+    NONE = ""
+
+
 @dataclass(frozen=True, slots=True)
 class LoopVerdict:
     """What is behind a loop's behaviour over all of its record.
 
     cause : or unknown. confidence : joined over the stretches, 0 to 1. action : what to do. reason : one sentence.
     since_s : begin of the first stretch that shows it, from the begin of the record; None where nothing is shown.
-    seen, looked_at : stretches that show it, and all. avoidable : share of the error's variance that the action may
-    take away, 0 to 1. rank : benefit times certainty over effort.
+    seen, looked_at : stretches that show it, and all. avoidable : share of the mean |error| that the action may take
+    away, 0 to 1. rank : benefit times certainty over effort. basis : of avoidable.
     """
 
     cause: Cause
@@ -121,6 +142,30 @@ class LoopVerdict:
     looked_at: int
     avoidable: float
     rank: float
+    basis: Basis = Basis.NONE
+
+
+def error_share(variance_share: float) -> float:
+    """The share of the mean |error| that goes with a share of its variance, 0 to 1."""
+    return 1 - math.sqrt(1 - min(max(variance_share, 0.0), 1.0))
+
+
+def with_foreseen(verdict: LoopVerdict, found: Foreseen | None, *, proposed: bool) -> LoopVerdict:
+    """A verdict of tuning whose benefit is what other settings would have made of the record.
+
+    Less travel of co is a benefit as well; the error may even grow where a loop was too strong. Where the record does
+    not show what the settings should be, it is what the worst model that it allows would have had.
+
+    found : None where no process was identified. proposed : settings are proposed, and found is of them.
+    """
+    action = verdict.action if proposed else Action.STEP
+    saved = None if found is None else found.saved if proposed else found.least
+    if saved is None or found is None or not math.isfinite(saved):
+        return replace(verdict, action=action, rank=verdict.rank * EFFORT[verdict.action] / EFFORT[action])
+    saved = min(max(saved, 0.0), 1.0)
+    benefit = max(saved, CALM * found.calmer if proposed else 0.0, LEAST_BENEFIT)
+    rank = verdict.confidence * benefit / EFFORT[action]
+    return replace(verdict, action=action, avoidable=saved, rank=rank, basis=Basis.SIMULATED)
 
 
 def joined_confidence(cause: Cause, stretches: Sequence[StretchVerdict]) -> float:
@@ -168,6 +213,18 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
     return _unknown(screen, stretches)
 
 
+def asks(screen: LoopScreen) -> float:
+    """How much a screening asks for a diagnosis, 0 to 1; nothing where it tells the fault itself, or has no setpoint.
+
+    Any of three raises it: error that a controller could take away, a controller that waits or swings in parts with
+    constant setpoint (idle index), an oscillation that lasts.
+    """
+    if not screen.setpoint or screen.condition in FOR_CONDITION:
+        return 0.0
+    signs = (screen.harris, abs(screen.idle or 0.0), screen.swinging * screen.strength)
+    return 1 - math.prod(1 - min(max(sign, 0.0), 1.0) for sign in signs)
+
+
 def limit_confidence(screen: LoopScreen) -> float:
     """How sure a limit of co binds for part of the record; see the head of this file."""
     w, loss = screen.at_limits, screen.loss_at_limits
@@ -184,8 +241,8 @@ def _of_limit(sure: float, screen: LoopScreen, stretches: Sequence[StretchVerdic
     reason = f"co stands at a limit for {w:.0%} of the time, where {loss:.0%} of the error comes up, on one side"
     showing = [s for s in stretches if s.cause == Cause.SATURATION]
     since = showing[0].begin_s if showing else None
-    rank = sure * loss / EFFORT[action] ** 0.5
-    return LoopVerdict(Cause.SATURATION, sure, action, reason, since, len(showing), len(stretches), loss, rank)
+    rank, seen, basis = sure * loss / EFFORT[action], len(showing), Basis.LIMIT
+    return LoopVerdict(Cause.SATURATION, sure, action, reason, since, seen, len(stretches), loss, rank, basis)
 
 
 def _of_condition(screen: LoopScreen, action: Action, looked_at: int) -> LoopVerdict:
@@ -200,21 +257,22 @@ def _of_fault(cause: Cause, screen: LoopScreen, stretches: Sequence[StretchVerdi
     sure = joined_confidence(cause, stretches)
     action = FOR_CAUSE[cause]
     clearest = max(showing, key=lambda s: s.confidence)
-    avoidable = screen.harris * max(len(showing) / len(stretches), screen.swinging if cause not in TUNING_CAUSES else 0)
-    rank = sure * avoidable / EFFORT[action] ** 0.5
-    return LoopVerdict(
-        cause, sure, action, clearest.reason, showing[0].begin_s, len(showing), len(stretches), avoidable, rank
-    )
+    often = max(len(showing) / len(stretches), screen.swinging if cause not in TUNING_CAUSES else 0)
+    avoidable, seen, since = error_share(screen.harris) * often, len(showing), showing[0].begin_s
+    rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+    basis = Basis.HARRIS
+    return LoopVerdict(cause, sure, action, clearest.reason, since, seen, len(stretches), avoidable, rank, basis)
 
 
 def _unknown(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> LoopVerdict:
     """Nothing can be named; a loop that swings is worth a look all the same."""
     swings = screen.swinging >= SWINGS
-    action = Action.LOOK if swings else Action.RECORD if screen.setpoint else Action.EXPORT
+    told_by_itself = Action.RECORD if stretches else Action.SCREENED
+    action = Action.LOOK if swings else told_by_itself if screen.setpoint else Action.EXPORT
     reason = stretches[-1].reason if stretches else _of_screen(screen)
-    rank = 0.5 * screen.harris * screen.strength / EFFORT[action] ** 0.5 if swings else 0.0
-    avoidable = screen.harris * screen.strength if swings else 0.0
-    return LoopVerdict(Cause.UNKNOWN, 0.5, action, reason, None, 0, len(stretches), avoidable, rank)
+    avoidable = error_share(screen.harris * screen.strength) if swings else 0.0
+    rank, basis = HALF * avoidable / EFFORT[action], Basis.HARRIS if swings else Basis.NONE
+    return LoopVerdict(Cause.UNKNOWN, HALF, action, reason, None, 0, len(stretches), avoidable, rank, basis)
 
 
 def _of_screen(screen: LoopScreen) -> str:

@@ -29,6 +29,8 @@ OF_A_WIDTH = 25
 LEAST_SCORE = 4.0
 EVENTS = 20
 """Events of a width at most."""
+SPREAD, LONG = 8, 1_024
+"""Stretches that stand for the whole record, and their samples."""
 
 Stretch = tuple[int, int]
 """First sample and number of samples."""
@@ -57,6 +59,24 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
     return [_part(record, begin, begin + many).condensed(MOST) for begin, many in sorted(taken)] or [
         record.condensed(MOST)
     ]
+
+
+def spread_over(record: Window) -> list[Window]:
+    """Stretches that stand for the whole of a record, quiet ones too, evenly over it; none holds a gap."""
+    n = len(record.t_s)
+    if n <= SPREAD * LONG:
+        begins, length = np.array([0]), n
+    else:
+        begins, length = np.linspace(0, n - LONG, SPREAD).astype(int), LONG
+    gaps = np.flatnonzero(np.diff(record.t_s) > GAP * record.sample_time_s) + 1
+    parts = []
+    for begin in begins.tolist():
+        inside = gaps[(gaps > begin) & (gaps < begin + length)].tolist()
+        edges = [begin, *inside, begin + length]
+        longest = max(range(len(edges) - 1), key=lambda i: edges[i + 1] - edges[i])
+        if edges[longest + 1] - edges[longest] >= FEWEST or len(begins) == 1:
+            parts.append(_part(record, edges[longest], edges[longest + 1]))
+    return parts
 
 
 def _part(record: Window, begin: int, end: int) -> Window:

@@ -1,6 +1,7 @@
 """From a record to a cause: explain the record in rival ways, then look at what the best explanation means.
 
     no loop at work in the record (dead, manual, no response, ...)   unknown, said in words
+    co switches between two values                                   unknown: no PID controller moves it
     the error runs away with co pushing it on                        unknown: the controller acts the wrong way
     co at its limits for much of the time                            saturation
     nothing but noise                                                noise
@@ -20,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, counted
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis, counted
 from retuner.adaptive.diagnosis.rival_fits import external, linear, sharper
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.diagnosis.slipping_valve import Slipping, slipping
@@ -33,6 +34,8 @@ from retuner.adaptive.fit.coincident_loads import setpoint_changes
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.indexes.condition import Condition
+from retuner.adaptive.indexes.limits import switches_between
+from retuner.adaptive.indexes.recording_quality import held_together
 from retuner.adaptive.indexes.screening import Screening, screen
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
@@ -78,8 +81,12 @@ def rival_verdict(
 
 def _repeats(tone: Candidate, settings: DiagnosisSettings) -> bool:
     """Whether a tone goes on for as many cycles as make an oscillation; with fewer it is a load like any other."""
-    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
-    return tone.fit.misfit.record.span_s >= settings.tone_cycles * period_s
+    return tone.fit.misfit.record.span_s >= settings.tone_cycles * _period_s(tone)
+
+
+def _period_s(tone: Candidate) -> float:
+    """Of a tone from outside."""
+    return 2 * math.pi / math.exp(float(tone.fit.p[-1]))
 
 
 def _within(valve: Sticking) -> bool:
@@ -127,7 +134,7 @@ def _reason(cause: Cause, tone: Candidate, valve: Sticking, evidence: dict[str, 
             f"a sticking valve explains the record (stiction band {stick:.3g} of co, slip jump {jump:.3g}); "
             f"residual {evidence['stuck_left']:.1f} times the noise with it, {before:.1f} without"
         )
-    period = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    period = _period_s(tone)
     evidence["external_period_s"] = period
     return (
         f"an external oscillation with a period of {period:.3g} s explains the record; "
@@ -167,8 +174,30 @@ def diagnose_window(
     window : the record. gains : in force; without them nothing can be said of the tuning.
     co_min, co_max : limits of co where known. direction : sign of the controller's gain where no more is known.
     """
-    found = _diagnosed(window, gains, (co_min, co_max), settings or DiagnosisSettings(), direction)
+    settings = settings or DiagnosisSettings()
+    found = _as_recorded(window, _diagnosed(window, gains, (co_min, co_max), settings, direction), settings)
     return replace(found, diagnosis=counted(found.diagnosis))
+
+
+def _as_recorded(window: Window, found: Found, settings: DiagnosisSettings) -> Found:
+    """Undecided, where too much of a record was filled with the last values for a verdict on the tuning."""
+    told = found.diagnosis
+    decided = told.cause == Cause.UNKNOWN and told.confidence > UNDECIDED
+    if decided or told.cause not in TUNING_CAUSES | {Cause.OK, Cause.UNKNOWN}:
+        return found
+    holds = held_together(window.pv, window.co)
+    if holds is None or holds.share < settings.held_share:
+        return found
+    reason = (
+        f"pv and co stand still together for {holds.samples * window.sample_time_s:.3g} s again and again, "
+        f"{holds.share:.0%} of the record: gaps that were filled with the last values; what happened in them is lost"
+    )
+    verdict = replace(told, cause=Cause.UNKNOWN, confidence=0.9, reason=reason)
+    return replace(found, diagnosis=verdict, tuning=None, aim=None)
+
+
+UNDECIDED = 0.5
+"""Confidence of an answer that leaves the cause open."""
 
 
 def _diagnosed(
@@ -180,7 +209,7 @@ def _diagnosed(
 ) -> Found:
     """The same with the confidence that a verdict has among those that were weighed."""
     seen = screen(window, gains, *limits)
-    obvious = _obvious(seen, settings)
+    obvious = _switched(window, seen) or _obvious(seen, settings)
     sign = gains.direction if gains else direction
     if sign and (obvious is None or obvious.cause == Cause.SATURATION):
         wrong = acts_wrong_way(window, sign, settings.fit)
@@ -194,6 +223,19 @@ def _diagnosed(
     signs = (sign,) if sign else (1, -1)
     found = linear(window, signs, settings.fit.choice, settings.fit.most_samples)
     return _compared(window, gains, found, seen, settings)
+
+
+def _switched(window: Window, seen: Screening) -> Diagnosis | None:
+    """No PID controller moves a co that knows two values only."""
+    values = switches_between(window.co)
+    if values is None or seen.condition.condition in NOT_AT_WORK:
+        return None
+    low, high = values
+    reason = (
+        f"co switches between {low:.4g} and {high:.4g}: an on-off controller, a relay test, or a gain so large that co "
+        "goes from limit to limit"
+    )
+    return Diagnosis(Cause.UNKNOWN, 0.95, dict(seen.evidence), reason)
 
 
 def _obvious(seen: Screening, settings: DiagnosisSettings) -> Diagnosis | None:
@@ -226,8 +268,10 @@ def _compared(
         against = against_rivals(best, seen, settings, len(setpoint_changes(window)))
         evidence, fits = against.evidence, against.fits
         verdict = against.verdict
-        if verdict is not None and verdict.cause == Cause.EXTERNAL and _of_setpoint(window, verdict):
-            verdict = None
+        if _of_setpoint(window, against.fits["external"]):
+            verdict = None if verdict is not None and verdict.cause == Cause.EXTERNAL else verdict
+            evidence.pop("external_lead")
+            fits.pop("external")
         if verdict is not None and (stood is None or _outweighs(verdict, seen, stood, settings)):
             return Found(verdict, fits=fits)
     if stood is not None:
@@ -240,7 +284,7 @@ def _compared(
 def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found:
     """External, where the loop by itself leaves the cause open and a tone that goes on explains the record as well."""
     record = tone.fit.misfit.record
-    period_s = 2 * math.pi / math.exp(float(tone.fit.p[-1]))
+    period_s = _period_s(tone)
     if told.diagnosis.cause != Cause.UNKNOWN or _left(tone) > settings.tone_explains:
         return told
     size = np.hypot(*tone.fit.at.c[tone.fit.at.priors + tone.fit.misfit.loads :][:2])
@@ -254,11 +298,11 @@ def _by_tone(told: Found, tone: Candidate, settings: DiagnosisSettings) -> Found
     return replace(told, diagnosis=Diagnosis(Cause.EXTERNAL, 0.6, evidence, reason))
 
 
-def _of_setpoint(window: Window, verdict: Diagnosis) -> bool:
-    """Whether a tone is the setpoint's own: it repeats with the same period."""
-    period_s = verdict.evidence.get("external_period_s")
+def _of_setpoint(window: Window, tone: Candidate) -> bool:
+    """Whether a tone is the setpoint's own: it repeats with the same period, and so does what it moves."""
+    period_s = _period_s(tone)
     moves = window.sp - float(np.mean(window.sp))
-    if not period_s or not np.any(moves):
+    if not np.any(moves):
         return False
     t = window.t_s - window.t_s[0]
     turns = [f(2 * math.pi * i * t / period_s) for i in range(1, SETPOINT_HARMONICS + 1) for f in (np.cos, np.sin)]

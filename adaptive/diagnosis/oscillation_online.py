@@ -144,7 +144,7 @@ def goes_on(response: Response, standing: Standing | None, settings: SwingSettin
     ratio = (response.period_s or standing.period_s) / standing.period_s
     if not 1 / settings.alike < ratio < settings.alike:
         return None
-    again = f"the oscillation of {standing.period_s:.3g} s goes on: {standing.reason}"
+    again = f"as at {standing.t_s:,.0f} s, and it goes on: {standing.reason}"
     return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, again)
 
 

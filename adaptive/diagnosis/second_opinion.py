@@ -122,7 +122,7 @@ def on_top(
     step = max((abs(peak.e) for peak in response.peaks), default=0.0)
     if _moved_before(samples, response, standing.period_s) <= max(settings.beneath * step, response.band):
         return None
-    reason = f"the setpoint step came on top of an oscillation of {standing.period_s:.3g} s: {standing.reason}"
+    reason = f"the setpoint step came on top of what was seen at {standing.t_s:,.0f} s: {standing.reason}"
     return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, reason)
 
 

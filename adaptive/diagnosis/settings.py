@@ -61,6 +61,8 @@ class DiagnosisSettings:
         in_order_explained : share of pv's variance that its models must explain; default 0.9.
     play_asked : by how much the criterion of a linear explanation may be the larger one for a valve with play to be
         looked for from it as well; 0 to 200, default 60.
+    held_share : share of the samples in gaps that were filled with the last values, of pv and co at once, from which
+        nothing is said of the tuning; 0.05 to 0.5, default 0.15 (real records with such gaps: 0.19 to 0.54).
     majority : weight of the models that must share a verdict that changes gains; 0.5 to 0.99, default 0.75.
     """
 
@@ -99,6 +101,7 @@ class DiagnosisSettings:
     most_overshoot: float = 0.25
     in_order_explained: float = 0.9
     play_asked: float = 60.0
+    held_share: float = 0.15
     majority: float = 0.75
     fit: FitSettings = field(
         default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)

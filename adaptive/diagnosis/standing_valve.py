@@ -23,6 +23,7 @@ from itertools import pairwise
 import numpy as np
 
 from retuner.adaptive.controller_settings.read_off import LawSettings, settings_in_force
+from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.indexes.autocovariance import running_mean
 from retuner.adaptive.indexes.plateaus import Plateau, Steps, as_steps, plateaus, price, runs
@@ -138,7 +139,7 @@ class Standing:
 
 def stand_still(window: Window, gains: PidGains | None, settings: StandingSettings) -> Standing | None:
     """The same with settings that are read off the record, as well as it shows them, where they are not known."""
-    gains = gains or settings_in_force(window, settings=ROUGHLY).gains
+    gains = gains or settings_in_force(window, settings=ROUGHLY).gains or summed_law(window)
     return None if gains is None else standing(window, gains, settings)
 
 

@@ -22,6 +22,7 @@ from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
 from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
+from retuner.adaptive.indexes.condition import one_sided
 from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -48,13 +49,17 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """What a verdict is about. found : linear explanations, best first. fits : as identification makes them."""
+    """What a verdict is about. found : linear explanations, best first. fits : as identification makes them.
+
+    tone : the explanation by an oscillation from outside, where one was tried.
+    """
 
     window: Window
     gains: PidGains
     found: list[Candidate]
     fits: Fits
     settings: DiagnosisSettings
+    tone: Candidate | None = None
 
     @property
     def best(self) -> Candidate:
@@ -79,7 +84,7 @@ def linear_verdict(
     if gains is None:
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
-    loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings)
+    loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external"))
     told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
@@ -125,11 +130,12 @@ def _in_order(loop: Loop, found: Found) -> Found:
     if peaks[0] > settings.cause.ms_high or robust < settings.majority:
         return found
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
+    open_because = CONTRADICTED if verdict.reason == UNSTABLE else verdict.reason
     room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
     if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
-        slow = replace(verdict, reason=f"{told}, and is perhaps slower than necessary: {verdict.reason}")
+        slow = replace(verdict, reason=f"{told}, and is perhaps slower than necessary: {open_because}")
         return replace(found, diagnosis=slow)
-    reason = f"{told}; the record does not show how fast it could be: {verdict.reason}"
+    reason = f"{told}; the record does not show how fast it could be: {open_because}"
     return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, verdict.evidence | {"ms": peaks[0]}, reason))
 
 
@@ -255,16 +261,17 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if verdict.confidence < settings.majority:
         reason = f"perhaps {verdict.cause} ({verdict.confidence:.0%} of what the record allows): {verdict.reason}"
         return Doubt(Cause.UNKNOWN, reason)
-    explained = left < settings.second_explained
+    refuted = math.isinf(evidence["ms"]) and not _grows(window)
+    explained = left < settings.second_explained and not refuted
     unexplained = _unexplained(steps, loads, left, settings)
     if unexplained:
-        return Doubt(Cause.UNKNOWN, unexplained, explained)
+        seen = _overshoots(evidence, settings) or _not_brought_back(window)
+        return Doubt(Cause.UNKNOWN, unexplained + seen, explained)
     as_good = settings.tone_as_good if steps else settings.tone_as_good_loads
     as_likely = evidence.get("external_lead", -math.inf) > -settings.tone_odds
     if as_likely and evidence["external_left"] < as_good * left:
-        reason = "load steps explain the record, but an external oscillation explains it better"
-        return Doubt(Cause.EXTERNAL, reason, explained and not oscillates)
-    if oscillates and not steps:
+        return _by_tone_instead(loop, evidence, explained and not oscillates)
+    if oscillates and not steps and (as_likely or not explained):
         return Doubt(Cause.EXTERNAL, "a lasting oscillation without a setpoint step that could have shown the tuning")
     share = _explained(loop.best, evidence.get("noise_share", 0.0))
     if not steps and share < settings.explained_alone:
@@ -274,16 +281,50 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
     if verdict.cause == Cause.AGGRESSIVE and not steps and waves < settings.waves_a_load * loads:
         reason = f"perhaps aggressive, but {loads:.0f} load steps are needed to explain {waves} half cycles"
         return Doubt(Cause.UNKNOWN, reason)
-    if math.isinf(evidence["ms"]) and not _grows(window):
-        reason = "the fitted process would be unstable with the active gains, but the record does not grow"
-        return Doubt(Cause.UNKNOWN, reason)
+    if refuted:
+        return Doubt(Cause.UNKNOWN, UNSTABLE)
     return None
+
+
+def _by_tone_instead(loop: Loop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
+    """External, where a tone that goes on explains a record better; with few cycles it is a load like any other."""
+    assert loop.tone is not None
+    period_s = 2 * math.pi / math.exp(float(loop.tone.fit.p[-1]))
+    if loop.tone.fit.misfit.record.span_s >= loop.settings.tone_cycles * period_s:
+        reason = "load steps explain the record, but an external oscillation explains it better"
+        return Doubt(Cause.EXTERNAL, reason, may_be_asked)
+    reason = f"load steps explain the record; a swing of {period_s:.3g} s does it better, too short to tell its cause"
+    return Doubt(Cause.UNKNOWN, reason + _overshoots(evidence, loop.settings), may_be_asked)
+
+
+def _overshoots(evidence: Mapping[str, float], settings: DiagnosisSettings) -> str:
+    """What setpoint responses show whatever explains the record; empty where they do not overshoot."""
+    overshoot = evidence.get("overshoot", 0.0)
+    return f". Its setpoint responses overshoot by {overshoot:.0%}" if overshoot > settings.most_overshoot else ""
+
+
+def _not_brought_back(window: Window) -> str:
+    """What is seen where pv stays on one side of its setpoint while co goes one way; empty where it is not so."""
+    share = one_sided(window)
+    if share is None:
+        return ""
+    side = "above" if float(np.mean(window.pv - window.sp)) > 0 else "below"
+    return (
+        f". pv stays {side} its setpoint for {share:.0%} of the record while co goes one way, "
+        f"from {window.co[0]:.4g} to {window.co[-1]:.4g}. The integral is slow for it, or the valve hardly acts"
+    )
+
+
+UNSTABLE = "the fitted process would be unstable with the active gains, but the record does not grow"
+CONTRADICTED = "with load steps at the setpoint changes a model explains pv as well on which the loop would be unstable"
+"""The same, told of a loop that is called stable without such load steps."""
 
 
 def _unexplained(steps: float, loads: float, left: float, settings: DiagnosisSettings) -> str:
     """Why the loop by itself does not explain a record, or only with load steps enough for any; empty when it does."""
     if left > (settings.explained_steps if steps > 1 else settings.explained):
-        return f"an unexplained disturbance: {loads:.0f} load steps leave a residual of {left:.1f} times the noise"
+        leave = "1 load step leaves" if loads == 1 else f"{loads:.0f} load steps leave"
+        return f"an unexplained disturbance: {leave} a residual of {left:.1f} times the noise"
     if loads >= (settings.many_loads_beside if steps else settings.many_loads):
         return f"an unexplained disturbance: {loads:.0f} load steps explain the record, and so many explain any"
     return ""

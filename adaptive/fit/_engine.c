@@ -27,7 +27,7 @@
 #include "engine_c/search.h"
 #include "engine_c/valves.h"
 
-#define VERSION "3"
+#define VERSION "4"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -118,7 +118,7 @@ static int read_problem(Problem *p, const View *numbers) {
     p->dt = x[DT], p->span = x[SPAN], p->sigma = x[SIGMA], p->sign = x[SIGN];
     if (!(p->dt >= 0 && p->span > 0 && p->sigma > 0 && fabs(p->sign) == 1))
         return refuse("numbers: dt >= 0, span > 0, sigma > 0 and a sign of 1 or -1 are needed");
-    if (count_in(x[TYPE], 3, &p->type) || count_in(x[LOADS], MOST_LOADS, &p->loads) ||
+    if (count_in(x[TYPE], TYPES - 1, &p->type) || count_in(x[LOADS], MOST_LOADS, &p->loads) ||
         count_in(x[HARMONICS], MOST_HARMONICS, &p->harmonics) || count_in(x[RAMP], 1, &p->ramp) ||
         count_in(x[ROUNDED], 1, &p->rounded) || count_in(x[MOTION], 1, &p->motion) ||
         count_in(x[STARTS], MOST_STARTS, &p->starts) || count_in(x[ORDER], MOST_AR, &p->order))

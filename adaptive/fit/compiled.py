@@ -22,7 +22,13 @@ from retuner.adaptive.fit.search import Grid, Node
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-TYPES = (ProcessType.FOPDT, ProcessType.SOPDT, ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG)
+TYPES = (
+    ProcessType.FOPDT,
+    ProcessType.SOPDT,
+    ProcessType.INTEGRATING,
+    ProcessType.INTEGRATING_LAG,
+    ProcessType.SOPDT_INVERSE,
+)
 """In the order of their numbers."""
 NOTHING = np.zeros(0)
 

@@ -1,6 +1,7 @@
 """Exact responses of the one family of processes that every fit works with.
 
-    G(s) = k' e^(-theta s) / (c2 s^2 + s + c0),    k' the slope gain, T = 1/c0 the sum of the lags, c2 = tau1 tau2 / T
+    G(s) = k' e^(-theta s) (1 - b s) / (c2 s^2 + s + c0)
+    k' the slope gain, T = 1/c0 the sum of the lags, c2 = tau1 tau2 / T, b an inverse response (second order only)
 
 first order (c2 = 0), second order with real or complex poles, integrating (c0 = 0) and integrating with lag are all in
 it, so that one fit can go from one to the other without a jump. In partial fractions, with D = 1 - 4 c2 c0,
@@ -8,6 +9,7 @@ it, so that one fit can go from one to the other without a jump. In partial frac
     1/(c2 s^2 + s + c0) = (1/(s + s1) - 1/(s + s2)) / sqrt(D),  s1 = 2 c0/(1 + sqrt D),  s2 = (1 + sqrt D)/(2 c2)
 
 two first-order modes, real or complex, and the response of a mode to a held input is exact at and between the samples.
+A zero changes their weights alone, by 1 + b s1 and 1 + b s2.
 So the dead time only moves the instants at which the modes are read, and may be any real number.
 """
 
@@ -58,12 +60,13 @@ class Dynamics:
     """The delay-free part 1 / (c2 s^2 + s + c0): unit slope at first.
 
     c2_s : second lag tau1 tau2 / (tau1 + tau2) in seconds, >= 0. c0_per_s : 1 / (tau1 + tau2), >= 0.
-    least : equal lags are told apart by this much in D.
+    least : equal lags are told apart by this much in D. inverse_s : b, s, >= 0; counts only with a second lag.
     """
 
     c2_s: float
     c0_per_s: float
     least: float = LEAST_DISCRIMINANT
+    inverse_s: float = 0.0
 
     def modes(self) -> tuple[tuple[complex, complex], ...]:
         """(rate s_j, weight) of the modes; one for first order and integrating."""
@@ -75,7 +78,7 @@ class Dynamics:
         root = cmath.sqrt(d)
         s1, s2 = 2 * self.c0_per_s / (1 + root), (1 + root) / (2 * self.c2_s)
         weight = 1 / (self.c2_s * (s2 - s1))  # 1/root, and still right where the discriminant was moved
-        return (s1, weight), (s2, -weight)
+        return (s1, weight * (1 + self.inverse_s * s1)), (s2, -weight * (1 + self.inverse_s * s2))
 
     def step(self, since_s: FloatArray) -> FloatArray:
         """Unit step response at the times since the step (zero before it); any shape."""

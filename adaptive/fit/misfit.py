@@ -41,7 +41,7 @@ from retuner.adaptive.fit.slopes import (
     step_slope,
     told_apart,
 )
-from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, swing_excess
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA, dynamics_at, swing_excess
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -263,7 +263,7 @@ class Misfit:
         changes[:n] = self.whitened(np.stack(changes_of(self, at), axis=1))
         found = np.zeros((len(at.r), len(p)))
         found[:-1] = (at.q @ (at.q.T @ changes) - changes) / self.sigma
-        if self.type == ProcessType.SOPDT and swing_excess(self.type, p) > 0:
+        if swing_excess(self.type, p) > 0:
             found[-1, LAG[self.type]], found[-1, SECOND[self.type]] = -SWING_WEIGHT, SWING_WEIGHT
         return found
 
@@ -323,6 +323,8 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
         found.append(_by_dynamics(misfit, at, dynamics, late, By.LAG))
     if misfit.type in SECOND:
         found.append(_by_dynamics(misfit, at, dynamics, late, By.SECOND))
+    if misfit.type in INVERSE:
+        found.append(_by_dynamics(misfit, at, dynamics, late, By.INVERSE))
     found += [_summed(at, [_load_change(misfit, at, dynamics, j)]) for j in range(misfit.loads)]
     if misfit.rounded:
         lag = math.exp(p[d + misfit.loads])
@@ -368,7 +370,7 @@ def _late_by_theta(misfit: "Misfit", dynamics: Dynamics, theta: float) -> Iterat
 
 
 def _by_dynamics(misfit: "Misfit", at: "Projection", dynamics: Dynamics, late: list[LateMode], by: By) -> FloatArray:
-    """By ln T or ln c2."""
+    """By ln T, ln c2 or ln b."""
     moved = held_slope(dynamics, late, by)
     changes = list(_columns_by_dynamics(misfit, at.p, dynamics, by))
     return misfit.sign * math.exp(at.p[SLOPE]) * moved + _summed(at, changes)

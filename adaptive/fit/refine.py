@@ -15,7 +15,7 @@ import numpy as np
 
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit, Projection
-from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, SLOPE, THETA
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, SLOPE, THETA
 from retuner.adaptive.signals.sample import FloatArray
 
 GAIN_REACH = math.log(1e9)
@@ -124,6 +124,8 @@ def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
         low[LAG[type_]], high[LAG[type_]] = math.log(LEAST_LAG * dt), math.log(MOST_LAG * span)
     if type_ in SECOND:
         low[SECOND[type_]], high[SECOND[type_]] = math.log(LEAST_TIME * dt), math.log(span)
+    if type_ in INVERSE:
+        low[INVERSE[type_]], high[INVERSE[type_]] = math.log(LEAST_TIME * dt), math.log(span)
     d = SIZE[type_]
     low[d : d + misfit.loads], high[d : d + misfit.loads] = 0.0, span - dt
     if misfit.rounded:

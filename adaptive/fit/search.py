@@ -18,7 +18,7 @@ from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import LEAST_TIME, Fit, refine
-from retuner.adaptive.fit.structure import LAG, SECOND, SIZE, THETA
+from retuner.adaptive.fit.structure import INVERSE, LAG, SECOND, SIZE, THETA
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -26,6 +26,8 @@ LAG_NODES = 9
 THETA_NODES = 9
 LOAD_NODES = 48
 """Candidates for lag, dead time and the time of a load step."""
+SOON = (0.2, 0.45)
+"""Further candidates for that time before the first of them, as shares of it."""
 MOST_ROWS = 400
 """The search looks at no more samples than this; the refinement uses all."""
 LAG_RANGE = (1.5, 3.0)
@@ -80,7 +82,16 @@ class Grid:
             lags = np.array([math.inf])
         longest = max(THETA_RANGE[1] * record.span_s, 2 * record.sample_time_s)
         thetas = np.geomspace(THETA_RANGE[0] * record.sample_time_s, longest, THETA_NODES)
-        return cls(Clock.of(t), u, pv, lags, thetas, np.linspace(0.0, record.span_s, LOAD_NODES + 2)[1:-1])
+        return cls(Clock.of(t), u, pv, lags, thetas, instants(record.span_s, LOAD_NODES))
+
+
+def instants(span_s: float, count: int) -> FloatArray:
+    """Where a load step is looked for: evenly along the record, and closer where it begins.
+
+    A record is often cut where something happens, and a step that came before the first even one is no start either.
+    """
+    even = np.linspace(0.0, span_s, count + 2)[1:-1]
+    return np.concatenate([even[0] * np.array(SOON), even])
 
 
 class Node(NamedTuple):
@@ -167,6 +178,8 @@ def _node(
 
 SHARES = (0.3, 0.6, 0.95)
 """Shares of the dead time that become the second lag."""
+INVERSE_SHARES = (0.3, 0.7)
+"""Shares of the dead time that become an inverse response."""
 SWING = (0.25, 1.0)
 """c2 over T of equal lags and of a process that swings (zeta 0.5)."""
 LONG = 30.0
@@ -189,6 +202,22 @@ def with_second_lag(smaller: Fit, type_: ProcessType, others: list[Fit], count: 
     if found.deviance > smaller.deviance * WORSE:
         found = min(found, refine(misfit, nested), key=lambda f: f.deviance)
     return found
+
+
+def with_inverse(smaller: Fit, type_: ProcessType, count: int = 2) -> Fit:
+    """The structure with an inverse response, refined from shares of the dead time that become one.
+
+    smaller : optimum of the structure without it. count : refinements.
+    """
+    misfit, d, loads = replace(smaller.misfit, type=type_), SIZE[smaller.misfit.type], smaller.misfit.loads
+    theta, points = math.exp(smaller.x[THETA]), []
+    for share in (0.0, *INVERSE_SHARES):
+        x, b = smaller.x.copy(), max(theta * share, LEAST_TIME * 2 * misfit.record.sample_time_s)
+        x[THETA] = math.log(theta * (1 - share))
+        times = np.maximum(smaller.p[d : d + loads] - b, 0.0)
+        points.append(np.concatenate([x[: INVERSE[type_]], [math.log(b)], times, smaller.p[d + loads :]]))
+    order = np.argsort(misfit.costs(points), kind="stable")[:count]
+    return min((refine(misfit, points[i]) for i in order), key=lambda f: f.deviance)
 
 
 def _insert(smaller: Fit, type_: ProcessType, x: FloatArray, c2: float) -> FloatArray:

@@ -7,13 +7,15 @@ With D = 1 - 4 c2 c0 and r = sqrt D, the rates are the roots of c2 s^2 - s + c0 
     by ln T:   ds_j = -+c0 / r,        dw_j = -+2 c2 c0 / r^3
     by ln c2:  ds_j = +-c2 s_j^2 / r,  dw_j = +-2 c2 c0 / r^3
 
+before a zero, which makes w_j (1 + b s_j) of w_j, so by ln b the rates stand and dw_j = +-b s_j / r
+
 and the derivative of h(s) = int_0^x exp(-s y) dy is (x exp(-s x) - h) / s. Near equal lags all this cancels; there the
 derivative is that of lags a little further apart (LEAST in D changes it by a millionth).
 """
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -27,15 +29,16 @@ LEAST = 1e-5
 
 
 class By(IntEnum):
-    """The parameter that a derivative is by: ln T, ln c2."""
+    """The parameter that a derivative is by: ln T, ln c2, ln b."""
 
     LAG = 0
     SECOND = 1
+    INVERSE = 2
 
 
 def told_apart(dynamics: Dynamics) -> Dynamics:
     """The same dynamics as derivatives see them."""
-    return Dynamics(dynamics.c2_s, dynamics.c0_per_s, LEAST)
+    return replace(dynamics, least=LEAST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,7 @@ class ModeSlope:
 
 def mode_slopes(dynamics: Dynamics, by: By) -> list[ModeSlope]:
     """Every mode with its derivatives; of a conjugate pair the first."""
-    modes, c2, c0 = dynamics.modes(), dynamics.c2_s, dynamics.c0_per_s
+    modes, c2, c0, b = replace(dynamics, inverse_s=0.0).modes(), dynamics.c2_s, dynamics.c0_per_s, dynamics.inverse_s
     if len(modes) == 1:
         ((s, w),) = modes
         return [ModeSlope(s, w, -s if by == By.LAG else 0j, 0j, doubled=False)]
@@ -65,7 +68,10 @@ def mode_slopes(dynamics: Dynamics, by: By) -> list[ModeSlope]:
     found = []
     for side, (s, w) in zip((1, -1), modes, strict=True):
         ds, dw = (-side * c0 / root, -side * bend) if by == By.LAG else (side * c2 * s**2 / root, side * bend)
-        found.append(ModeSlope(s, w, ds, dw, doubled=bool(s.imag)))
+        if by == By.INVERSE:
+            ds, dw = 0j, 0j
+        risen = dw * (1 + b * s) + w * b * (s if by == By.INVERSE else ds)
+        found.append(ModeSlope(s, w * (1 + b * s), ds, risen, doubled=bool(s.imag)))
     return found[:1] if found[0].doubled else found
 
 

@@ -1,6 +1,7 @@
-"""The four structures that a fit chooses between, as points of one family (dynamics.py).
+"""The five structures that a fit chooses between, as points of one family (dynamics.py).
 
-    x = (ln k', ln theta [, ln T] [, ln c2]),   T = tau1 + tau2, c2 = tau1 tau2 / (tau1 + tau2), both in seconds
+    x = (ln k', ln theta [, ln T] [, ln c2] [, ln b]),   T = tau1 + tau2, c2 = tau1 tau2 / (tau1 + tau2), in seconds
+    b > 0 the time constant of a zero in the right half-plane, 1 - b s: pv answers the wrong way first
 
 Logarithms, because time constants and gains are known to a factor, and because a scale of time or of units then only
 shifts x. Complex poles are in it (c2 > T/4): two lags fitted to a process that swings was the one lasting structural
@@ -17,15 +18,18 @@ from retuner.adaptive.signals.sample import FloatArray
 
 SLOPE, THETA = 0, 1
 """Places of ln k' and ln theta in x."""
-LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2}
+LAG = {ProcessType.FOPDT: 2, ProcessType.SOPDT: 2, ProcessType.SOPDT_INVERSE: 2}
 """Place of ln T, where the structure has it."""
-SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2}
+SECOND = {ProcessType.SOPDT: 3, ProcessType.INTEGRATING_LAG: 2, ProcessType.SOPDT_INVERSE: 3}
 """Place of ln c2, where the structure has it."""
+INVERSE = {ProcessType.SOPDT_INVERSE: 4}
+"""Place of ln b, where the structure has it."""
 SIZE = {
     ProcessType.FOPDT: 3,
     ProcessType.SOPDT: 4,
     ProcessType.INTEGRATING: 2,
     ProcessType.INTEGRATING_LAG: 3,
+    ProcessType.SOPDT_INVERSE: 5,
 }
 """Number of parameters."""
 LEAST_ZETA = 0.35
@@ -36,7 +40,8 @@ def dynamics_at(type_: ProcessType, x: FloatArray) -> Dynamics:
     """The delay-free dynamics at the parameters x, shape (SIZE,) or longer."""
     c2 = math.exp(x[SECOND[type_]]) if type_ in SECOND else 0.0
     c0 = math.exp(-x[LAG[type_]]) if type_ in LAG else 0.0
-    return Dynamics(c2, c0)
+    b = math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
+    return Dynamics(c2, c0, inverse_s=b)
 
 
 def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
@@ -51,16 +56,17 @@ def model_at(type_: ProcessType, x: FloatArray, sign: int) -> ProcessModel:
         return ProcessModel(type_, slope * total, total, 0.0, theta)
     c2 = math.exp(x[SECOND[type_]])
     d = 1 - 4 * c2 / total
+    inverse = math.exp(x[INVERSE[type_]]) if type_ in INVERSE else 0.0
     if d < 0:
         tau = math.sqrt(c2 * total)
-        return ProcessModel(type_, slope * total, tau, tau, theta, min(total / (2 * tau), 1.0))
+        return ProcessModel(type_, slope * total, tau, tau, theta, min(total / (2 * tau), 1.0), inverse)
     root = math.sqrt(d)
     tau1 = total * (1 + root) / 2
-    return ProcessModel(type_, slope * total, tau1, min(2 * c2 / (1 + root), tau1), theta)
+    return ProcessModel(type_, slope * total, tau1, min(2 * c2 / (1 + root), tau1), theta, inverse_s=inverse)
 
 
 def parameters_of(model: ProcessModel) -> FloatArray:
-    """x of a model of one of the four structures; the inverse of model_at.
+    """x of a model of one of the five structures; the inverse of model_at.
 
     Raises
     ------
@@ -76,6 +82,7 @@ def parameters_of(model: ProcessModel) -> FloatArray:
     lags = {
         ProcessType.FOPDT: (model.tau1_s,),
         ProcessType.SOPDT: (total, pair / total if total else 0.0),
+        ProcessType.SOPDT_INVERSE: (total, pair / total if total else 0.0, model.inverse_s),
         ProcessType.INTEGRATING: (),
         ProcessType.INTEGRATING_LAG: (model.tau2_s,),
     }[model.type]
@@ -87,7 +94,7 @@ def parameters_of(model: ProcessModel) -> FloatArray:
 
 def swing_excess(type_: ProcessType, x: FloatArray) -> float:
     """How far ln(c2 / T) lies beyond the least damping; zero within it."""
-    if type_ != ProcessType.SOPDT:
+    if not (type_ in LAG and type_ in SECOND):
         return 0.0
     most = -math.log(4 * LEAST_ZETA**2)
     return max(0.0, float(x[SECOND[type_]] - x[LAG[type_]]) - most)

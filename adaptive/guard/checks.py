@@ -110,7 +110,8 @@ def _steps(old: PidGains, new: PidGains, s: GuardSettings, urgent: bool, factor:
             continue
         way = after[parameter] - before[parameter]
         more = (way > 0) == MORE_WHEN_LARGER[parameter]
-        limit = step_limit(parameter, more=more, settings=s) if factor is None else factor
+        alone = urgent or not (old.kp and new.kp)
+        limit = step_limit(parameter, more=more, settings=s, alone=alone) if factor is None else factor
         limit = math.inf if urgent and (not more or parameter is Parameter.TAU_I) else limit
         value = math.exp(abs(way))
         words = f"factor of {parameter} in one change, towards {'more' if more else 'less'} control action"

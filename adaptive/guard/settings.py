@@ -7,6 +7,7 @@ from typing import Annotated
 from retuner.adaptive.setting import Setting, require_in_range
 
 UP, DOWN = "absent: step_up_max", "absent: step_down_max"
+BOTH_UP = "absent: none beside those of kc and tau_I, so 4 by default"
 
 
 def _factor(what: str, absent: str) -> Setting:
@@ -30,10 +31,6 @@ class GuardSettings:
     """
 
     ms_nominal: Annotated[float, Setting("Largest Ms on the identified process", 1.2, 3.0)] = 1.75
-    ms_target: Annotated[
-        float,
-        Setting("Ms that proposals aim at by their tau_c: the process is never quite the one identified", 1.2, 3.0),
-    ] = 1.65
     ms_worst: Annotated[float, Setting("Largest Ms on any plausible model", 1.2, 5.0)] = 2.1
     tau_c_max_ratio: Annotated[float, Setting("Largest tau_c over theta that robustness may ask for", 1.0, 3.0)] = 1.3
     corner_std: Annotated[
@@ -42,9 +39,9 @@ class GuardSettings:
     kc_min: Annotated[float, Setting("Least |kc|", 0.0)] = 0.0
     kc_max: Annotated[float, Setting("Greatest |kc|", 0.0)] = math.inf
     step_up_max: Annotated[
-        float, Setting("Greatest factor of one change of kc, tau_I, tau_D, kc/tau_I to more action", 1.0, 100.0)
+        float, Setting("Greatest factor of one change of kc, tau_I, tau_D to more action", 1.0, 100.0)
     ] = 2.0
-    step_down_max: Annotated[float, Setting("The same to less action", 1.0, 100.0)] = 4.0
+    step_down_max: Annotated[float, Setting("The same to less action, and of kc/tau_I", 1.0, 100.0)] = 4.0
     total_ratio_max: Annotated[
         float,
         Setting(
@@ -60,7 +57,7 @@ class GuardSettings:
     tau_i_longer_max: Annotated[float | None, _factor("tau_I, longer", DOWN)] = None
     tau_d_up_max: Annotated[float | None, _factor("tau_D upwards", UP)] = None
     tau_d_down_max: Annotated[float | None, _factor("tau_D downwards", DOWN)] = None
-    integral_up_max: Annotated[float | None, _factor("kc/tau_I upwards", UP)] = None
+    integral_up_max: Annotated[float | None, _factor("kc/tau_I upwards", BOTH_UP)] = None
     integral_down_max: Annotated[float | None, _factor("kc/tau_I downwards", DOWN)] = None
     tau_i_min_s: Annotated[float, _bound("Shortest tau_I")] = 0.0
     tau_i_max_s: Annotated[float, _bound("Longest tau_I")] = math.inf
@@ -162,6 +159,6 @@ class GuardSettings:
             tau_i_longer_max=None,
             tau_d_up_max=None,
             tau_d_down_max=None,
-            integral_up_max=None,
+            integral_up_max=factor,
             integral_down_max=None,
         )

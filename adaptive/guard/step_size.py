@@ -44,8 +44,12 @@ def logs(gains: PidGains) -> dict[Parameter, float]:
     return found
 
 
-def step_limit(parameter: Parameter, *, more: bool, settings: GuardSettings) -> float:
-    """Largest factor of one change of a parameter, towards more or less action."""
+def step_limit(parameter: Parameter, *, more: bool, settings: GuardSettings, alone: bool = False) -> float:
+    """Largest factor of one change of a parameter, towards more or less action.
+
+    kc/tau_I has no limit of its own upwards unless one is given, because kc and tau_I each keep theirs; it has one
+    where it stands alone: in a controller without kc before or after the change, or where tau_I is free.
+    """
     s = settings
     more_own, less_own = {
         Parameter.KC: (s.kc_up_max, s.kc_down_max),
@@ -54,6 +58,8 @@ def step_limit(parameter: Parameter, *, more: bool, settings: GuardSettings) -> 
         Parameter.INTEGRAL: (s.integral_up_max, s.integral_down_max),
     }[parameter]
     own, general = (more_own, s.step_up_max) if more else (less_own, s.step_down_max)
+    if own is None and more and parameter is Parameter.INTEGRAL and not alone:
+        return (s.kc_up_max or s.step_up_max) * (s.tau_i_shorter_max or s.step_up_max)
     return general if own is None else own
 
 
@@ -75,7 +81,8 @@ def within_limits(
     def room(parameter: Parameter, more: bool) -> float:
         if less_unlimited and (not more or parameter is Parameter.TAU_I):
             return math.inf
-        return math.log(step_limit(parameter, more=more, settings=settings))
+        alone = less_unlimited or not (old.kp and new.kp)
+        return math.log(step_limit(parameter, more=more, settings=settings, alone=alone))
 
     share *= _share(old, new, room)
     moved = _along(old, new, share)

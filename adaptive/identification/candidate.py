@@ -65,6 +65,12 @@ class Seen:
             key=lambda c: c.criterion,
         )
 
+    def by_loads(self, type_: ProcessType, sign: int, most: int) -> list[Candidate]:
+        """The best of a structure and sign with 0, 1, ... load steps, up to `most` of them; those that were tried."""
+        of = sorted(self._all, key=lambda c: -c.criterion)
+        found = {c.fit.misfit.loads: c for c in of if (c.fit.misfit.type, c.fit.misfit.sign) == (type_, sign)}
+        return [found[loads] for loads in sorted(found) if loads <= most]
+
     def ranked(self, close: float) -> list[Candidate]:
         """The best of every structure in order, then all others within `close` of the winner."""
         order = sorted(self._all, key=lambda c: c.criterion)

@@ -397,5 +397,6 @@ NAMES = {
     ProcessType.SOPDT: "second order + dead time",
     ProcessType.INTEGRATING: "integrating + dead time",
     ProcessType.INTEGRATING_LAG: "integrating with lag + dead time",
+    ProcessType.SOPDT_INVERSE: "second order with inverse response + dead time",
 }
 """The structures in words."""

@@ -24,6 +24,7 @@ from retuner.adaptive.fit.coincident_loads import are_coincident
 from retuner.adaptive.fit.engine import compiled
 from retuner.adaptive.fit.misfit import LOAD_COST, Misfit
 from retuner.adaptive.fit.refine import refine
+from retuner.adaptive.fit.search import instants
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.process.model import ProcessType
@@ -168,20 +169,20 @@ def _with_load(at: Candidate, most: int) -> Proposal | None:
     if misfit.loads >= most:
         return None
     after = SIZE[misfit.type] + misfit.loads
-    instants = np.linspace(0.0, misfit.record.span_s, SCAN + 2)[1:-1]
+    places = instants(misfit.record.span_s, SCAN)
     engine = compiled()
     if engine is not None:
-        gains = engine.load_gains(misfit, p, instants)
+        gains = engine.load_gains(misfit, p, places)
     else:
-        steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - instants[None, :])
+        steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - places[None, :])
         gains = _gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
     record = misfit.record
     if record.barred_s:
-        gains[are_coincident(misfit.type, p, instants, record.barred_s, record.span_s, record.sample_time_s)] = 0.0
+        gains[are_coincident(misfit.type, p, places, record.barred_s, record.span_s, record.sample_time_s)] = 0.0
     best = int(np.argmax(gains))
     if gains[best] < PROMISING * LOAD_COST * math.log(len(misfit.record.pv)):
         return None
-    return replace(misfit, loads=misfit.loads + 1), np.concatenate([p[:after], [instants[best]], p[after:]])
+    return replace(misfit, loads=misfit.loads + 1), np.concatenate([p[:after], [places[best]], p[after:]])
 
 
 def _gains(at: Candidate, columns: FloatArray) -> FloatArray:

@@ -102,7 +102,8 @@ def third_lag(model: ProcessModel, share: float) -> ProcessModel | None:
     if not model.tau2_s:
         return None
     hidden = share * (model.tau2_s / (2 * model.zeta) if model.zeta < 1 else model.tau2_s)
-    return replace(model, theta_s=hidden) if model.theta_s < hidden else None
+    dead = model.theta_s + model.inverse_s
+    return replace(model, theta_s=model.theta_s + hidden - dead) if dead < hidden else None
 
 
 def believed(around: Sequence[Plausible], excess: float) -> list[Plausible]:

@@ -16,7 +16,7 @@ import numpy as np
 from retuner.adaptive.fit.misfit import MOST_ORDER, Misfit
 from retuner.adaptive.fit.record import Record
 from retuner.adaptive.fit.refine import EXACT, Fit, refine
-from retuner.adaptive.fit.search import long_lag, starts, with_second_lag
+from retuner.adaptive.fit.search import long_lag, starts, with_inverse, with_second_lag
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
 from retuner.adaptive.identification.loads import improved
@@ -24,11 +24,12 @@ from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
-FIRST, SECOND, INTEGRATING, INTEGRATING_LAG = (
+FIRST, SECOND, INTEGRATING, INTEGRATING_LAG, INVERSE = (
     ProcessType.FOPDT,
     ProcessType.SOPDT,
     ProcessType.INTEGRATING,
     ProcessType.INTEGRATING_LAG,
+    ProcessType.SOPDT_INVERSE,
 )
 ROUGH = 12
 """Evaluations of a refinement that only ranks the starts."""
@@ -98,18 +99,19 @@ def _on(record: Record, found: Candidate) -> Candidate:
 
 
 def _seeds(rivals: list[Candidate]) -> list[Candidate]:
-    """Where the improvement starts: the best, the best of another structure, without load steps, and with a drift.
+    """Where the improvement starts: the best, the best of another structure, without load steps, all with a drift.
 
-    Where even the best leaves more than noise, the best of every structure: the truth may need more loads than seeded.
+    Where even the best leaves more than white noise, the best of every structure: the truth may need more loads than
+    seeded. A drift takes every structure along: beside one, and with a load to find, which is best is not known yet.
     """
     best = rivals[0]
     same = [c for c in rivals if c.fit.misfit.sign == best.fit.misfit.sign]
     by_type = list({c.fit.misfit.type: c for c in reversed(same)}.values())
     by_type.sort(key=lambda c: c.criterion)
-    far = best.colour.std > FAR * best.fit.misfit.record.noise_std
+    far = best.colour.std > FAR * best.fit.misfit.record.noise_std or bool(best.colour.ar)
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
-    drifting = [c for c in same if c.fit.misfit.ramp][:1]
-    return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting]))
+    drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
+    return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
 
 
 def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit]:
@@ -162,7 +164,7 @@ def _relatives(winner: Candidate, seen: Seen) -> list[Candidate]:
     found = []
     tail = fit.p[SIZE[fit.misfit.type] :]
     for type_ in SIZE:
-        if type_ == fit.misfit.type:
+        if type_ in {fit.misfit.type, INVERSE}:
             continue
         own = seen.best(type_, fit.misfit.sign)
         best = refine(replace(fit.misfit, type=type_), np.concatenate([own.fit.x, tail]))
@@ -171,4 +173,12 @@ def _relatives(winner: Candidate, seen: Seen) -> list[Candidate]:
         if type_ == INTEGRATING_LAG and fit.misfit.type == INTEGRATING:
             best = min(best, with_second_lag(fit, type_, []), key=lambda f: f.deviance)
         found.append(judged(best))
-    return found
+        seen.add(found[-1])
+    return [*found, _inverse(winner, seen)]
+
+
+def _inverse(winner: Candidate, seen: Seen) -> Candidate:
+    """An inverse response, with as many load steps as the winner or fewer: two of them can pass for one."""
+    misfit = winner.fit.misfit
+    tried = [judged(with_inverse(c.fit, INVERSE)) for c in seen.by_loads(SECOND, misfit.sign, misfit.loads)]
+    return min(tried, key=lambda c: c.criterion)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from retuner.adaptive.fit.refine import Prior
-from retuner.adaptive.fit.structure import SECOND, SIZE, THETA
+from retuner.adaptive.fit.structure import INVERSE, SECOND, SIZE, THETA
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -24,8 +24,11 @@ SPREAD = 1.2
 
 
 def unusual(type_: ProcessType, x: FloatArray) -> float:
-    """How many standard deviations a dead time is too short to be usual beside the second lag; 0 without one."""
-    if type_ not in SECOND:
+    """How many standard deviations a dead time is too short to be usual beside the second lag; 0 without one.
+
+    An inverse response is as good as a dead time.
+    """
+    if type_ not in SECOND or type_ in INVERSE:
         return 0.0
     return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[THETA]), 0.0) / SPREAD
 

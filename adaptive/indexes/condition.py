@@ -154,6 +154,22 @@ def escapes(window: Window) -> bool:
     return _escapes(window) or _asked(window)
 
 
+def one_sided(window: Window) -> float | None:
+    """Share of a record in which slow pv is on one side of its setpoint, where co goes one way meanwhile; else None."""
+    error, slow = (running_mean(x, AVERAGED) for x in (window.sp - window.pv, window.co))
+    above = float(np.mean(error > 0))
+    share, back = max(above, 1 - above), ONE_WAY * abs(float(slow[-1] - slow[0]))
+    way = np.sign(slow[-1] - slow[0])
+    turned = float(np.max(np.maximum.accumulate(way * slow) - way * slow))
+    return share if share >= ONE_SIDE and way and turned <= back else None
+
+
+ONE_SIDE = 0.9
+"""Share of a record on one side of the setpoint that counts as all of it."""
+ONE_WAY = 0.1
+"""How far co may go back, as a share of how far it went, to have gone one way."""
+
+
 def _dead(x: FloatArray) -> bool:
     """Whether a signal is constant."""
     return float(np.ptp(x)) <= DEAD * float(np.max(np.abs(x)))

@@ -78,3 +78,18 @@ def is_limit(samples: int, changes: int, at_it: int, stretches: int, long: int, 
     elsewhere = samples - 1 - (at_it - stretches)
     moving = changes / elsewhere if elsewhere > 0 else 0.0
     return moving > MOVING and (long > 1 or (long == 1 and longest >= 4 * STRETCH))
+
+
+BETWEEN = 0.03
+"""Share of the samples between two values up to which co knows only these."""
+FEWEST_SWITCHES = 8
+
+
+def switches_between(co: FloatArray) -> tuple[float, float] | None:
+    """The two values between which co of shape (n,) is switched again and again; None where it moves otherwise."""
+    low, high = float(np.min(co)), float(np.max(co))
+    near = TOLERANCE * (high - low)
+    up = co >= high - near
+    between = 1 - float(np.mean(up | (co <= low + near)))
+    switches = int(np.sum(np.diff(up.astype(np.int8)) != 0))
+    return (low, high) if switches >= FEWEST_SWITCHES and between <= BETWEEN else None

@@ -9,6 +9,9 @@ Historians keep only the corners of a signal and draw straight lines between the
 last value. Compression above 3 spoils indexes that look at shapes and at non-linearity (the same source). A quantised
 signal stands still as well; its compression cannot be told and counts as 1.
 
+    held together pv and co stand still in the same samples, again and again: gaps filled with the last values. A
+                  historian that compresses holds each signal for itself; a controller with pv at rest moves on.
+
     deviation     what the historian let pass: a point was kept because without it the line, or the held value, would
                   have missed the signal by more. So the smallest misses of the kept points tell it.
 """
@@ -18,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from retuner.adaptive.indexes.plateaus import runs
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -105,3 +109,41 @@ def quantum(x: FloatArray) -> float:
         step = float(counts @ above[near] / (counts @ counts)) if np.any(counts) else step
     fits = np.abs(above / step - np.round(above / step)) <= ON_GRID
     return step if float(np.mean(fits)) >= GRID_SHARE and float(np.ptp(x)) < MOST_LEVELS * step else 0.0
+
+
+FEWEST_HELD = 5
+"""Samples in a row without any change that count as held."""
+FEWEST_HOLDS = 3
+ALIKE = 0.7
+"""Share of the holds of each signal that must be holds of both."""
+END = 1
+"""Samples by which the ends of a hold of both may differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holds:
+    """Stretches in which pv and co were held together. share : of the samples. samples : in each, the median."""
+
+    share: float
+    samples: float
+
+
+def held_together(pv: FloatArray, co: FloatArray) -> Holds | None:
+    """Where both signals, shape (n,), stood still at once time and again; None where each moves for itself."""
+    still = np.diff(pv) == 0, np.diff(co) == 0
+    of_pv, of_co = (_holds(each) for each in still)
+    both = [hold for hold in _holds(still[0] & still[1]) if _among(hold, of_pv) and _among(hold, of_co)]
+    if len(both) < max(FEWEST_HOLDS, ALIKE * len(of_pv), ALIKE * len(of_co)):
+        return None
+    lengths = [end - first for first, end in both]
+    return Holds(sum(lengths) / len(pv), float(np.median(lengths)))
+
+
+def _holds(still: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Long stretches without a change."""
+    return [(first, end) for first, end in runs(still) if end - first >= FEWEST_HELD]
+
+
+def _among(hold: tuple[int, int], others: list[tuple[int, int]]) -> bool:
+    """Whether a stretch is one of these."""
+    return any(abs(hold[0] - first) <= END and abs(hold[1] - end) <= END for first, end in others)

@@ -18,7 +18,10 @@ ComplexArray = npt.NDArray[np.complex128]
 
 
 class ProcessType(StrEnum):
-    """The six structures of Skogestad (2003), under the names that the command line uses."""
+    """The six structures of Skogestad (2003), under the names that the command line uses, and one with a zero.
+
+    SOPDT_INVERSE : second order behind a zero in the right half-plane, 1 - b s: pv answers the wrong way first.
+    """
 
     FOPDT = "fopdt"
     SOPDT = "sopdt"
@@ -26,6 +29,7 @@ class ProcessType(StrEnum):
     INTEGRATING_LAG = "integrating-lag"
     DOUBLE_INTEGRATING = "double-integrating"
     DELAY = "delay"
+    SOPDT_INVERSE = "sopdt-inverse"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,7 @@ class ProcessModel:
     theta_s : (effective) dead time.
     zeta : damping of a second-order process that swings, 0 < zeta <= 1: its denominator is
         1 + 2 zeta tau s + tau^2 s^2 with tau = tau1_s = tau2_s. 1 for two real lags and for all other structures.
+    inverse_s : b of a zero 1 - b s, above 0 for sopdt-inverse and 0 for all others.
 
     Raises
     ------
@@ -112,11 +117,13 @@ class ProcessModel:
     tau2_s: float = 0.0
     theta_s: float = 0.0
     zeta: float = 1.0
+    inverse_s: float = 0.0
 
     def __post_init__(self) -> None:
         LinearProcess(self.k, (self.tau1_s, self.tau2_s), (), self.theta_s)
-        has_tau1 = self.type in {ProcessType.FOPDT, ProcessType.SOPDT}
-        has_tau2 = self.type in {ProcessType.SOPDT, ProcessType.INTEGRATING_LAG}
+        second = self.type in {ProcessType.SOPDT, ProcessType.SOPDT_INVERSE}
+        has_tau1 = second or self.type == ProcessType.FOPDT
+        has_tau2 = second or self.type == ProcessType.INTEGRATING_LAG
         if has_tau1 != (self.tau1_s > 0):
             raise ValueError(f"tau1_s = {self.tau1_s}: type {self.type} {'needs' if has_tau1 else 'has no'} tau1")
         if self.tau2_s > 0 and not has_tau2:
@@ -125,8 +132,10 @@ class ProcessModel:
             raise ValueError(f"tau2_s = {self.tau2_s} is larger than tau1_s = {self.tau1_s}; exchange them")
         if not 0 < self.zeta <= 1:
             raise ValueError(f"zeta = {self.zeta} is outside 0 to 1; two real lags have zeta = 1")
-        if self.zeta < 1 and not (self.type == ProcessType.SOPDT and self.tau1_s == self.tau2_s):
+        if self.zeta < 1 and not (second and self.tau1_s == self.tau2_s):
             raise ValueError(f"zeta = {self.zeta}: only type sopdt with tau1 = tau2 can swing")
+        if not (0 <= self.inverse_s < math.inf) or (self.inverse_s > 0) != (self.type == ProcessType.SOPDT_INVERSE):
+            raise ValueError(f"inverse_s = {self.inverse_s}: type sopdt-inverse needs one above 0, no other has one")
 
     @property
     def slope(self) -> float:
@@ -140,15 +149,25 @@ class ProcessModel:
     def linear(self) -> LinearProcess:
         """The same as a general linear process."""
         integrators = {ProcessType.INTEGRATING: 1, ProcessType.INTEGRATING_LAG: 1, ProcessType.DOUBLE_INTEGRATING: 2}
+        leads = (-self.inverse_s,) if self.inverse_s else ()
         if self.zeta < 1:
             pair = (2 * self.zeta * self.tau1_s, self.tau1_s**2)
-            return LinearProcess(self.k, (), (), self.theta_s, 0, (pair,))
+            return LinearProcess(self.k, (), leads, self.theta_s, 0, (pair,))
         lags = tuple(lag for lag in (self.tau1_s, self.tau2_s) if lag > 0)
-        return LinearProcess(self.k, lags, (), self.theta_s, integrators.get(self.type, 0))
+        return LinearProcess(self.k, lags, leads, self.theta_s, integrators.get(self.type, 0))
+
+    def without_inverse(self) -> "ProcessModel":
+        """An inverse response taken as so much dead time (Skogestad 2003, section 2); other structures as they are."""
+        if not self.inverse_s:
+            return self
+        return replace(self, type=ProcessType.SOPDT, theta_s=self.theta_s + self.inverse_s, inverse_s=0.0)
 
     def to_dict(self) -> dict[str, float | str]:
-        """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings."""
+        """Keys as in every JSON output: type, k, tau1, tau2, theta (seconds); zeta where the process swings,
+        inverse where it answers the wrong way first.
+        """
         swings = {"zeta": self.zeta} if self.zeta < 1 else {}
+        swings |= {"inverse": self.inverse_s} if self.inverse_s else {}
         return {
             "type": str(self.type),
             "k": self.k,

@@ -25,7 +25,6 @@ contradicts it and settles the process by itself.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -34,7 +33,6 @@ from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.signals.sample import Window
@@ -104,8 +102,6 @@ class Learned:
 
 
 SECONDS_PER_DAY = 86400.0
-
-Logs = Mapping[ProcessType, LogModel]
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,6 +120,8 @@ def fitted_to(rule: Rule, model: ProcessModel) -> tuple[ProcessModel, tuple[str,
     """The model as the rule takes it: its second lag taken up by the half rule where the rule has no place for it."""
     if model.type in rule.types:
         return model, ()
+    if model.inverse_s and ProcessType.SOPDT in rule.types:
+        return model.without_inverse(), (f"the inverse response of {model.inverse_s:g} s counts as dead time",)
     reduced = without_second_lag(model)
     if reduced.type not in rule.types:
         wanted = ", ".join(rule.types)

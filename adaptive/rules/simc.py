@@ -47,8 +47,7 @@ def simc(
         tau_c is missing for a process without dead time, or not positive together with the dead time; c is not
         positive.
     """
-    if kind == ControllerKind.PI:
-        model = without_second_lag(model)
+    model = without_second_lag(model) if kind == ControllerKind.PI else model.without_inverse()
     if tau_c_s is None:
         if model.theta_s == 0:
             raise ValueError("theta = 0: SIMC's default tau_c = theta does not exist; give tau_c")
@@ -77,9 +76,12 @@ def _settings(model: ProcessModel, tau_c_s: float, span: float, c: float) -> Tun
 def without_second_lag(model: ProcessModel) -> ProcessModel:
     """The half rule for tau2: half of it joins the dead time, the other half tau1 (an integrator's is infinite).
 
+    An inverse response joins the dead time whole.
+
     On an integrating process that is the reading which reproduces the margins of the Astrom-Hagglund batch, and the
     limit of a second-order process with a long tau1; Skogestad's example E6 prints the whole of it in the dead time.
     """
+    model = model.without_inverse()
     if model.type == ProcessType.SOPDT:
         half = model.tau2_s / 2
         return ProcessModel(ProcessType.FOPDT, model.k, model.tau1_s + half, 0.0, model.theta_s + half)
@@ -90,4 +92,4 @@ def without_second_lag(model: ProcessModel) -> ProcessModel:
 
 def derivative_pays(model: ProcessModel) -> bool:
     """Whether derivative action is worth its noise: tau2 > theta, or two integrators (Skogestad 2003, section 6)."""
-    return model.type == ProcessType.DOUBLE_INTEGRATING or model.tau2_s > model.theta_s
+    return model.type == ProcessType.DOUBLE_INTEGRATING or model.tau2_s > model.without_inverse().theta_s

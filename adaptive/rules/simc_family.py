@@ -60,9 +60,6 @@ def simc_improved(model: ProcessModel, tau_c_s: float | None = None, c: float = 
     return tuning("simc-improved", "series", lag / (model.k * span), min(lag, c * span), 0.0, tau_c_s)
 
 
-KIND = ControllerKind.PI
-"""The rule exists for PI only in the source."""
-
 PI, PID = ControllerKind.PI, ControllerKind.PID
 
 
@@ -143,7 +140,8 @@ def _smooth(model: ProcessModel, kind: ControllerKind, wishes: Wishes) -> Tuning
     return _with_notes(replace(found, rule="simc-smooth"), model, kind)
 
 
-EVERY = tuple(ProcessType)
+EVERY = tuple(t for t in ProcessType if t != ProcessType.SOPDT_INVERSE)
+"""An inverse response comes as so much dead time (registry.py)."""
 GAIN = "Kc = tau1/(k (tau_c + theta)) = 1/(k' (tau_c + theta))"
 
 

@@ -28,7 +28,6 @@ LARGEST_MOVE = 0.7
 """Largest change of any ln p in one iteration."""
 WIDTH = 48
 """Stretches simulated side by side."""
-PARAMETERS = ("b", "theta", "tau", "tau2")
 
 
 @dataclass(frozen=True, slots=True)

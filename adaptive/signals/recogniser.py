@@ -3,7 +3,8 @@
 Everything that affects its states and transitions stands in this file. The states are Foxboro EXACT's (TI 039-200,
 1995): LOCATE n follows the error outward until it has retreated from an extreme by the noise band, VERIFY n waits until
 the error crosses to the other side (the extreme was a peak) or rests (the response is over) or grows past the extreme
-(it was none). ADAPT lasts one sample, in which the response is handed out; SETTLE waits for rest or a new upset.
+(it was none). ADAPT lasts one sample, in which the response is handed out; SETTLE waits for rest or a new upset: an
+error beyond all that was left of the last response is one, for a slow tail may last until the next load.
 
 What a sample means is worked out first, as one event; then the table says where to go:
 
@@ -14,7 +15,8 @@ What a sample means is worked out first, as one event; then the table says where
 
 In time means within wait_s; after the first crossing within `reach` times what it took to get there, if that is less
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
-back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times).
+back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times). A loop that
+swings from the first sample on is not waited for either, once its third extreme is about as large as its first.
 
 `step` is a pure function of plain scalars; `response_of` turns the ADAPT state into a Response. A loop at rest costs
 four comparisons a sample.
@@ -65,13 +67,15 @@ TABLE: tuple[tuple[RecogniserPhase, ...], ...] = (
     (_L3, _L3, _V3, _L3, _AD, _AD, _AD, _AD),  # LOCATE_3
     (_V3, _V3, _V3, _L3, _AD, _AD, _AD, _AD),  # VERIFY_3
     (_SE, _SE, _SE, _SE, _SE, _SE, _SE, _SE),  # ADAPT
-    (_SE, _SE, _SE, _SE, _SE, _L1, _L1, _L1),  # SETTLE
+    (_SE, _L1, _SE, _SE, _SE, _L1, _L1, _L1),  # SETTLE
 )
 # fmt: on
 """TABLE[phase][event] is the next phase."""
 
 STAYS_OFF = 1.25
 """Longest waits after which an error that never was at rest since the beginning is looked at once, as it is."""
+SWINGS_ON = 0.7
+"""Third extreme over the first from which a swing is not on its way to rest: its Ms is some 4 or more."""
 START_BANDS = 2.0
 """A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)."""
 
@@ -97,8 +101,9 @@ class RecogniserState(NamedTuple):
 
     started : an upset is being followed. since_s : when the wait for the present peak began.
     inside_s : since when the error is inside the band, infinite outside. sp, sp_changed : last setpoint taken; whether
-    the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed.
-    t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, once in ADAPT. event : what led to the last move.
+    the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed; in
+    SETTLE after a response, what was left of it. t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, from
+    ADAPT on. event : what led to the last move.
     e_near : smallest |error| since the extreme, by which a coming back is seen; infinite outside VERIFY_1.
     """
 
@@ -167,9 +172,22 @@ def _event(
         return Event.START
     late = _late(law, state, t_s)
     if phase == RecogniserPhase.SETTLE:  # a swing is followed from where it crosses zero: its first extreme is one
-        stays_off = state.event == Event.NONE and t_s - state.since_s > STAYS_OFF * law.wait_s
-        return Event.TIMEOUT if stays_off or (late and inside_s < _OUTSIDE) else Event.NONE
+        over = late and inside_s < _OUTSIDE
+        return Event.TIMEOUT if over else _settle_event(law, state, t_s, e, band)
     return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+
+
+def _settle_event(law: RecogniserLaw, state: RecogniserState, t_s: float, e: float, band: float) -> Event:
+    """Whether a new upset begins before rest; whether a motion that nobody saw begin is looked at as it is."""
+    least, size = START_BANDS * band, e if e > 0 else -e
+    if state.event != Event.NONE:
+        anew = state.verified > 0 and size > abs(state.e_peak) + least
+        return Event.START if anew else Event.NONE
+    if t_s - state.since_s > STAYS_OFF * law.wait_s:
+        return Event.TIMEOUT
+    crosses = size > band and e * state.e_peak < 0
+    first, now = abs(state.e1), abs(state.e_peak)
+    return Event.TIMEOUT if crosses and first > least and now > max(SWINGS_ON * first, least) else Event.NONE
 
 
 def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
@@ -208,6 +226,11 @@ def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s:
         size = e if e > 0 else -e
         if size < state.e_near - band:
             return state._replace(since_s=t_s, inside_s=inside_s, e_near=size)
+    elif state.phase == RecogniserPhase.SETTLE and state.event == Event.NONE and (e > band or -e > band):
+        if e * state.e_peak < 0:
+            return state._replace(e1=state.e2, e2=state.e_peak, e_peak=e, inside_s=inside_s)
+        if abs(e) > abs(state.e_peak):
+            return state._replace(e_peak=e, inside_s=inside_s)
     return state if inside_s == state.inside_s else state._replace(inside_s=inside_s)
 
 
@@ -218,7 +241,7 @@ def _move(
     if event == Event.START or (event == Event.SETPOINT and state.phase == RecogniserPhase.SETTLE):
         return _upset(state, event, t_s, sp, e, band)
     if phase == RecogniserPhase.ADAPT:
-        return _end(state, event, t_s)
+        return _end(state, event, t_s, e)
     if phase == RecogniserPhase.SETTLE:
         return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=event)
     if state.phase == RecogniserPhase.SETTLE:
@@ -246,12 +269,16 @@ def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float
     )
 
 
-def _end(state: RecogniserState, event: Event, t_s: float) -> RecogniserState:
-    """The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the new."""
+def _end(state: RecogniserState, event: Event, t_s: float, e: float) -> RecogniserState:
+    """The response is over; an extreme in VERIFY n is a peak. The setpoint stays the old one: SETTLE takes the new.
+
+    What is left of it is nothing at rest, the tail of one that only crept back, and the last extreme of a swing.
+    """
     verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
     ended = state._replace(phase=RecogniserPhase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
     if state.phase == RecogniserPhase.VERIFY_1:
-        return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak)
+        left = 0.0 if event == Event.QUIET else e
+        return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak, e_peak=left)
     if state.phase == RecogniserPhase.VERIFY_2:
         return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
     return ended

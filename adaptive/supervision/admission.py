@@ -1,7 +1,7 @@
 """Whether a response may teach its region anything: the rules of admission, in the order in which they are asked.
 
-    kept whole, in automatic, pv in its range, telemetry complete and even, inside the region, gains unchanged,
-    setpoint not led by another loop, output free, something moves, and it rises well above the noise
+    kept whole, in automatic, pv in its range, telemetry complete and even, the sensor not stuck, inside the region,
+    gains unchanged, setpoint not led by another loop, output free, something moves, and it rises well above the noise
 
 A record that is not admitted is not a weak record but a wrong one: the fit would believe it. What is only weak is
 admitted, because the fit weighs it. Learning stops likewise in commercial products when a loop saturates, is not in
@@ -23,6 +23,7 @@ from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.setting import Setting, require_in_range
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
+from retuner.adaptive.signals.stuck_sensor import stood_still
 from retuner.adaptive.weighed import Numbers
 from retuner.schedule.regions import Regions
 
@@ -40,6 +41,10 @@ class Ground(StrEnum):
     OUT_OF_RANGE = (
         "pv reached {pv_worst:g}, far outside its range of {pv_low:g} to {pv_high:g}: a sensor or scaling error"
     )
+    PV_STUCK = (
+        "pv stood at exactly {stuck_at:g} for {stuck:.0f} samples, without its noise: a sensor or a signal that is "
+        "stuck"
+    )
     LOST_SAMPLES = "{lost_share:.0%} of the samples were lost (limit {limit:.0%})"
     IRREGULAR = "{uneven_share:.0%} of the samples came at uneven times (limit {limit:.0%})"
     REPEATED = "{repeated_share:.0%} of the samples repeat the one before them exactly (limit {limit:.0%})"
@@ -55,7 +60,7 @@ class Ground(StrEnum):
     CO_FROZEN = "co does not move: no information for the model"
     PV_FROZEN = "pv does not move: no information for the model"
     LOW_EXCITATION = (
-        "the response is only {peak_bands:.1f} noise bands high: too small to update the model ({limit:g} needed)"
+        "the response is too small to update the model: {peak_bands:.4g} noise bands high, {limit:g} needed"
     )
 
 
@@ -139,8 +144,9 @@ class AdmissionNumbers(Numbers):
 
     kept : samples that are kept. manual : of them in manual. lost_share, uneven_share, repeated_share, outside_share :
     of the samples. changes : of the gains. moves, moving_share : of the setpoint. limited_share : of the response, with
-    the output at a limit. pv_worst : pv farthest outside its range, pv_low to pv_high. peak_bands : height in noise
-    bands. limit, limit_share : of the rule that refused it.
+    the output at a limit. pv_worst : pv farthest outside its range, pv_low to pv_high. stuck : samples for
+    which pv stood still, at stuck_at. peak_bands : height in noise bands. limit, limit_share : of the rule that
+    refused it.
     """
 
     kept: float | None = None
@@ -156,6 +162,8 @@ class AdmissionNumbers(Numbers):
     pv_worst: float | None = None
     pv_low: float | None = None
     pv_high: float | None = None
+    stuck: float | None = None
+    stuck_at: float | None = None
     peak_bands: float | None = None
     limit: float | None = None
     limit_share: float | None = None
@@ -214,10 +222,13 @@ def inside_region(regions: Regions, region: int) -> Callable[[LoopSample], bool]
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What is judged. samples are the window's; during marks those of the response itself, shape (n,)."""
+    """What is judged. samples are the window's, kept is pv as far as it is kept; during marks those of the response
+    itself, shape (n,).
+    """
 
     window: Window
     samples: Sequence[LoopSample]
+    kept: npt.NDArray[np.float64]
     response: Response
     during: npt.NDArray[np.bool_]
     inside: Callable[[LoopSample], bool] | None
@@ -257,7 +268,8 @@ def admit(
     if len(samples) < n:
         raise ValueError(f"a window of {n} samples cannot have been made of {len(samples)}")
     own = (window.t_s >= response.t_start_s) & (window.t_s <= response.t_end_s)
-    seen = _Seen(window, list(samples)[-n:], response, own, inside, settings, pv_range)
+    kept = np.array([sample.pv for sample in samples])
+    seen = _Seen(window, list(samples)[-n:], kept, response, own, inside, settings, pv_range)
     numbers = AdmissionNumbers()
     for rule in _RULES:
         counted = rule(seen)
@@ -295,6 +307,14 @@ def _measured(seen: _Seen) -> _Counted:
     if low - room <= worst <= high + room:
         return _Counted(AdmissionNumbers())
     return _Counted(AdmissionNumbers(pv_worst=worst, pv_low=low, pv_high=high), Ground.OUT_OF_RANGE)
+
+
+def _sensor_lives(seen: _Seen) -> _Counted:
+    """It did not stand still while the controller acted on it."""
+    found = stood_still(seen.kept, len(seen.window.t_s))
+    if found is None:
+        return _Counted(AdmissionNumbers())
+    return _Counted(AdmissionNumbers(stuck=float(found.samples), stuck_at=found.pv), Ground.PV_STUCK)
 
 
 def _telemetry(seen: _Seen) -> _Counted:
@@ -383,6 +403,7 @@ _RULES = (
     _in_automatic,
     _measured,
     _telemetry,
+    _sensor_lives,
     _in_region,
     _same_gains,
     _own_setpoint,

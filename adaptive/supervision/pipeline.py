@@ -43,10 +43,16 @@ from retuner.adaptive.supervision.guard_request import (
     unproved_request,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
-from retuner.adaptive.supervision.proposal_from_model import RobustProposal, behaves, half_seen, over_limit
+from retuner.adaptive.supervision.proposal_from_model import (
+    RobustProposal,
+    behaves,
+    half_seen,
+    no_gain,
+    over_limit,
+)
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise, decay_seen
+from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.adaptive.trial.trial import Trial
@@ -321,7 +327,7 @@ def refutation(found: Findings) -> None:
 
 def agreement(found: Findings) -> None:
     """A loop that behaves is not moved on one record's word, which may be wrong by more than it knows; nor made slower
-    while a model that is as good holds it for robust.
+    while a model that is as good holds it for robust; nor moved at all where neither robustness nor speed is promised.
     """
     verdict, settings, record = found.verdict, found.settings, found.record
     if verdict is None or not verdict.accepted:
@@ -333,25 +339,29 @@ def agreement(found: Findings) -> None:
             record.samples, record.response, verdict, settings
         )
         reason += f"; {settings.behaving_records} records must agree before a change" if reason else ""
+    cost = promised_cost(promised) if promised is not None else 0.0
     if not reason:
-        code, reason = "as_good", _as_good(found, verdict, promised)
+        code, reason = "as_good", _as_good(found, verdict, cost)
+    if not reason and _wanted(found).diagnosis.cause is not Cause.AGGRESSIVE:
+        code, reason = "no_gain", no_gain(verdict, cost, settings)
     found.promise = promised
     if reason:
         found.verdict = found.basis = found.promise = None
         found.stop(code, reason)
 
 
-def _as_good(found: Findings, verdict: Verdict, promised: Promise | None) -> str:
-    """That a change would only make the loop slower, and on some of the models need not be; empty where it is due."""
-    record, settings, cost = found.record, found.settings, promised_cost(promised) if promised is not None else 0.0
+def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
+    """That a change would only make the loop slower, and on some of the models need not be; empty where it is due.
+
+    A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
+    """
+    record, settings = found.record, found.settings
     seen, limit = decay_seen(record.response), settings.cause.ms_high
     swings = seen is not None and seen > settings.trial.harmless_decay
-    if (
-        swings
-        or verdict.urgent
-        or cost < settings.worth_iae
-        or not limit < verdict.ms_before <= settings.guard.ms_worst
-    ):
+    if swings or verdict.urgent or cost < settings.worth_iae or verdict.ms_before > settings.guard.ms_worst:
+        return ""
+    own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
+    if own and verdict.ms_before > limit and cost <= settings.own_iae:
         return ""
     if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):
         return ""

@@ -119,3 +119,15 @@ def half_seen(samples: Sequence[LoopSample], response: Response, verdict: Verdic
     own = [sample for sample in samples if response.t_start_s <= sample.t_s <= response.t_end_s]
     limited = sum(1 for sample in own if sample.limited)
     return f"no change yet: the output stood at a limit for {limited / len(own):.0%} of the response" if limited else ""
+
+
+def no_gain(verdict: Verdict, cost: float, settings: RetunerSettings) -> str:
+    """That a robust loop would gain next to nothing, or come out slower, in words; empty for any other.
+
+    What limits leave of a proposal, or a larger gain at the same integral action, may cost more than they bring.
+    cost : IAE after over before, as promised; 0 where it is not known.
+    """
+    if verdict.urgent or verdict.ms_before > settings.cause.ms_high or cost < settings.least_gain:
+        return ""
+    ms = verdict.ms_before
+    return f"no change: the loop is robust (Ms {ms:.2f}), and the new IAE would be {cost:.0%} of the present"

@@ -50,7 +50,9 @@ class RetunerSettings:
     behaving_records : records that must be in the model before a loop that behaves is moved; 1 to 10, default 2.
     behaving_gain : share of the IAE above which what a change would leave is not much of a gain; 0 to 1, default 0.6.
     worth_iae : IAE after over before from which a loop that does not swing is made slower only if it is over its Ms
-        limit on every model; 1 to 2, default 1.02.
+        limit on every model; 1 to 2, default 1.02. own_iae : the same of a set that retuner wrote; default 1.1.
+    least_gain : IAE after over before from which a robust loop is not moved; 0.5 to 1, default 0.9: every change is
+        a risk, and no record knows a loop better.
     gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
         lost, so long a pause comes once in 400,000.
     """
@@ -75,6 +77,8 @@ class RetunerSettings:
     behaving_records: int = 2
     behaving_gain: float = 0.6
     worth_iae: float = 1.02
+    own_iae: float = 1.1
+    least_gain: float = 0.9
     gap_samples: int = 8
     setpoint_weight: float = 1.0
     filter_s: float = 0.0

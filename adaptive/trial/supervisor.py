@@ -46,6 +46,8 @@ KEPT = (E.GOOD, E.AS_PROMISED)
 WITH_GAINS = (E.PROPOSED, E.URGENT, E.ORDERED, E.WRITTEN, E.OPERATOR_EDIT)
 DECIDED = (E.STAYS, E.ENSURED)
 """What may be decided instead of ending a trial."""
+AFTER_SILENCE = {P.RESTORING: "are rolled back", P.WAITING: "stay, awaiting operator approval"}
+"""What becomes of a trial that no response decided; else its gains stay."""
 MOST_EDITS = 6
 """Doublings of the time for which a person's gains are held."""
 
@@ -280,8 +282,7 @@ class TrialSupervisor:
         self._trials[region] = replace(trial, silent=trial.silent + 1)
         if trial.silent + 1 < self.settings.inconclusive or not self._end(region, E.TIMED_OUT, t_s):
             return found
-        phase = self.phase(region)
-        what = "are rolled back" if phase == P.RESTORING else f"stay ({phase})"
+        what = AFTER_SILENCE.get(self.phase(region), "stay")
         return replace(
             found, reason=f"{found.reason}; {trial.silent + 1} responses were inconclusive, the trial gains {what}"
         )

@@ -256,9 +256,6 @@ class _Read(NamedTuple):
     period_over_tau_i: float | None = None
 
 
-DECAY = "half-cycle decay ratio"
-
-
 def seen(shown: PatternNumbers) -> str:
     """The numbers that a person compares with the targets."""
     said = shown.to_dict()

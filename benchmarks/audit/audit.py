@@ -38,7 +38,7 @@ ANSWERS = {
     "interaction": {"interaction"},
 }
 """Causes that are right, by the true kind; manual and dead loops are told by what is to be done."""
-NO_VISIT = {"nothing", "record a setpoint step"}
+NO_VISIT = {"nothing", "record a setpoint step", "screened only"}
 DONE = {"manual": "find out why it is in manual", "dead": "check the sensor or the tag"}
 
 

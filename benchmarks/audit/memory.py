@@ -1,6 +1,8 @@
-"""How much memory an audit takes, by the number of loops: the command itself, screening only, largest process.
+"""How much memory an audit takes, by the number of loops: the command itself, largest process; it screens only
+unless told otherwise.
 
     python benchmarks/audit/memory.py --loops 100 1000 10000 --rows 2000 --keep FOLDER
+    python benchmarks/audit/memory.py --loops 10000 --rows 8640 --stretches 1 --diagnose 20 --jobs 2
 
 The loops are walks of noise in wide Parquet files of 250 loops each. A line a number of loops; the folder keeps pages.
 CPU of the main process is what more workers cannot take over.
@@ -56,6 +58,8 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--stretches", type=int, default=0)
+    parser.add_argument("--diagnose", type=float, default=100.0)
     parser.add_argument("--keep", type=Path, help="folder in which plants and pages stay")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
@@ -63,7 +67,8 @@ def main() -> None:
             folder = (given.keep or Path(made)) / str(loops)
             if not (folder / "plant").is_dir():
                 make(folder / "plant", loops, given.rows, given.seed)
-            arguments = ["audit", folder / "plant", "--out", folder / "audit", "--stretches", 0, "--jobs", given.jobs]
+            arguments = ["audit", folder / "plant", "--out", folder / "audit", "--jobs", given.jobs]
+            arguments += ["--stretches", given.stretches, "--diagnose", given.diagnose]
             run = subprocess.run(
                 [sys.executable, "-c", MEASURED, *map(str, arguments)],
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},

@@ -20,6 +20,7 @@ from online.judge import Judge, Judgement
 from online.loop import LostLoop, Supervisor, WatchedLoop
 from online.rivals import PatternAlone, relay_then_ziegler_nichols, step_then_simc
 from online.supervisors import Watching, guard_settings, one_region, settings
+from retuner.adaptive.guard.step_size import Parameter, step_limit
 from retuner.adaptive.supervision.decision import Decision
 from retuner.schedule.gains import PidGains
 
@@ -193,9 +194,9 @@ def line(row: Row) -> str:
 def in_one_change(row: Row) -> bool:
     """Whether the right settings lie within one change of the start: the limits are of Kc, tau_I and Kc/tau_I."""
     limits = guard_settings(opened=row["opened"])
-    more, less = limits.step_up_max, limits.step_down_max
-    ways = (1 / row["kc"], row["tau_i"], row["tau_i"] / row["kc"])  # above 1: towards more action
-    return all(1 / less - 1e-9 <= way <= more + 1e-9 for way in ways)
+    ways = {Parameter.KC: 1 / row["kc"], Parameter.TAU_I: row["tau_i"], Parameter.INTEGRAL: row["tau_i"] / row["kc"]}
+    more, less = ({p: step_limit(p, more=up, settings=limits) for p in ways} for up in (True, False))
+    return all(1 / less[p] - 1e-9 <= way <= more[p] + 1e-9 for p, way in ways.items())  # above 1: more action
 
 
 def table(rows: list[Row]) -> list[str]:

@@ -69,8 +69,6 @@ class VirtualCanOpenNode:
         self.node: Any = canopen.LocalNode(file.node, file.dictionary)
         self.node.associate_network(self._network)
         self.refused = self._samples = 0
-        self.emergency_code = 0
-        self._beats = False
         self._begin()
 
     def _begin(self) -> None:

@@ -4,12 +4,9 @@ python-can's readers raise whatever their parsing meets; here that becomes one l
 read. Frames before the damage are given out, so a caller that stops counting there knows where it stands.
 """
 
-import contextlib
-import importlib
-import logging
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -18,9 +15,15 @@ import can
 from can.io.blf import BLFParseError
 
 from retuner.drivers.bus.bus_log import log_parts
+from retuner.drivers.recorded.mf4 import mf4_errors, mf4_reader
 from retuner.drivers.recorded.recording import RecordingError
 
-READERS = {".blf": can.BLFReader, ".asc": can.ASCReader, ".mf4": can.MF4Reader, ".log": can.CanutilsLogReader}
+READERS: dict[str, Callable[[Any], Iterable[can.Message]]] = {
+    ".blf": can.BLFReader,
+    ".asc": can.ASCReader,
+    ".mf4": mf4_reader,
+    ".log": can.CanutilsLogReader,
+}
 SUFFIXES = tuple(READERS)
 """Formats of bus traffic; .csv and .parquet are tables of samples (recording.py)."""
 TEXT = (".asc", ".log")
@@ -58,7 +61,7 @@ def read_frames(path: Path) -> Iterator[can.Message]:
     """
     _check(path)
     count = 0
-    errors = READING_ERRORS + (_errors_of_mf4() if path.suffix.lower() == ".mf4" else ())
+    errors = READING_ERRORS + (mf4_errors() if path.suffix.lower() == ".mf4" else ())
     try:
         with _opened(path) as stream:
             for message in READERS[path.suffix.lower()](stream):
@@ -75,16 +78,6 @@ def read_parts(path: Path) -> Iterator[can.Message]:
     """The frames of all parts that are there of a log (bus_log.py), oldest first; errors as read_frames."""
     for part in log_parts(path).paths:
         yield from read_frames(part)
-
-
-def _errors_of_mf4() -> tuple[type[Exception], ...]:
-    """What asammdf and its decompressor raise of their own; their own words about it stay away from the screen."""
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
-    found: list[type[Exception]] = []
-    for module, name in (("asammdf.blocks.utils", "MdfException"), ("isal.isal_zlib", "IsalError")):
-        with contextlib.suppress(ImportError, AttributeError):
-            found.append(getattr(importlib.import_module(module), name))
-    return tuple(found)
 
 
 def _opened(path: Path) -> AbstractContextManager[Any]:

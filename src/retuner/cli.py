@@ -16,6 +16,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from retuner.drivers.recorded.mf4 import hide_library
 from retuner.errors import UserError, one_line
 from retuner.streams import open_streams
 from retuner.verbosity import Quiet, Verbose, accounted, be_normal, with_verbosity
@@ -101,6 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status. Arguments are those of the process unless given."""
     for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(library, "1")  # fits are thousands of small matrices, which threads only slow down
+    hide_library()
     open_streams()
     be_normal()
     if not os.environ.get("RETUNER_TRACEBACK"):

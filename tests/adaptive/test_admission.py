@@ -52,11 +52,18 @@ def stuck(samples: Samples) -> Samples:
     return [s if i < AT + 2 else samples[AT + 2]._replace(t_s=s.t_s) for i, s in enumerate(samples)]
 
 
+def stood(samples: Samples, where: range, noise: float = 0.003) -> Samples:
+    """A sensor with noise that gets stuck."""
+    noisy = [s._replace(pv=s.pv + noise * (-1) ** i) for i, s in enumerate(samples)]
+    return changed(noisy, where, pv=noisy[where[0]].pv)
+
+
 FAULTS: dict[Ground, Callable[[Samples], Samples]] = {
     Ground.ADMITTED: lambda s: s,
     Ground.TOO_LONG: lambda s: s[AT + 10 :],
     Ground.MANUAL: lambda s: changed(s, range(60, 61), mode=LoopMode.MANUAL),
     Ground.OUT_OF_RANGE: lambda s: changed(s, range(60, 62), pv=1e6),
+    Ground.PV_STUCK: lambda s: stood(s, range(50, 75)),
     Ground.LOST_SAMPLES: lambda s: [x for i, x in enumerate(s) if i % 6 < 3],
     Ground.IRREGULAR: lambda s: [x._replace(t_s=x.t_s + (0.8 if i % 5 == 0 else 0.0)) for i, x in enumerate(s)],
     Ground.REPEATED: stuck,
@@ -103,6 +110,22 @@ def test_an_output_at_its_limit_is_a_known_input() -> None:
 def test_late_stamps_and_every_fifth_sample_lost_are_taken() -> None:
     late = [s._replace(t_s=s.t_s + 0.3 * math.sin(1.7 * i)) for i, s in enumerate(swing()) if i % 5]
     assert judged(late).admitted
+
+
+def test_a_signal_without_noise_or_in_coarse_steps_may_stand_still() -> None:
+    """It does so at rest and for a dead time, and that is no fault."""
+    assert judged(changed(swing(), range(AT, AT + 25), pv=0.0)).admitted
+    coarse = [s._replace(pv=0.1 * round(10 * s.pv)) for s in swing()]
+    assert judged(coarse).admitted
+    assert judged(stood(swing(), range(50, 65))).admitted  # for shorter than is told
+
+
+def test_a_sensor_that_stood_still_to_the_beginning_of_the_record_is_told_by_the_noise_before_it() -> None:
+    samples = stood(swing(), range(AT - 10, AT + 40))
+    cut = samples[AT - 10 :]
+    early = [s._replace(t_s=s.t_s - 200.0) for s in stood(swing(), range(1))]
+    response = found(samples, t_start_s=AT + 30)
+    assert admit(Window.of(cut), [*early, *samples], response, AdmissionSettings()).ground is Ground.PV_STUCK
 
 
 def test_what_happened_before_the_response_is_no_fault_of_it() -> None:

@@ -9,7 +9,7 @@ from retuner.adaptive.guard import Ruling, Verdict
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision, Mode
-from retuner.adaptive.supervision.proposal_from_model import half_seen
+from retuner.adaptive.supervision.proposal_from_model import half_seen, no_gain
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 
@@ -32,12 +32,36 @@ def test_a_loop_in_order_is_left_alone(bold: list[Decision]) -> None:
     assert [d.reason for d in bold if d.code == "as_good"]
 
 
+def test_what_retuner_wrote_itself_is_corrected_where_that_costs_little() -> None:
+    """The same gains, but they are not those that the session began with; here that costs a fifth of the IAE."""
+    found, baseline = table(scaled(1.1, 1.1)), table(scaled(2.0, 2.0))
+    for most, written in ((1.1, False), (1.25, True)):
+        retuner = Retuner(found, replace(USUAL, own_iae=most), commissioned=baseline)
+        actions = {str(d.action) for d in Bench(retuner, seed=2).exercise()}
+        assert ("commit" in actions) is written
+
+
 def test_without_that_it_would_be_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(replace(USUAL, worth_iae=2.0, behaving_records=1), 1.1)}
 
 
 def test_a_loop_that_is_over_its_limit_on_every_model_is_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(USUAL, 2.0)}
+
+
+@pytest.mark.parametrize(
+    ("ms", "iae", "urgent", "stays"),
+    [
+        (1.5, 0.95, False, True),
+        (1.5, 2.0, False, True),
+        (1.5, 0.8, False, False),
+        (1.9, 1.2, False, False),
+        (1.5, 1.2, True, False),
+    ],
+)
+def test_a_robust_loop_is_not_moved_for_next_to_nothing(ms: float, iae: float, urgent: bool, stays: bool) -> None:
+    verdict = Verdict(Ruling.ACCEPTED, scaled(2.0, 2.0), 1.0, 1.6, 1.8, ms, 5.0, urgent=urgent)
+    assert bool(no_gain(verdict, iae, USUAL)) is stays
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from effort import sized
+from test_coincident_loads import recorded
 
+from retuner import api
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve
@@ -179,3 +181,23 @@ def test_the_wrong_way_is_named_though_co_stood_at_its_limit_ever_since() -> Non
 def test_a_load_beyond_the_output_is_not_taken_for_the_wrong_way() -> None:
     window = loop(load=lambda i: 4.0 if i >= 60 else 0.0, limits=(-2.0, 2.0), n=400)
     assert diagnose_window(window, GOOD, -2.0, 2.0).diagnosis.cause == Cause.SATURATION
+
+
+def test_a_real_record_whose_gaps_were_filled_is_said_to_be_so():
+    """Of every 300 s the recorder held pv and co together for 180; the rest was told as an unexplained disturbance."""
+    found = api.diagnose(*recorded("LIC42502_0620_1.csv"))
+    assert found.diagnosis.cause == Cause.UNKNOWN
+    assert "stand still together for 170 s" in found.diagnosis.reason
+    assert found.settings is None
+
+
+def test_a_real_relay_test_is_no_oscillation_from_outside():
+    found = api.diagnose(*recorded("../servo/relay.csv")).diagnosis
+    assert found.cause == Cause.UNKNOWN
+    assert "co switches between -100 and 100" in found.reason
+
+
+def test_a_real_servo_that_overshoots_is_said_to():
+    found = api.diagnose(*recorded("../servo/pid_step.csv")).diagnosis
+    assert found.cause == Cause.UNKNOWN
+    assert "Its setpoint responses overshoot by 4" in found.reason

@@ -168,6 +168,34 @@ def test_an_error_that_never_was_at_rest_is_looked_at_once_all_the_same() -> Non
     assert (response.ending, response.peaks, response.sp_changed) == (Ending.TIMEOUT, (), False)
 
 
+def test_a_load_before_a_slow_tail_has_come_to_rest_is_a_response() -> None:
+    dt, patient = 0.5, RecogniserLaw(wait_s=2000.0, quiet_s=60.0)
+    sp = [0.0] * 100 + [5.0] * 1900
+    tail = [5.0 * math.exp(-i * dt / 2) - 0.5 * math.exp(-i * dt / 300) * (i > 0) for i in range(1900)]
+    load = [0.0] * 400 + [3.0 * (1 - math.exp(-i * dt / 5)) * math.exp(-i * dt / 30) for i in range(1500)]
+    pv = [0.0] * 100 + [5.0 - e - x for e, x in zip(tail, load, strict=True)]
+    first, second = run(pv, sp, dt, 0.05, patient)[:2]
+    assert (first.ending, first.sp_changed) == (Ending.TIMEOUT, True)
+    assert not second.sp_changed
+    assert second.t_start_s == pytest.approx((100 + 400) * dt, abs=5)
+
+
+def test_what_is_left_of_a_swing_begins_no_response() -> None:
+    dt = 0.5
+    sp = [0.0] * 100 + [5.0] * 1900
+    pv = [0.0] * 100 + [5.0 * (1 - decay(i * dt, 0.1, 0.2)) for i in range(1900)]
+    assert len(run(pv, sp, dt, 0.05, RecogniserLaw(wait_s=400.0, quiet_s=60.0))) == 1
+
+
+@pytest.mark.parametrize("zeta", [0.0, 0.3])
+def test_a_swing_that_nobody_saw_begin_is_looked_at_unless_it_dies_away(zeta: float) -> None:
+    dt, w = 0.5, 0.2  # 31 s a period, and a wait of 400 s
+    pv = [-5.0 * decay(i * dt, zeta, w) for i in range(600)]
+    found = run(pv, [0.0] * 600, dt, 0.05, RecogniserLaw(wait_s=400.0, quiet_s=30.0))
+    assert bool(found) == (zeta == 0.0)
+    assert all(response.t_start_s < 70 for response in found[:1])
+
+
 def test_an_error_that_stands_still_is_waited_for_once() -> None:
     sp = [0.0] * 50 + [5.0] * 400
     pv = [0.0] * 50 + [min(4.0, 0.2 * i) for i in range(400)]

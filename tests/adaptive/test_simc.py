@@ -91,3 +91,11 @@ def test_reverse_action_mirrors(model: ProcessModel, kind: ControllerKind) -> No
 
 def test_half_rule_for_pi() -> None:
     assert without_second_lag(ProcessModel(T.SOPDT, 1, 1.0, 0.2, 0.0)) == ProcessModel(T.FOPDT, 1, 1.1, 0, 0.1)
+
+
+def test_an_inverse_response_counts_as_dead_time() -> None:
+    inverse = ProcessModel(T.SOPDT_INVERSE, 2.0, 10.0, 3.0, 1.0, inverse_s=1.5)
+    plain = ProcessModel(T.SOPDT, 2.0, 10.0, 3.0, 2.5)
+    assert without_second_lag(inverse) == without_second_lag(plain)
+    for kind in (ControllerKind.PI, ControllerKind.PID):
+        assert simc(inverse, kind=kind).gains == simc(plain, kind=kind).gains

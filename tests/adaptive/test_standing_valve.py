@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from test_coincident_loads import recorded
 
 from retuner import api
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing
 from retuner.adaptive.indexes.plateaus import _Responses, as_steps, plateaus, rough_sigma
@@ -92,6 +96,44 @@ def test_a_real_healthy_flow_loop():
     found = stand_still(Window(*recorded("FIC46002_1102_1.csv")), None, SETTINGS)
     assert found is not None
     assert not found.stands
+
+
+def test_a_real_sticking_valve_whose_co_was_stored_in_pieces():
+    """One and a half rounds: pv stands while co ramps, jumps, stands while co ramps back, jumps."""
+    record = recorded("FIC31102_0628_1.csv")
+    found = api.diagnose(*record).diagnosis
+    assert found.cause == Cause.STICTION
+    assert not found.retune
+    assert settings_in_force(Window(*record)).gains is None
+
+
+@given(kp=st.floats(0.1, 5.0), tau_i=st.floats(3.0, 60.0), sign=st.sampled_from([-1.0, 1.0]), seed=st.integers(0, 99))
+def test_the_law_that_a_held_co_still_shows(kp: float, tau_i: float, sign: float, seed: int) -> None:
+    t = np.arange(600.0)
+    pv = np.cumsum(np.random.default_rng(seed).standard_normal(600))
+    summed = np.concatenate([[0.0], np.cumsum(-(pv[1:] + pv[:-1]) / 2)])
+    co = sign * (-kp * pv + kp / tau_i * summed)
+    law = summed_law(Window(t, np.zeros(600), pv, _held(co, 0.05 * float(np.ptp(co)))))
+    if law is not None:  # a record may be too little for it
+        assert law.direction == sign
+        assert law.ki == pytest.approx(sign * kp / tau_i, rel=0.4)
+
+
+def test_a_co_that_no_law_moves_shows_none():
+    rng = np.random.default_rng(3)
+    pv, co = np.cumsum(rng.standard_normal((2, 600)), axis=1)
+    assert summed_law(Window(np.arange(600.0), np.zeros(600), pv, co)) is None
+    assert summed_law(Window(np.arange(600.0), np.zeros(600), pv, np.ones(600))) is None
+
+
+def _held(x: np.ndarray, deviation: float) -> np.ndarray:
+    """The last value until the signal leaves it."""
+    held = np.empty_like(x)
+    last = x[0]
+    for i, value in enumerate(x.tolist()):
+        last = value if abs(value - last) > deviation else last
+        held[i] = last
+    return held
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.4, 3.0, 100.0])

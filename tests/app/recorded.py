@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from retuner.cli import main
-from retuner.commands import run as run_command
+from retuner.commands.work import run as run_command
 from retuner.ledger import Ledger, LedgerReader
 from retuner.ledger.chain import Row
 

@@ -11,7 +11,8 @@ import pytest
 from audit_work import dies_or_works
 
 from retuner.audit.catalogue import Task, catalogue, files_of
-from retuner.audit.loop_row import AuditSettings, Row, audit_task, drawn, is_fault
+from retuner.audit.loop_row import SCHEMA, AuditSettings, Row, audit_task, drawn, is_fault
+from retuner.audit.planning import expected
 from retuner.audit.result_store import ResultStore, rows_of
 from retuner.audit.results import change, ranked, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine
@@ -151,7 +152,44 @@ def test_rows_are_ranked_and_what_comes_from_another_loop_waits_for_it() -> None
     assert listed[1]["action"] == "look at valve first"
     assert groups[0].root == "valve"
     assert [r["change"] for r in listed] == ["worse: was ok", "new", "same"]
-    assert change(row("x", 0.1), row("x", 0.5)) == "better"
+
+
+def test_what_became_of_a_loop_is_told_by_its_faults_and_its_error() -> None:
+    then = row("x", 0.5, screen={"iae_per_day": 100.0})
+
+    assert change(then, None) == "new"
+    assert change(row("x", 0.1, screen={"iae_per_day": 120.0}), then) == "same"
+    assert change(row("x", 0.1, screen={"iae_per_day": 250.0}), then) == "worse: error 2.5 times"
+    assert change(row("x", 0.1, screen={"iae_per_day": 20.0}), then) == "better: error 0.2 times"
+    assert change(row("x", 0.0, "ok", screen={"iae_per_day": 300.0}), then) == "better: was aggressive"
+    assert change(row("x", 0.4, "stiction", screen={"iae_per_day": None}), then) == "was aggressive"
+
+
+@pytest.mark.parametrize("schema", [1, 2, 3])
+def test_an_audit_of_an_earlier_program_is_compared_and_one_of_a_later_refused(tmp_path: Path, schema: int) -> None:
+    then = row("x", 0.5, screen={"iae_per_day": 100.0}) | {"schema": schema, "trend": {}}
+    with ResultStore(tmp_path) as store:
+        store.keep([then], "signed")
+    (before,) = rows_of(tmp_path)
+    listed, _ = ranked([row("x", 0.1, screen={"iae_per_day": 250.0})], [before])
+    assert listed[0]["change"] == "worse: error 2.5 times"
+    with ResultStore(tmp_path) as store:
+        store.keep([then | {"schema": SCHEMA + 1}], "signed")
+    with pytest.raises(UserError, match=f"of schema {SCHEMA + 1}, this program knows 1 to {SCHEMA}"):
+        rows_of(tmp_path)
+
+
+def test_dated_files_of_one_tag_are_one_loop_and_numbered_ones_are_not(tmp_path: Path) -> None:
+    for name in ("FIC101_0614.csv", "FIC101_2024-11-02_2.csv", "FIC102_1.csv", "FIC102_2.csv", "day_20240101.csv"):
+        table(tmp_path / name, "t,sp,pv,co", 3, rows=10)
+    found = catalogue(files_of([tmp_path]), FORM)
+
+    assert {task.tags[0]: len(task.files) for task in found.tasks} == {
+        "FIC101": 2,
+        "FIC102_1": 1,
+        "FIC102_2": 1,
+        "day_20240101": 1,
+    }
 
 
 def test_the_root_of_a_group_is_not_sent_upstream() -> None:
@@ -199,6 +237,7 @@ def test_an_audit_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFix
         (["--stretches", "25"], "stretches = 25: give 0 to 24"),
         (["--since", "nowhere"], "no audit in it"),
         (["--tag-pattern", "("], "--tag-pattern"),
+        (["--diagnose", "101"], "--diagnose 101: give 0 to 100 percent"),
     ],
 )
 def test_wrong_options_end_in_one_line(
@@ -268,3 +307,34 @@ def test_a_cluster_does_the_same_work() -> None:
         ((done, rows),) = on_a_cluster([task], AuditSettings(1), cluster.scheduler_address)
     assert done == task
     assert rows[0]["cause"] == "stiction"
+
+
+def test_a_share_of_the_loops_is_diagnosed_those_that_the_screening_shows_worst(
+    plant: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(VALVE, plant / "valve.csv")
+    arguments = ["audit", str(plant), "--out", str(tmp_path / "out"), "--jobs", "1", "--stretches", "1", "--json"]
+
+    def diagnosed(*more: str) -> set[str]:
+        assert main([*arguments, *more]) == 0
+        rows = json.loads(capsys.readouterr().out)["rows"]
+        return {row["tag"] for row in rows if row.get("looked_at")}
+
+    assert diagnosed("--diagnose", "0") == set()
+    assert diagnosed("--diagnose", "17") == {"valve"}
+    with ResultStore(tmp_path / "out") as store:
+        before = store.done()
+    assert diagnosed("--diagnose", "17") == {"valve"}
+    assert {"valve", "A", "B"} <= diagnosed()
+    with ResultStore(tmp_path / "out") as store:
+        after = store.done()
+    assert after["valve"] == before["valve"]
+    assert after["A"] != before["A"]
+
+
+def test_a_long_audit_is_foretold() -> None:
+    assert expected(100, 4, 1.0, 2) == ""
+    told = expected(10_000, 4, 1.0, 2)
+    assert "10000 loops, 100% of them diagnosed on up to 4 stretches of each record: about 1.7 h on 2 cores" in told
+    assert "--diagnose 20 takes the worst of them only, about 24 min" in told
+    assert "--diagnose" not in expected(10_000, 4, 0.2, 1)

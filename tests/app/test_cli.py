@@ -48,6 +48,17 @@ def test_help_and_version_load_nothing_heavy() -> None:
     assert done.stdout.startswith("retuner ")
 
 
+def test_help_of_what_works_on_controllers_loads_no_bus_and_no_numbers() -> None:
+    names = sorted(set(cli.COMMANDS) - cli.ON_RECORDS)
+    script = f"""if True:
+        import sys
+        from retuner.cli import main
+        assert [main([name, "--help"]) for name in {names!r}] == [0] * {len(names)}
+        print(sorted({set(HEAVY) - {"pydantic"}!r} & set(sys.modules)), file=sys.stderr)  # typer has pydantic"""
+    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True, check=True)
+    assert (done.stderr.strip(), len(names) > 10) == ("[]", True)
+
+
 def test_identify_loads_only_what_it_works_with(tmp_path: Path) -> None:
     rows = [f"{i * 0.1:.1f},0,{pv:.3f},{i >= 100:d}" for i, pv in enumerate(0.1 * max(0, i - 120) for i in range(300))]
     (tmp_path / "a.csv").write_text("t,sp,pv,co\n" + "\n".join(rows) + "\n")

@@ -17,7 +17,7 @@ from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import Question
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.cli import main
-from retuner.commands import run as run_command
+from retuner.commands.work import run as run_command
 from retuner.decisions.decider import LATE, LOST, Answer, DecideHere, Decider
 from retuner.decisions.shared_workers import DecisionWorkers
 from retuner.decisions.worker import DecideInWorker

@@ -155,3 +155,21 @@ def test_the_session_says_what_it_was_made_with(session: Path) -> None:
     assert len(first["config_sha256"]) == 64
     end = bodies(session, "end")[0]
     assert len(end["bus_log_sha256"]) == 64
+
+
+def test_the_ledger_reads_as_one_argument(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What was seen and what explains it; what was done names its decision; its trial says what came of it."""
+    assert main(["ledger", "show", str(session), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    made = next(row for row in rows if row["kind"] == "decision" and row["new"])
+    name = made["why"].split(",")[0]
+    assert made["evidence"].split(" | ")[0].endswith("response")
+    assert made["verdict"].count("Ms before") <= 1
+    after = [row for row in rows if row["row"] > made["row"]]
+    assert next(row["why"] for row in after if row["kind"] == "intent") == f"the gains of {name}"
+    assert next(row["why"] for row in after if row["kind"] == "trial") == f"{name} is on trial"
+    judged = next(row for row in after if row["kind"] == "judged")
+    assert judged["why"].startswith(f"the trial of {name} ")
+    alone = ["ledger", "show", str(session), "--json", "--kind", "judged"]
+    assert main(alone) == 0
+    assert json.loads(capsys.readouterr().out)["rows"][0]["why"] == judged["why"]  # also without the rows before it

@@ -58,7 +58,7 @@ def test_it_is_a_row_before_the_end_and_files_beside_the_report(session: Path) -
     assert (session / "refined-schedule.toml").read_text() == schedule_section(OTHER)
     summary = json.loads((session / "summary.json").read_text())
     assert any(one["kind"] == "refine" for one in summary["advice"])
-    line = told(Row(7, 1.0, "schedule", json.dumps(row), "", ""))
+    (line,) = told([Row(7, 1.0, "schedule", json.dumps(row), "", "")])
     assert (line.who, line.verdict) == ("retuner", "proposed")
 
 
@@ -106,7 +106,8 @@ def test_a_run_of_it_begins_its_ledger_with_that(session: Path, tmp_path: Path) 
     assert main(["run", str(config), "--out", str(tmp_path / "next"), "--no-compare", "--mode", "off"]) == 0
     (begun,) = bodies(tmp_path / "next", "session")
     assert begun["schedules"] == [{"loop": "short", "hash": digest_of(OTHER), "as_proposed": True}]
-    assert "as proposed" in told(Row(1, 0.0, "session", json.dumps(begun), "", "")).verdict
+    (line,) = told([Row(1, 0.0, "session", json.dumps(begun), "", "")])
+    assert "as proposed" in line.verdict
 
 
 def test_what_is_not_a_proposed_schedule_is_not_taken_up(session: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import itertools
 import json
 import shutil
+import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,7 +16,7 @@ from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.cli import main
-from retuner.commands.replay import IN_FORCE_SAMPLES, InForce
+from retuner.commands.work.replay import IN_FORCE_SAMPLES, InForce
 from retuner.drivers.recorded.frame_log import read_frames
 from retuner.errors import UserError
 from retuner.schedule.gains import PidGains
@@ -69,6 +70,26 @@ def test_a_trend_and_a_bus_log_answer_alike_and_twice_the_same(
         again = asked(other, config, capsys)["decisions"]
         assert [d["gains_after"] for d in again] == [d["gains_after"] for d in bus["decisions"]], suffix
         assert [d["reason"] for d in again] == [d["reason"] for d in bus["decisions"]], suffix
+
+
+def test_the_library_of_mf4_waits_until_one_is_read(tmp_path: Path) -> None:
+    log = tmp_path / "bus.mf4"
+    with can.Logger(log) as writer:
+        for i in range(3):
+            writer.on_message_received(can.Message(arbitration_id=i, timestamp=0.1 * i, is_extended_id=False))
+    script = f"""if True:
+        import sys
+        from pathlib import Path
+        from retuner.cli import main
+        main(["--version"])
+        from retuner.drivers.recorded.frame_log import read_frames
+        print("pandas" in sys.modules, len(list(read_frames(Path({str(log)!r})))), "pandas" in sys.modules)
+        log = Path({str(tmp_path / "damaged.mf4")!r})
+        log.write_bytes(b"MDF     4.10    " + bytes(90))
+        list(read_frames(log))"""
+    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == "False 3 True"
+    assert "RecordingError" in done.stderr.splitlines()[-1]
 
 
 def test_text_says_that_nothing_was_written(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,8 +6,9 @@
 #include "modes.h"
 
 enum { MOST_P = 40, MOST_COLUMNS = 96, MOST_STARTS = 8, MOST_LOADS = 24, MOST_AR = 16, MOST_HARMONICS = 12 };
-enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG };
-static const int SIZE[] = {3, 4, 2, 3}, LAG[] = {2, 2, -1, -1}, SECOND[] = {-1, 3, -1, 2};
+enum { FOPDT, SOPDT, INTEGRATING, INTEGRATING_LAG, SOPDT_INVERSE, TYPES };
+static const int SIZE[] = {3, 4, 2, 3, 5}, LAG[] = {2, 2, -1, -1, 2}, SECOND[] = {-1, 3, -1, 2, 3};
+static const int INVERSE[] = {-1, -1, -1, -1, 4};
 enum { SLOPE, THETA };
 
 static const double LEAST_ZETA = 0.35, SWING_WEIGHT = 30.0; /* structure.py, misfit.py */
@@ -224,12 +225,12 @@ static void read_parameters(Work *w, const double *p, double least) {
     w->gain = w->p.sign * exp(p[SLOPE]), w->theta = exp(p[THETA]);
     w->c2 = SECOND[type] >= 0 ? exp(p[SECOND[type]]) : 0;
     w->c0 = LAG[type] >= 0 ? exp(-p[LAG[type]]) : 0;
-    w->modes = modes_of(w->c2, w->c0, least);
+    w->modes = inverse_of(modes_of(w->c2, w->c0, least), INVERSE[type] >= 0 ? exp(p[INVERSE[type]]) : 0);
     w->rate = w->p.rounded ? 1 / exp(p[size + loads]) : 0;
     w->load_modes = w->p.rounded ? apart_from(w->modes, w->rate) : w->modes;
     w->tone = w->p.harmonics ? exp(p[w->p.size - 1]) : 0;
     double most = -log(4 * LEAST_ZETA * LEAST_ZETA);
-    w->swing = type == SOPDT ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
+    w->swing = type == SOPDT || type == SOPDT_INVERSE ? SWING_WEIGHT * fmax(0, p[SECOND[type]] - p[LAG[type]] - most) : 0;
 }
 
 static void put_basis(Work *w, int j, double at, const Modes *m, const Interval *steps, int rounded) {

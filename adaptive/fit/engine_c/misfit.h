@@ -152,7 +152,7 @@ static void add_change(const Work *w, int k, const Basis *basis, Form f, const B
 
 static const Form NO_FORM = {0};
 
-/* By ln T (q = 0) or ln c2 (q = 1). */
+/* By ln T (q = 0), ln c2 (q = 1) or ln b (q = 2). */
 static void change_by_dynamics(Work *w, int q, double *change) {
     const Problem *p = &w->p;
     const Modes *m = &w->modes;
@@ -235,7 +235,7 @@ static void put_change(Work *w, int j, double *change) {
     else if (j == THETA)
         change_by_theta(w, change);
     else if (j < d)
-        change_by_dynamics(w, j == SECOND[p->type], change);
+        change_by_dynamics(w, j == INVERSE[p->type] ? 2 : j == SECOND[p->type], change);
     else if (j < d + p->loads)
         change_by_load_time(w, j - d, change);
     else if (j < d + p->loads + p->rounded)

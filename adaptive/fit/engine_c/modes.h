@@ -95,11 +95,11 @@ WIDE static Py_ssize_t largest(const double *x, Py_ssize_t n) {
 
 /* ---------------------------------------------------------------- modes of the process */
 
-/* s : rates. w : weights. ds, dw : their derivatives by ln T (0) and ln c2 (1). count : of different rates;
+/* s : rates. w : weights. ds, dw : their derivatives by ln T (0), ln c2 (1) and ln b (2). count : of different rates;
  * pair : the one rate stands for itself and its conjugate. */
 typedef struct {
     int count, pair;
-    cplx s[2], w[2], ds[2][2], dw[2][2];
+    cplx s[2], w[2], ds[3][2], dw[3][2];
 } Modes;
 
 static Modes modes_of(double c2, double c0, double least) {
@@ -126,6 +126,17 @@ static Modes modes_of(double c2, double c0, double least) {
         m.ds[0][j] = over(cx(-side * c0, 0), root);
         m.ds[1][j] = over(scaled(times(s[j], s[j]), side * c2), root);
         m.dw[0][j] = scaled(bend, -side), m.dw[1][j] = scaled(bend, side);
+    }
+    return m;
+}
+
+/* The same behind a zero in the right half-plane, 1 - b s: the weight of a mode e^(-s t) grows by 1 + b s. */
+static Modes inverse_of(Modes m, double b) {
+    for (int j = 0; b > 0 && j < m.count; j++) {
+        cplx grown = plus(cx(1, 0), scaled(m.s[j], b)), w = m.w[j];
+        for (int q = 0; q < 2; q++)
+            m.dw[q][j] = plus(times(m.dw[q][j], grown), scaled(times(w, m.ds[q][j]), b));
+        m.w[j] = times(w, grown), m.dw[2][j] = scaled(times(w, m.s[j]), b);
     }
     return m;
 }
@@ -216,7 +227,7 @@ static Form ramp_form(const Modes *m) {
     return f;
 }
 
-/* Derivatives by ln T (q = 0) and ln c2 (q = 1); a rate of zero stays zero. */
+/* Derivatives by ln T (q = 0), ln c2 (q = 1) and ln b (q = 2); a rate of zero stays zero. */
 static Form step_slope(const Modes *m, int q) {
     Form f = {0};
     cplx k[2] = {{0, 0}}, xk[2] = {{0, 0}}, x[2] = {{0, 0}};

@@ -1,9 +1,10 @@
 """Which loops a plant's files hold: found by the names of columns, of files or of folders, nothing being read whole.
 
 A file of one loop without tags is that loop's record, called by the file's name, or by the part of it that
-`--tag-pattern` names. Loops that share their text files are one task: text is read once. Of Parquet files that loops
-share, a task takes as many loops as fit a piece; a loop longer than that is read in pieces, where every file has all of
-its signals.
+`--tag-pattern` names. Without a pattern, a tag before a date (FIC101_0614.csv) is the loop, and files of one tag are
+its records: else one bad valve would fill the list. Loops that share their text files are one task: text is read once.
+Of Parquet files that loops share, a task takes as many loops as fit a piece; a loop longer than that is read in pieces,
+where every file has all of its signals.
 """
 
 import re
@@ -32,6 +33,8 @@ ANY_FAULT = (
 )
 """What costs a file or a loop itself and no other: bad input, and faults of this program in a record like no other."""
 WHOLE = frozenset({"pv", "co"})
+DATED = re.compile(r"^(\d{0,4}[A-Z]{2,5}[-_]?\d{2,6}[A-Z]?)[ _-](?=(?:\d{1,3}[ _-])*\d{4})[\d ._:T-]+$")
+"""A tag (letters of its function, number) before digits that hold a date; FIC101_1 and FIC101_2 may be two loops."""
 FEW, MANY = 4, 64
 """Loops of a task at most, of wide Parquet files and of long ones, which are looked through for each task."""
 
@@ -116,7 +119,7 @@ def catalogue(files: Sequence[Path], form: RecordForm, tag_pattern: str = "") ->
     Parameters
     ----------
     files : as files_of gives them. form : what is known of their form. tag_pattern : a regular expression; what its
-    first group finds in a file's name is the tag of a record without tags.
+    first group finds in a file's name is the tag of a record without tags. None: a tag before a date is one.
     """
     held: dict[Path, _Held] = {}
     refused: list[tuple[Path, str]] = []
@@ -229,7 +232,7 @@ def _of_columns(path: Path, names: Sequence[str], form: RecordForm) -> _Held:
 
 def _by_name(path: Path, pattern: str) -> str:
     """The tag of a record without one: from its file's name."""
-    match = re.search(pattern, path.name) if pattern else None
+    match = re.search(pattern, path.name) if pattern else DATED.match(path.stem)
     if match is None:
         return path.stem
     return match.group(1) if match.groups() else match.group(0)

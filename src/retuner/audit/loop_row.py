@@ -6,17 +6,19 @@ with that of an earlier audit. A loop that fails is a row with the reason.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from retuner.adaptive.audit.attainable import Foreseen, foreseen
 from retuner.adaptive.audit.loop_screen import LoopScreen, joined_screen, screen_loop
 from retuner.adaptive.audit.tracks import damped_track, swing_track, trend_track
-from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, loop_verdict
-from retuner.adaptive.audit.windows import stretches_of_interest
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.audit.verdict import SWINGS, LoopVerdict, StretchVerdict, asks, loop_verdict, with_foreseen
+from retuner.adaptive.audit.windows import spread_over, stretches_of_interest
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
+from retuner.adaptive.identification.robust_simc import RobustSettings, believed, robust_simc
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import RecordDiagnosis, diagnose_record
 from retuner.audit.catalogue import ANY_FAULT, Task, told_fault
@@ -25,7 +27,7 @@ from retuner.drivers.historian.parquet_tables import MOST_ROWS
 from retuner.drivers.historian.record_form import RecordForm
 from retuner.drivers.recorded.recording import RecordingError
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of a row's keys."""
 OWN_SWING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
 """Causes by which a loop oscillates of itself."""
@@ -114,6 +116,7 @@ class _Seen:
 
     screens: list[LoopScreen] = field(default_factory=list)
     parts: list[tuple[StretchVerdict, Row, RecordDiagnosis]] = field(default_factory=list)
+    spread: list[Window] = field(default_factory=list)
     trends: list[tuple[float, Trend]] = field(default_factory=list)
     assumed: dict[str, None] = field(default_factory=dict)
     begin_s: float | None = None
@@ -135,6 +138,8 @@ class _Seen:
             seen = StretchVerdict(begin_s, end_s, told.cause, told.confidence, told.reason)
             file = Path(record.recording.source).name
             self.parts.append((seen, {"file": file, **_stretch(stretch, seen, found)}, found))
+        if settings.stretches and known:
+            self.spread += [_own_copy(part) for part in spread_over(window)]
         if screen.span_s >= max((one.span_s for one in self.screens), default=0.0):
             self.tracks = _tracks(window, record.begin_s or 0.0, screen, _own_period_s(self.parts))
         self.end_s = max(self.end_s, later_s + float(window.t_s[-1]))
@@ -172,12 +177,18 @@ def _judged(tag: str, seen: _Seen, *, common_clock: bool) -> Row:
     """The row of a loop whose records were seen."""
     screen = joined_screen([one for one in seen.screens if one.setpoint] or seen.screens)
     verdict = loop_verdict(screen, [part[0] for part in seen.parts])
+    cure = _cure(verdict, [part[2] for part in seen.parts])
+    then = _foreseen(cure, seen.spread) if cure is not None else None
+    if verdict.cause in TUNING_CAUSES:
+        verdict = with_foreseen(verdict, then, proposed=cure is not None and cure.settings is not None)
     harmonics = (part[2].diagnosis.evidence.get("third_harmonic", 0.0) for part in seen.parts)
     return {
         **_told(tag, seen, screen, verdict),
+        "asks": asks(screen),
         "harmonic": max(harmonics, default=0.0),
         "sticks": sum(p[0].confidence for p in seen.parts if p[0].cause == Cause.STICTION) / max(len(seen.parts), 1),
-        "settings": _settings(verdict, [part[2] for part in seen.parts]),
+        "settings": _settings(cure),
+        "process": _process(cure, then),
         "tracks": seen.tracks if common_clock else {},
         "stretches": [part[1] for part in seen.parts],
         "trend": _one_trend(seen.trends),
@@ -215,7 +226,8 @@ def _told(tag: str, seen: _Seen, screen: LoopScreen, verdict: LoopVerdict) -> Ro
         "looked_at": verdict.looked_at,
         "avoidable": avoidable,
         "rank": verdict.rank,
-        "loss_per_day": avoidable**0.5 * screen.iae_per_day if avoidable is not None and screen.setpoint else None,
+        "basis": str(verdict.basis),
+        "loss_per_day": avoidable * screen.iae_per_day if avoidable is not None and screen.setpoint else None,
         "screen": screen.to_dict(),
         "assumed": list(seen.assumed),
     }
@@ -228,14 +240,46 @@ def _moment(begin_s: float | None, after_s: float) -> str | None:
     return datetime.fromtimestamp(begin_s + after_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
-def _settings(verdict: LoopVerdict, found: Sequence[RecordDiagnosis]) -> Row | None:
-    """The settings that would cure the loop, with their margins: of the surest stretch that has them."""
-    fitting = [f for f in found if f.diagnosis.cause == verdict.cause and f.diagnosis.retune and f.settings is not None]
-    best = max(fitting, key=lambda f: f.diagnosis.confidence, default=None)
-    if best is None or best.settings is None:
+def _cure(verdict: LoopVerdict, found: Sequence[RecordDiagnosis]) -> RecordDiagnosis | None:
+    """The surest stretch of a cause of tuning that told the process, one with settings where there is one."""
+    if verdict.cause not in TUNING_CAUSES:
         return None
-    told = best.settings.to_dict()
-    return {name: told[name] for name in ("gains", "form", "margins")} | {"first_step": best.aim is not None}
+    telling = [f for f in found if f.diagnosis.cause == verdict.cause and f.estimate is not None]
+    return max(telling, key=lambda f: (f.settings is not None, f.diagnosis.confidence), default=None)
+
+
+def _own_copy(part: Window) -> Window:
+    """A part that does not hold its whole record."""
+    return Window(part.t_s.copy(), part.sp.copy(), part.pv.copy(), part.co.copy())
+
+
+def _foreseen(cure: RecordDiagnosis, records: Sequence[Window]) -> Foreseen | None:
+    """What settings would have made of parts spread over the record; the rule's own where none are proposed."""
+    estimate = cure.estimate
+    if estimate is None or not records:
+        return None
+    rule = RobustSettings()
+    models = [one.model for one in believed(estimate.plausible, rule.believed)] or [estimate.log.model()]
+    if cure.settings is not None:
+        return foreseen(records, models, cure.settings.gains)
+    interval_s = min(record.sample_time_s for record in records)
+    return foreseen(records, models, robust_simc(estimate, interval_s, rule).tuning.gains)
+
+
+def _settings(cure: RecordDiagnosis | None) -> Row | None:
+    """The settings that would cure the loop, with their margins."""
+    if cure is None or cure.settings is None:
+        return None
+    told = cure.settings.to_dict()
+    return {name: told[name] for name in ("gains", "form", "margins")} | {"first_step": cure.aim is not None}
+
+
+def _process(cure: RecordDiagnosis | None, then: Foreseen | None) -> Row | None:
+    """The process that was identified, and what settings for it would have made of the record."""
+    if cure is None or cure.estimate is None:
+        return None
+    brings = {name: value for name, value in asdict(then).items() if value != -math.inf} if then is not None else None
+    return {"model": cure.estimate.log.model().to_dict(), "foreseen": brings}
 
 
 def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) -> Row:
@@ -255,6 +299,12 @@ def _stretch(window: Window, verdict: StretchVerdict, found: RecordDiagnosis) ->
 def drawn(window: Window, points: int) -> Trend:
     """A trend for a screen: of each of its columns the lowest and the highest value, so that no peak is lost."""
     return _thinned(window.t_s, {name: getattr(window, name) for name in ("sp", "pv", "co")}, points)
+
+
+def smaller(trend: Trend, points: int) -> Trend:
+    """A trend that was drawn already, with fewer points."""
+    signals = {name: np.array(trend[name]) for name in ("sp", "pv", "co")}
+    return _thinned(np.array(trend["t_s"]), signals, points)
 
 
 def _thinned(t_s: FloatArray, signals: Mapping[str, FloatArray], points: int) -> Trend:
@@ -280,5 +330,5 @@ def _short(values: FloatArray, digits: int = 6) -> list[float]:
 
 
 def is_fault(row: Row) -> bool:
-    """Whether a row asks for a visit."""
+    """Whether a row asks for a visit; a cause that is known stays one however little its cure brings."""
     return row.get("cause") not in {str(Cause.OK), str(Cause.NOISE)} and float(str(row["rank"])) > 0

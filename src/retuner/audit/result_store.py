@@ -79,12 +79,12 @@ class ResultStore:
 
 
 def rows_of(folder: Path) -> list[Row]:
-    """The rows of an earlier audit, without their pictures.
+    """The rows of an earlier audit, without their pictures; of an earlier program as well, whose rows hold less.
 
     Raises
     ------
     UserError
-        There is no audit in the folder, or one of another version.
+        There is no audit in the folder, or one of a later program.
     """
     path = folder / NAME
     if not path.is_file():
@@ -94,7 +94,8 @@ def rows_of(folder: Path) -> list[Row]:
             rows: list[Row] = [json.loads(said) for (said,) in store.execute("select row from loops order by tag")]
     except (sqlite3.Error, ValueError) as error:
         raise UserError(f"{path}: cannot be read: {error}") from error
-    other = next((row for row in rows if row.get("schema") != SCHEMA), None)
-    if other is not None:
-        raise UserError(f"{path}: of schema {other.get('schema')}, this program's is {SCHEMA}; make that audit again")
+    later = next((row for row in rows if row.get("schema") not in range(1, SCHEMA + 1)), None)
+    if later is not None:
+        said = f"of schema {later.get('schema')}, this program knows 1 to {SCHEMA}"
+        raise UserError(f"{path}: {said}; take the program that made it, or a later one")
     return [{k: v for k, v in row.items() if k not in {"trend", "stretches"}} for row in rows]

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
+from retuner.adaptive.audit.loop_screen import DAY_S
 from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
 from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
-from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault
+from retuner.audit.loop_row import OWN_SWING, SCHEMA, Row, is_fault, smaller
 from retuner.drivers.historian.assumption import quoted
 from retuner.files import write_whole
 
@@ -30,10 +31,12 @@ SWUNG = frozenset({str(cause) for cause in (*TUNING_CAUSES, Cause.EXTERNAL, Caus
 """Causes that a swing in step with a root's takes the place of."""
 ROOT_SURE = 0.9
 """How sure the root of a coherent group is."""
+SMALL = 240
+"""Points of a small picture."""
 MOST_FIRST = 10
 """Loops that the page tells first, with the reason."""
-WORSE = 1.2
-"""Ratio of ranks from which a loop became worse, or better."""
+WORSE = 1.5
+"""Ratio of errors a day from which a loop became worse, or better: loads differ from month to month."""
 
 
 def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], list[CommonSwing]]:
@@ -154,17 +157,20 @@ def _number(row: Row, name: str) -> float:
 
 
 def change(row: Row, earlier: Row | None) -> str:
-    """What became of a loop since an earlier audit, in a word or two."""
+    """What became of a loop since an earlier audit, in some words.
+
+    Faults that came or went, and the error on record: both are told alike by all versions of a row.
+    """
     if earlier is None:
         return "new"
-    now, then = _number(row, "rank"), _number(earlier, "rank")
-    if now > WORSE * then and row["cause"] != earlier["cause"]:
-        return f"worse: was {earlier['cause']}"
-    if now > WORSE * then:
-        return "worse"
-    if then > WORSE * now:
-        return "better"
-    return "same"
+    now, then = is_fault(row), is_fault(earlier)
+    if now != then:
+        return f"{'worse' if now else 'better'}: was {earlier['cause']}"
+    error, before = mean_error(row), mean_error(earlier)
+    times = error / before if error is not None and before else 1.0
+    if times > WORSE or times * WORSE < 1:
+        return f"{'worse' if times > 1 else 'better'}: error {times:.2g} times"
+    return "same" if row["cause"] == earlier["cause"] else f"was {earlier['cause']}"
 
 
 def write_joined(path: Path, found: Catalogue) -> None:
@@ -188,11 +194,13 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     visits = Counter(_kind_of_visit(row) for row in rows if is_fault(row))
     worth, quiet = sum(visits.values()), sum(row["cause"] in calm for row in rows)
     broken = sum("failed" in row for row in rows)
-    untold = len(rows) - worth - quiet - broken
+    screened = sum(row["action"] == str(Action.SCREENED) for row in rows)
+    untold = len(rows) - worth - quiet - broken - screened
     kinds = ", ".join(f"{count} {kind}" for kind, count in visits.most_common())
     told = [f"{worth} of {len(rows)} loops deserve a visit{': ' * bool(kinds)}{kinds}"]
     told += [f"{quiet} {'is' if quiet == 1 else 'are'} in order"] * bool(quiet)
     told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to tell; each says what would"] * bool(untold)
+    told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing stands out"] * bool(screened)
     told += [f"{broken} could not be judged"] * bool(broken)
     told += [f"{refused} {'file is' if refused == 1 else 'files are'} no record"] * bool(refused)
     return ". ".join(told) + "."
@@ -243,7 +251,7 @@ def write_results(
         "refused": [{"file": str(path), "reason": reason} for path, reason in refused],
     }
     write_whole(folder / "audit.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-    page = {**document, "rows": [_for_the_page(row) for row in listed], "since": bool(before)}
+    page = {**document, "rows": [_for_the_page(row, folder) for row in listed], "since": bool(before)}
     write_whole(folder / "audit-data.js", "const AUDIT = " + _script(page) + ";\n")
     write_whole(folder / "index.html", files("retuner.templates").joinpath("audit.html").read_text(encoding="utf-8"))
     _write_parquet(folder / "audit.parquet", listed)
@@ -273,18 +281,42 @@ def _script(value: object) -> str:
     )
 
 
-def _for_the_page(row: Row) -> Row:
-    """What the list shows of a loop."""
+def _for_the_page(row: Row, folder: Path) -> Row:
+    """What the list shows of a loop; folder : of its file, from which the first have a picture."""
     screen = row.get("screen")
     period_s = screen.get("period_s") if isinstance(screen, Mapping) else None
-    shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "loss_per_day", "since", "change", "file")
+    shown = ("place", "tag", "cause", "confidence", "action", "avoidable", "basis", "since", "change", "file")
     looked_at = _number(row, "looked_at")
     share = _number(row, "seen") / looked_at if looked_at and row.get("seen") else None
     told = {name: row[name] for name in ("master", "slaves", "swings_with", "root", "upsets") if row.get(name)}
     if is_fault(row) and _number(row, "place") <= MOST_FIRST:
-        told["why"] = row.get("reason", "")
+        told |= {"why": row.get("reason", ""), "look": _to_look_at(folder / "loops" / str(row["file"]))}
     told["cause"] = _named(row)
+    told |= {"error": error} if (error := mean_error(row)) is not None else {}
+    told |= {"calmer": calmer} if (calmer := _calmer(row)) else {}
     return {name: row.get(name) for name in shown} | {"period_s": period_s, "seen_share": share} | told
+
+
+def mean_error(row: Row) -> float | None:
+    """The mean |sp - pv| of a loop in the unit of pv; None where it is not known."""
+    screen = row.get("screen")
+    a_day = screen.get("iae_per_day") if isinstance(screen, Mapping) else None
+    return a_day / DAY_S if a_day is not None else None
+
+
+def _calmer(row: Row) -> float | None:
+    """Share of co's travel that would go with the settings proposed."""
+    process = row.get("process")
+    found = process.get("foreseen") if isinstance(process, Mapping) and row.get("settings") else None
+    return float(found["calmer"]) if found else None
+
+
+def _to_look_at(path: Path) -> Mapping[str, list[float]] | None:
+    """The stretch that shows a loop's cause most surely, out of its file, as a small picture; else its whole trend."""
+    row = json.loads(path.read_text(encoding="utf-8").removeprefix("loop(").removesuffix(");\n"))
+    own = [part for part in row.get("stretches") or [] if part["cause"] == row["cause"]]
+    best = max(own, key=lambda part: float(part["confidence"]), default=row)
+    return smaller(best["trend"], SMALL) if best.get("trend") else None
 
 
 def _named(row: Row) -> str:

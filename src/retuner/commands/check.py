@@ -22,8 +22,8 @@ UNUSABLE = 2  # exit status of a configuration that cannot be used: bad input
 @app.command(epilog="Example: retuner check oven.toml")
 def check(path: ConfigFile, as_json: Json = False) -> int:
     """Check a configuration: each error with file, line, key and limit; without errors, a summary."""
-    from retuner.commands.foreseen import foreseen  # noqa: PLC0415  see above
-    from retuner.config.loading import (  # noqa: PLC0415  see above
+    from retuner.commands.work.foreseen import foreseen
+    from retuner.config.loading import (
         UnusableError,
         parse_session,
         read_text,

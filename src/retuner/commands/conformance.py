@@ -15,7 +15,6 @@ from retuner.errors import UserError
 if TYPE_CHECKING:  # slow to load, and `--help` needs none of it
     from retuner.drivers.conformance.examination import Examination
 
-RESTART_S = 60.0  # how long somebody may take to switch the device off and on
 
 app = typer.Typer(add_completion=False)
 
@@ -57,13 +56,13 @@ def _examined(
     restart: bool,
 ) -> "Examination":
     """The examination on the bus."""
-    from retuner.drivers.bus.bus import CanLink, LinkSettings  # noqa: PLC0415  see above
-    from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415
-    from retuner.drivers.conformance.chapters import chapters  # noqa: PLC0415
-    from retuner.drivers.conformance.conversation import Conversation, NoAnswerError  # noqa: PLC0415
-    from retuner.drivers.conformance.counterparts import OnBus  # noqa: PLC0415
-    from retuner.drivers.conformance.examination import examine  # noqa: PLC0415
-    from retuner.drivers.host.key_file import read_key  # noqa: PLC0415
+    from retuner.drivers.bus.bus import CanLink, LinkSettings
+    from retuner.drivers.clock import MonotonicClock
+    from retuner.drivers.conformance.chapters import chapters
+    from retuner.drivers.conformance.conversation import Conversation, NoAnswerError
+    from retuner.drivers.conformance.counterparts import OnBus
+    from retuner.drivers.conformance.examination import examine
+    from retuner.drivers.host.key_file import read_key
 
     clock = MonotonicClock()
     key = None if key_file is None else read_key(key_file)

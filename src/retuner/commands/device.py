@@ -30,7 +30,7 @@ def device(
     loop: Loop = None,
 ) -> int:
     """Run a virtual controller with a simulated plant on a CAN bus, until stopped; of several loops, all."""
-    from retuner.config.session_config import SessionConfig  # noqa: PLC0415  see above
+    from retuner.config.session_config import SessionConfig
 
     session = all_on_bus(_read(path, profile), interface, channel)
     configs = session.loops if loop is None else (session.loops[session.place(loop)],)
@@ -49,7 +49,7 @@ def device(
 
 def _read(path: Path | None, profile: str) -> "SessionConfig":
     """The configuration of the file, or of a profile's example."""
-    from retuner.config.loading import load_session, parse_session  # noqa: PLC0415  see above
+    from retuner.config.loading import load_session, parse_session
 
     if (path is None) == (not profile):
         raise UserError("give a configuration file, or --profile odrive, cia402 or cia404: one of them")
@@ -58,10 +58,10 @@ def _read(path: Path | None, profile: str) -> "SessionConfig":
 
 def _be(session: "SessionConfig", speed: float, until_s: float) -> None:
     """The controllers on their buses, until their time is over or somebody stops them."""
-    from retuner.drivers.clock import MonotonicClock  # noqa: PLC0415  see above
-    from retuner.drivers.controller.device_process import fresh_epoch, run_devices  # noqa: PLC0415
-    from retuner.session.bench import far_ends  # noqa: PLC0415
-    from retuner.stopping import stoppable  # noqa: PLC0415
+    from retuner.drivers.clock import MonotonicClock
+    from retuner.drivers.controller.device_process import fresh_epoch, run_devices
+    from retuner.session.bench import far_ends
+    from retuner.stopping import stoppable
 
     clock = MonotonicClock(speed)
     with far_ends(session, speed, clock, fresh_epoch) as devices:

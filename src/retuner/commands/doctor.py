@@ -26,8 +26,8 @@ def doctor(
 
     The exit status is 1 where something does not work that every session needs.
     """
-    from retuner.doctor import Level, findings  # noqa: PLC0415  see above
-    from retuner.verbosity import quiet  # noqa: PLC0415
+    from retuner.doctor import Level, findings
+    from retuner.verbosity import quiet
 
     if not folder.is_dir():
         raise UserError(f"--folder {folder}: there is no such folder; make it or name another")

@@ -2,39 +2,10 @@
 the evaluation of a recorded one (--from FILE).
 """
 
-import json
-import sys
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, NamedTuple
-
 import typer
-from rich.console import Console
 
-from retuner.adaptive.experiments.plan import Kind, Plan
-from retuner.adaptive.rules.registry import rule_named
-from retuner.commands.options import Channel, Interface, Json, Loop, on_bus, signed_by
-from retuner.commands.recorded.record_form import FormOptions, read_record, tell_assumed
-from retuner.config import Config, load_config
-from retuner.drivers.device import DeviceError
-from retuner.drivers.recorded.recording import require_excitation, require_setpoint
-from retuner.errors import UserError, user_input
-from retuner.experiment.drawing import experiment_png
-from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, described, evaluate, headline
-from retuner.experiment.on_demand import OnDemandExperiment
-from retuner.experiment.result import RECORD
-from retuner.experiment.runner import Bench
-from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
-from retuner.files import write_whole
-from retuner.ledger import Ledger
-from retuner.report.console import RunScreen, screen_console
-from retuner.session.assembly import make_plant
-from retuner.session.bench import live, simulated
-from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
-from retuner.session.running import real_time_speed
-from retuner.stopping import stoppable
-from retuner.verbosity import quiet
+from retuner.commands.options import signed_by
+from retuner.commands.work.experiment_options import RelayOptions, SetpointOptions, StepOptions, UltimateOptions
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -42,89 +13,6 @@ app = typer.Typer(
     help="Make a step, setpoint or relay test, or evaluate a recorded one.",
     epilog="Example: retuner experiment relay examples/oven.toml --amplitude 5",
 )
-
-Rule = Annotated[str, typer.Option(help="Tuning rule.")]
-ControllerKind = Annotated[str | None, typer.Option("--kind", help="p, pi or pid, as the rule has it.")]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedOptions(FormOptions):
-    """A recorded experiment and how to show it."""
-
-    file: Annotated[Path | None, typer.Option("--from", metavar="FILE", help="Evaluate this recording instead.")] = None
-    plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Draw the recording.")] = None
-    method: Annotated[str, typer.Option(help="Whose model is tuned for; fit, or a named method of this test.")] = "fit"
-    rule: Rule = "simc"
-    kind: ControllerKind = None
-    as_json: Json = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OnDemandOptions(RecordedOptions):
-    """A test on a controller, or a recorded one."""
-
-    config: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration (TOML): run the test on its controller.")
-    ] = None
-    interface: Interface = None
-    channel: Channel = None
-    speed: Annotated[str, typer.Option(help="max: simulated time; a number: how fast the far side's time runs.")] = (
-        "max"
-    )
-    pv_low: Annotated[float | None, typer.Option(help="Abort below this pv; default the loop's range.")] = None
-    pv_high: Annotated[float | None, typer.Option(help="Abort above this pv; default the loop's range.")] = None
-    deviation: Annotated[
-        float | None, typer.Option(help="Abort so far from rest, pv units; default 20 % of the range.")
-    ] = None
-    time: Annotated[float | None, typer.Option("--time", help="Longest excitation, s; default 2000 samples.")] = None
-    rest: Annotated[float | None, typer.Option("--rest", help="Longest wait for rest, s; default 300 samples.")] = None
-    out: Annotated[Path | None, typer.Option(help="Folder for record, picture, ledger and bus log.")] = None
-    loop: Loop = None
-    yes: Annotated[bool, typer.Option("--yes", help="The settings are confirmed: write them.")] = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepOptions(OnDemandOptions):
-    """Open-loop step of the output. Methods: fit, two-point, tangent, reaction-curve, 63-percent, slope."""
-
-    amplitude: Annotated[float | None, typer.Option(help="Step of co, percent; default 5 % of its range.")] = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetpointOptions(OnDemandOptions):
-    """Setpoint step under proportional control. Methods: fit, two-step; --rule setpoint-overshoot needs no model."""
-
-    amplitude: Annotated[float | None, typer.Option(help="Step of sp, pv units; default 5 % of the range.")] = None
-    kc0: Annotated[float | None, typer.Option(help="Proportional gain of the test; default the active one.")] = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RelayOptions(OnDemandOptions):
-    """Relay feedback: Ku and Pu, and a model. Methods: fit, asymmetric; rules zn-ultimate ... take Ku and Pu."""
-
-    amplitude: Annotated[float | None, typer.Option(help="Of the relay, percent of co; default 5 % of range.")] = None
-    bias: Annotated[float, typer.Option(help="Asymmetry, 0 to 0.8; some lets the process gain show.")] = 0.3
-    hysteresis: Annotated[float | None, typer.Option(help="Pv units; default 3 x the noise seen at rest.")] = None
-    cycles: Annotated[int, typer.Option(help="Full waves that count, 2 to 50.")] = 4
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UltimateOptions(RecordedOptions):
-    """A swing under proportional control: its period, and whether the gain was the ultimate one."""
-
-    file: Annotated[Path, typer.Option("--from", metavar="FILE", help="Recording of the swing.")]
-    kc: Annotated[float | None, typer.Option(help="Proportional gain under which it swung.")] = None
-    rule: Rule = "zn-ultimate"
-
-
-class ExperimentSignal(NamedTuple):
-    """What a test does to the loop. amplitude : co percent (setpoint: pv units), None for the default share."""
-
-    amplitude: float | None = None
-    cycles: int = 4
-    bias: float = 0.0
-    hysteresis: float | None = None
-    kc0: float | None = None
 
 
 @app.command(
@@ -135,7 +23,9 @@ class ExperimentSignal(NamedTuple):
 @signed_by(StepOptions)
 def step(options: StepOptions) -> int:
     """A step of co; the exit status."""
-    return _test(Kind.STEP, options, question_for(Kind.STEP, options), ExperimentSignal(options.amplitude))
+    from retuner.commands.work import experiment as work
+
+    return work.step(options)
 
 
 @app.command(
@@ -146,8 +36,9 @@ def step(options: StepOptions) -> int:
 @signed_by(SetpointOptions)
 def setpoint(options: SetpointOptions) -> int:
     """A step of the setpoint; the exit status."""
-    question = question_for(Kind.SETPOINT, options, options.kc0)
-    return _test(Kind.SETPOINT, options, question, ExperimentSignal(options.amplitude, kc0=options.kc0))
+    from retuner.commands.work import experiment as work
+
+    return work.setpoint(options)
 
 
 @app.command(
@@ -158,141 +49,15 @@ def setpoint(options: SetpointOptions) -> int:
 @signed_by(RelayOptions)
 def relay(options: RelayOptions) -> int:
     """Relay feedback; the exit status."""
-    question = question_for(Kind.RELAY, options, None, options.hysteresis)
-    shape = ExperimentSignal(options.amplitude, options.cycles, options.bias, options.hysteresis)
-    return _test(Kind.RELAY, options, question, shape)
+    from retuner.commands.work import experiment as work
+
+    return work.relay(options)
 
 
 @app.command("ultimate", epilog="Example: retuner experiment ultimate --from swing.csv --kc 3.2")
 @signed_by(UltimateOptions)
 def ultimate(options: UltimateOptions) -> int:
     """A recorded swing; the exit status."""
-    return from_recording(options.file, options, question_for(ULTIMATE, options, options.kc))
+    from retuner.commands.work import experiment as work
 
-
-def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
-    """A recording, or a controller."""
-    if options.file is not None and options.config is not None:
-        raise UserError("give CONFIG to run the test, or --from FILE to evaluate a recording, not both")
-    if options.file is not None:
-        return from_recording(options.file, options, question)
-    if options.config is None:
-        raise UserError(f"give CONFIG to run the test, or --from FILE; `retuner experiment {kind} --help`")
-    return on_demand(options.config, kind, options, question, shape)
-
-
-def from_recording(file: Path, options: RecordedOptions, question: Question) -> int:
-    """Evaluate a recorded experiment and show it; the exit status: 0, or 1 when it carries no settings.
-
-    Raises
-    ------
-    UserError, RecordingError
-        The file or an option cannot be used.
-    """
-    read = read_record([file], options)
-    tell_assumed(read.assumed, options)
-    recording = read.recording
-    if question.kind != ULTIMATE:
-        require_excitation(recording)
-    if question.kind == Kind.SETPOINT:
-        require_setpoint(recording)
-    window = recording.window()
-    found = evaluate(window, question)
-    if options.plot is not None:
-        title = f"{file.name}: {headline(found)}"
-        write_whole(options.plot, experiment_png(window, found, title, "pv unit", None))
-    if options.as_json:
-        sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
-    else:
-        Console(highlight=False, soft_wrap=True, markup=False).print("\n".join(described(found)))
-    return 0 if found.usable else 1
-
-
-def question_for(
-    experiment: str, options: RecordedOptions, kc: float | None = None, hysteresis: float | None = None
-) -> Question:
-    """The question that the options ask of a record.
-
-    Raises
-    ------
-    UserError
-        A number is out of its range, or a method or rule is not known.
-    """
-    method, rule = options.method, options.rule
-    if method not in METHODS[experiment]:
-        raise UserError(f"--method {method}: {experiment} has {', '.join(METHODS[experiment])}")
-    if kc is not None and not 0 < abs(kc) < float("inf"):
-        raise UserError(f"the gain of the experiment is {kc:g}; give a finite gain other than 0")
-    if hysteresis is not None and not 0 <= hysteresis < float("inf"):
-        raise UserError(f"--hysteresis {hysteresis:g}: give 0 or a positive number of pv units")
-    if rule != OVERSHOOT_RULE:
-        with user_input(f"--rule {rule}"):
-            rule_named(rule)
-    at_rest = experiment != Kind.SETPOINT
-    return Question(experiment, method, rule, options.kind, kc, hysteresis or 0.0, from_rest=at_rest)
-
-
-def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
-    """Conduct an experiment, evaluate it, and write the settings if they are confirmed; the exit status.
-
-    Raises
-    ------
-    ConfigError, UserError, DeviceError
-        The configuration, an option, the folder or the bus cannot be used; nothing was touched.
-    """
-    config = on_bus(load_config(path, options.loop), options.interface, options.channel)
-    in_process = config.bus.interface == "virtual"
-    if in_process:
-        make_plant(config)
-    speed = real_time_speed(options.speed, simulated=in_process)
-    plan = plan_for(config, kind, options, shape)
-    folder = options.out or Path(f"{config.output.directory}-experiment")
-    console = screen_console(stderr=options.as_json)
-    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json, answers_only=quiet())
-    fresh = fresh_folder(folder)
-    try:
-        with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
-            log = folder / BUS_LOG
-            place: AbstractContextManager[Bench] = simulated(config, log) if in_process else live(config, speed, log)
-            with place as bench:
-                return OnDemandExperiment(
-                    config, plan, question, folder, ledger, screen, bench, yes=options.yes, as_json=options.as_json
-                ).run()
-    except (DeviceError, UserError):
-        if not (folder / RECORD).exists():  # nothing happened: leave no folder behind
-            give_back(fresh)
-        raise
-
-
-def plan_for(config: Config, kind: Kind, options: OnDemandOptions, shape: ExperimentSignal) -> Plan:
-    """The plan that options and configuration make.
-
-    Raises
-    ------
-    UserError
-        An option is out of its range.
-    """
-    loop, dt = config.loop, config.loop.sample_time_s
-    span = loop.pv_max - loop.pv_min
-    range_ = span if kind == Kind.SETPOINT else loop.co_max_pct - loop.co_min_pct
-    with user_input(f"retuner experiment {kind}"):
-        return Plan(
-            kind=kind,
-            amplitude=_or(shape.amplitude, DEFAULT_SHARE * range_),
-            pv_low=_or(options.pv_low, loop.pv_min),
-            pv_high=_or(options.pv_high, loop.pv_max),
-            deviation=_or(options.deviation, DEFAULT_DEVIATION * span),
-            co_low=loop.co_min_pct,
-            co_high=loop.co_max_pct,
-            time_s=_or(options.time, DEFAULT_SAMPLES * dt),
-            rest_time_s=_or(options.rest, REST_WAIT_SAMPLES * dt),
-            cycles=shape.cycles,
-            bias=shape.bias,
-            hysteresis=shape.hysteresis,
-            kc0=shape.kc0,
-        )
-
-
-def _or(given: float | None, default: float) -> float:
-    """What was given, else the default."""
-    return default if given is None else given
+    return work.ultimate(options)

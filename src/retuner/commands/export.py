@@ -10,7 +10,6 @@ import typer
 from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.gain_export.c_header import c_header
-from retuner.gain_export.into_config import into_config
 from retuner.gain_export.numbers import identifier, numbers_of
 from retuner.gain_export.structured_text import structured_text
 from retuner.gain_export.tables import csv_table, dbc_table
@@ -51,6 +50,8 @@ def export(
     if form:
         _write(table, file, form, out)
     if into is not None:
+        from retuner.gain_export.into_config import into_config
+
         text, told = into_config(into, table)
         _put(into, text)
         sys.stdout.write(f"{into}: " + ("; ".join(told) or "has these gains already") + "\n")

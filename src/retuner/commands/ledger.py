@@ -2,31 +2,12 @@
 other programs.
 """
 
-import csv
-import io
-import json
-import math
-import re
-import sys
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from retuner.commands.approve import Person, order_back
 from retuner.commands.options import By, Json, Loop, Note, Session
-from retuner.decision_page.row_values import part
-from retuner.decision_page.shown_units import show_units_told
-from retuner.errors import UserError, one_line
-from retuner.files import write_whole
-from retuner.ledger import LedgerReader, Row
-from retuner.report.ledger_words import Told, told
-from retuner.session.recorded_session import ledger_path
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -34,21 +15,6 @@ app = typer.Typer(
     help="Read, verify, export or revert what was seen, decided and written.",
     epilog="Example: retuner ledger show runs/demo",
 )
-
-SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
-COLUMNS = {
-    "row": "row",
-    "time [s]": "when_s",
-    "what": "kind",
-    "who": "who",
-    "loop": "loop",
-    "region": "region",
-    "why": "why",
-    "old": "old",
-    "new": "new",
-    "evidence": "evidence",
-    "verdict": "verdict",
-}
 
 
 @app.command(epilog="Example: retuner ledger verify runs/demo/ledger.sqlite --head 61f2ae1c0d3b")
@@ -60,88 +26,9 @@ def verify(
     as_json: Json = False,
 ) -> int:
     """Recompute the hash chain: status 0 when it holds, 1 when it is broken, and where."""
-    if head is not None and not re.fullmatch(rf"[0-9a-f]{{{SHORTEST_HEAD},64}}", head):
-        raise UserError(
-            f"--head {head}: give {SHORTEST_HEAD} to 64 hexadecimal digits, as run and summary.json tell them"
-        )
-    path = ledger_path(file)
-    with LedgerReader(path) as ledger:
-        report = ledger.verify(head or "")
-    if as_json:
-        document = {
-            "file": str(path),
-            "ok": report.ok,
-            "rows": report.rows,
-            "head": report.head,
-            "broken_seq": report.broken_seq,
-            "reason": report.reason or None,
-        }
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-    elif report.ok:
-        sys.stdout.write(f"{path}: ok, {report.rows} rows, head {report.head}\n")
-    else:
-        sys.stdout.write(f"{path}: broken: {report.reason}; {report.rows} rows before it hold\n")
-    return 0 if report.ok else 1
+    from retuner.commands.work import ledger as work
 
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Which rows: of one decision (its own, and those of its write), from a time on, of a kind, of a loop."""
-
-    decision: int | None = None
-    since_s: float | None = None
-    kind: str | None = None
-    loop: str | None = None
-
-    def rows(self, rows: list[Row]) -> list[Row]:
-        """The selected ones.
-
-        Raises
-        ------
-        UserError
-            There is no such decision or kind.
-        """
-        rows = self._of_loop(rows)
-        if self.kind is not None:
-            kinds = sorted({row.kind for row in rows})
-            if self.kind not in kinds:
-                raise UserError(f"--kind {self.kind}: no row is of this kind; there are {', '.join(kinds)}")
-            rows = [row for row in rows if row.kind == self.kind]
-        if self.since_s is not None:
-            if math.isnan(self.since_s):
-                raise UserError("--since nan: give seconds of the run")
-            rows = [row for row in rows if row.clock_s >= self.since_s]
-        return rows if self.decision is None else list(self._about(rows, self.decision))
-
-    def _of_loop(self, rows: list[Row]) -> list[Row]:
-        """Those about the loop, and about all of them; of a decision one has to say of which loop it is."""
-        names = sorted({loop for row in rows if row.kind != "session" and (loop := row.body.get("loop"))})
-        if self.loop is None:
-            if self.decision is not None and len(names) > 1:
-                raise UserError(f"--loop: there are {len(names)} loops, name one of {', '.join(names)}")
-            return rows
-        if self.loop not in names:
-            raise UserError(f"--loop {self.loop}: no row is of this loop; there are {', '.join(names) or 'none'}")
-        return [row for row in rows if row.body.get("loop", self.loop) == self.loop]
-
-    def _about(self, rows: list[Row], number: int) -> Iterator[Row]:
-        """A decision with the rows of its write: from it to the next decision, where they tell of its region."""
-        inside, region = False, None
-        for row in rows:
-            if row.kind == "decision":
-                inside = row.body.get("number") == number
-                region = row.body.get("region") if inside else region
-            if inside and (row.kind == "decision" or row.body.get("region", region) == region):
-                yield row
-        if region is None:
-            raise UserError(f"--decision {number}: the ledger has no such decision")
-
-
-def believed(path: Path) -> tuple[list[Row], str]:
-    """The rows that can be believed, and what is wrong with the first one that cannot; empty when all can."""
-    with LedgerReader(path) as ledger:
-        report = ledger.verify()
-        return [row for row in ledger.rows() if row.seq <= report.rows], report.reason
+    return work.verify(file, head, as_json=as_json)
 
 
 @app.command(epilog="Example: retuner ledger show runs/demo --decision 3")
@@ -154,63 +41,9 @@ def show(
     as_json: Json = False,
 ) -> int:
     """Who, when, why, from what to what, on what evidence, with what verdict: row by row."""
-    path = ledger_path(session)
-    rows, broken = believed(path)
-    chosen = Selection(decision, since, kind, loop).rows(rows)
-    show_units_told(part(rows[0].body, "config") if rows else {})
-    if as_json:
-        document = {
-            "ledger": str(path),
-            "ok": not broken,
-            "reason": broken or None,
-            "rows": [{**told(row).to_dict(), "body": row.body} for row in chosen],
-        }
-        sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-    else:
-        console = Console()
-        if console.width >= WIDE:
-            console.print(_table([told(row) for row in chosen]))
-        elif chosen:
-            console.print(_list(chosen), highlight=False, soft_wrap=True)
-        ending = f"broken: {broken}" if broken else "the chain holds"
-        console.print(
-            f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
-        )
-    return 1 if broken else 0
+    from retuner.commands.work import ledger as work
 
-
-WIDE = 160
-"""Characters of a terminal from which a table is easier to read than a list."""
-
-
-def _table(lines: list[Told]) -> Table:
-    """A table with a column for each question."""
-    table = Table(box=None, pad_edge=False)
-    shown = {head: name for head, name in COLUMNS.items() if head != "loop" or _several(lines)}
-    for head in shown:
-        table.add_column(escape(head), justify="right" if head in {"row", "time [s]"} else "left", overflow="fold")
-    for line in lines:
-        values = line.to_dict() | {"when_s": f"{line.when_s:,.1f}"}
-        table.add_row(*(escape(one_line(values[name])) for name in shown.values()))
-    return table
-
-
-def _several(lines: list[Told]) -> bool:
-    """Whether rows are of several loops, so that each must say of which."""
-    return len({line.loop for line in lines if line.loop}) > 1
-
-
-def _list(rows: list[Row]) -> str:
-    """The same for a narrow terminal: a head line a row, and an indented line for each answer."""
-    out, lines = [], list(map(told, rows))
-    several = _several(lines)
-    for line in lines:
-        where = f"{line.loop} {line.region}" if several else line.region
-        head = f"{line.row:5d}  {line.when_s:10,.1f} s  {line.kind}  {line.who}  {where}"
-        out.append(escape(one_line(head.rstrip())))
-        change = f"{line.old} -> {line.new}" if line.old and line.new else line.new
-        out += [f"       {escape(one_line(text))}" for text in (line.why, change, line.evidence, line.verdict) if text]
-    return "\n".join(out)
+    return work.show(session, work.Selection(decision, since, kind, loop), as_json=as_json)
 
 
 @app.command(epilog="Example: retuner ledger export runs/demo --csv demo.csv")
@@ -222,50 +55,9 @@ def export(
     ] = None,
 ) -> int:
     """Write the rows into a file for other programs."""
-    path = ledger_path(session)
-    if (as_csv is None) == (as_jsonl is None):
-        raise UserError("give --csv FILE or --jsonl FILE, one of them")
-    target = as_csv or as_jsonl
-    assert target is not None
-    if target.exists():
-        raise UserError(f"{target}: is there already; give another name")
-    if not target.parent.is_dir():
-        raise UserError(f"{target}: the folder {target.parent} does not exist; make it first")
-    rows, broken = believed(path)
-    write_whole(target, _csv(rows) if as_csv else "".join(_json_line(row) for row in rows))
-    ending = f"; broken: {broken}" if broken else ""
-    sys.stdout.write(f"{target}: {len(rows)} rows of {path}{ending}\n")
-    return 1 if broken else 0
+    from retuner.commands.work import ledger as work
 
-
-def _csv(rows: list[Row]) -> str:
-    """The rows in words, with the whole body and the hash beside them."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    names = [field.name for field in fields(Told)]
-    writer.writerow([*names, "body", "hash"])
-    for row in rows:
-        line = told(row).to_dict()
-        writer.writerow([*(_no_formula(line[name]) for name in names), row.text, row.hash])
-    return stream.getvalue()
-
-
-def _no_formula(value: object) -> object:
-    """A text that a spreadsheet would take for a formula gets an apostrophe in front."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@"} else value
-
-
-def _json_line(row: Row) -> str:
-    """A row as it stands in the ledger, on one line."""
-    document = {
-        "seq": row.seq,
-        "clock_s": row.clock_s,
-        "kind": row.kind,
-        "body": row.body,
-        "previous": row.previous,
-        "hash": row.hash,
-    }
-    return json.dumps(document, allow_nan=False) + "\n"
+    return work.export(session, as_csv, as_jsonl)
 
 
 @app.command(epilog="Example: retuner ledger revert runs/demo --decision 3 --note 'pump changed'")
@@ -278,4 +70,6 @@ def revert(
     as_json: Json = False,
 ) -> int:
     """Request a rollback to the gains before a decision, in its region, by the running or the next session."""
+    from retuner.commands.work.approve import Person, order_back
+
     return order_back(session, decision, Person(by, note), loop, as_json=as_json)

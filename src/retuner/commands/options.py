@@ -1,7 +1,7 @@
 """Options that several commands share, and how a dataclass of options becomes a command's signature."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -37,6 +37,49 @@ ActionOption = Annotated[
 ]
 PvSpan = Annotated[float | None, typer.Option(help="Span of pv, in its own unit; gain and pb are told of it.")]
 CONTROLLER = "--controller, --action, --pv-span"
+
+PANEL = "The form of the record (else detected, and reported)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormOptions:
+    """How a record is written; what is left open is found in it."""
+
+    columns: Annotated[
+        str, typer.Option(help="Names of columns: t=time,pv=temp,co=out,sp=target.", rich_help_panel=PANEL)
+    ] = ""
+    tag: Annotated[str, typer.Option(help="Which loop of many: FIC101 of FIC101.PV.", rich_help_panel=PANEL)] = ""
+    sp: Annotated[float | None, typer.Option(help="The setpoint where no column has it.", rich_help_panel=PANEL)] = None
+    dt: Annotated[
+        float | None, typer.Option(help="Seconds between rows where no column has the time.", rich_help_panel=PANEL)
+    ] = None
+    time_format: Annotated[
+        str, typer.Option(help="Format of time stamps: %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)
+    ] = ""
+    time_unit: Annotated[str, typer.Option(help="Time as a number: s, ms, min, h, d.", rich_help_panel=PANEL)] = ""
+    zone: Annotated[
+        str, typer.Option(help="Time zone of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)
+    ] = ""
+    decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
+    good: Annotated[str, typer.Option(help="Quality code of a good value.", rich_help_panel=PANEL)] = ""
+    bad: Annotated[str, typer.Option(help="Another code for a missing value.", rich_help_panel=PANEL)] = ""
+    scale: Annotated[
+        str, typer.Option(help="Raw signals: pv=4..20:0..200,co=mA:0..100 or counts.", rich_help_panel=PANEL)
+    ] = ""
+    dbc: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="What the frames of bus traffic mean; may be repeated.", rich_help_panel=PANEL
+        ),
+    ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
+    ] = None
+    assume: Annotated[
+        bool, typer.Option("--assume", help="Print what was assumed as a section record.", rich_help_panel=PANEL)
+    ] = False
+
 
 Options = TypeVar("Options")
 
@@ -93,7 +136,7 @@ def controller_units(
     UserError
         There are no such units, they need a span that is not given, or co is not in percent of its own.
     """
-    from retuner.schedule.controller_units import ControllerUnits  # noqa: PLC0415  most commands need none
+    from retuner.schedule.controller_units import ControllerUnits
 
     if name is not None and pv_span is None and name.split("-")[0] in {"gain", "pb"}:
         raise UserError(f"--controller {name} is told of the span of pv: give --pv-span")

@@ -29,7 +29,7 @@ def serve(
 ) -> int:
     """Show sessions in a browser, live and afterwards; operator requests need the token that is printed."""
     require_page()
-    from retuner.serve import server  # noqa: PLC0415  an extra, loaded when wanted
+    from retuner.serve import server
 
     for file in (certificate, key):
         if file is not None and not file.is_file():

@@ -5,6 +5,7 @@ it. A section for which there is nothing is left out.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.adaptive.process.model import ProcessModel
@@ -227,7 +228,7 @@ def _formula(view: DecisionView, wanted: PidGains) -> str:
     if rule is None or model is None or view.process is None:
         return ""
     wishes = Wishes(tau_c_s=tau_c if "tau_c_s" in rule.wishes else None)
-    sampled = type(model)(model.type, model.k, model.tau1_s, model.tau2_s, view.process.theta_s, model.zeta)
+    sampled = replace(model, theta_s=view.process.theta_s)
     for kind in ControllerKind:
         if kind not in rule.formulas:
             continue

@@ -88,7 +88,9 @@ def model_of(document: Document) -> ProcessModel | None:
     if not _sane(k, tau1, tau2, theta):
         return None
     try:
-        return ProcessModel(ProcessType(kind), k, tau1, tau2, theta, number(document, "zeta") or 1.0)
+        return ProcessModel(
+            ProcessType(kind), k, tau1, tau2, theta, number(document, "zeta") or 1.0, number(document, "inverse") or 0.0
+        )
     except ValueError:
         return None
 

@@ -19,6 +19,7 @@ STRUCTURES = {
     ProcessType.INTEGRATING_LAG: "integrating with a lag and dead time",
     ProcessType.DOUBLE_INTEGRATING: "double integrating with dead time",
     ProcessType.DELAY: "pure dead time",
+    ProcessType.SOPDT_INVERSE: "second order with an inverse response and dead time",
 }
 DONE = {
     "commit": "Written to the controller",

@@ -27,10 +27,11 @@ from retuner.drivers.recorded.recording import RecordingError
 from retuner.drivers.recorded.sample_note import Notes
 from retuner.errors import UserError
 from retuner.ledger import Row
+from retuner.ledger.decided import canonical, without_place
 from retuner.session.assembly import make_retuner, retuner_settings, schedule_inputs
 from retuner.session.ledger_rows import feed
 from retuner.session.memory_file import started_with
-from retuner.session.recorded_session import RecordedSession, canonical, without_place
+from retuner.session.recorded_session import RecordedSession
 from retuner.session.session_identity import file_sha256
 
 MISSING = "nothing"

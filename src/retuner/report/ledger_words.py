@@ -1,15 +1,29 @@
 """A ledger for people: who, when, why, from what to what, on what evidence, with what verdict. A line a row.
 
+Read from the top it is one argument: what was seen, what explains it, what was done, what came of it. A row that
+follows from a decision names it by its number, and the end of a trial says of which change it was.
+
 Works on the documents that rows hold, whatever release wrote them: what a row lacks is left empty.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 
-from retuner.decision_page.explain import cause_text, model_text, ms_words, response_text, settings_text, stays
+from retuner.adaptive.trial.judge import TrialFinding
+from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
+from retuner.decision_page.explain import (
+    WHOLE_STEP,
+    cause_text,
+    model_text,
+    ms_words,
+    response_text,
+    settings_text,
+    stays,
+)
 from retuner.decision_page.row_values import Document, gains_of, number, numbers, part, parts, words
 from retuner.errors import one_line
 from retuner.ledger import Row
+from retuner.ledger.decided import digest_of, without_place
 
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
@@ -38,6 +52,8 @@ HIDDEN = {
     "crc",
     "running",
     "record",
+    "of",
+    "on_trial",
 }
 """Values of other rows that have a column of their own, or say nothing to a person."""
 
@@ -66,12 +82,39 @@ class Told:
         return asdict(self)
 
 
-def told(row: Row) -> Told:
-    """A row in words."""
-    body: Document = row.body
-    where = words(body, "loop"), words(body, "region")
-    texts = (row.kind, _who(row.kind, body), *where, *WORDS.get(row.kind, _other)(body))
-    return Told(row.seq, row.clock_s, *map(one_line, texts))
+class Teller:
+    """Tells the rows of one ledger in their order, all from the first: a row names the decision behind it."""
+
+    def __init__(self) -> None:
+        self._decided: dict[tuple[str, str], tuple[str, int]] = {}
+        self._tried: dict[tuple[str, str], str] = {}
+        self._several = False
+
+    def told(self, row: Row) -> Told:
+        """The next row in words."""
+        body: Document = row.body
+        where, kind = (words(body, "loop") if self._several else "", words(body, "region")), row.kind
+        if kind == "session":
+            self._several = len(parts(part(body, "config"), "loops")) > 1
+        elif kind == "decision" and words(body, "action") != "none":
+            digest = digest_of(without_place(row.body))
+            self._decided[where] = (digest, int(number(body, "number") or 0))
+        elif kind == "trial":
+            self._tried[where] = self._decision(words(body, "decision"), where)
+        about = {"of": self._decision(words(body, "decision"), where), "on_trial": self._tried.get(where, "")}
+        texts = WORDS.get(kind, _other)({**body, **about})
+        head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
+        return Told(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
+
+    def _decision(self, digest: str, where: tuple[str, str]) -> str:
+        """The decision of that hash by its number, where it is the region's newest one."""
+        newest, count = self._decided.get(where, ("", 0))
+        return f"decision {count if digest == newest else digest[:8]}" if digest else ""
+
+
+def told(rows: Iterable[Row]) -> list[Told]:
+    """The rows of a ledger in words, all from the first."""
+    return list(map(Teller().told, rows))
 
 
 def _who(kind: str, body: Document) -> str:
@@ -91,30 +134,85 @@ ACTIONS = {"commit": "to be written", "advise": "proposed", "restore": "rolled b
 
 
 def _decision(body: Document) -> Words:
-    """A decision: its whole reasoning in short."""
-    verdict = part(body, "verdict")
-    changes = words(body, "action") != "none"
-    ms = part(verdict, "ms")
-    proof = words(verdict, "reason")
-    if "nominal" in ms:
-        before, nominal, worst = (ms_words(number(ms, name)) for name in ("before", "nominal", "worst"))
-        proof = f"{proof}: Ms {before} -> {nominal}, worst case {worst}"
-    judgement = words(part(body, "judgement"), "reason")
-    evidence = " | ".join(text for text in (response_text(body), cause_text(body), model_text(body)) if text)
-    done = "kept" if stays(body) else ACTIONS.get(words(body, "action"), words(body, "action"))
-    title = f"decision {int(number(body, 'number') or 0)}, {done}: {words(body, 'reason')}"
+    """A decision as an argument: what follows; from what to what; what was seen and what explains it; the proof."""
+    action = words(body, "action")
+    concerns = words(body, "on_trial") if words(body, "code").startswith(ABOUT_A_TRIAL) else ""
+    done = "kept" if stays(body) else ACTIONS.get(action, action)
+    reason = words(body, "reason")
+    said = reason if action == "none" and reason.startswith(OWN_WORDS) else f"{done}: {reason}"
+    title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
+    seen = (response_text(body), _explained(body), _known(body))
     return (
         title,
         _settings(body, "gains_before"),
-        _settings(body, "gains_after") if changes else "",
-        evidence,
-        " | ".join(text for text in (proof, judgement) if text),
+        _settings(body, "gains_after") if action != "none" else "",
+        " | ".join(text for text in seen if text),
+        _proved(part(body, "verdict"), reason),
     )
+
+
+ABOUT_A_TRIAL = ("undo_", "kept_")
+"""Beginnings of the codes of decisions on what becomes of a change on trial."""
+OWN_WORDS = ("no change", "refused", "the trial gains stay", "rollback refused")
+"""Beginnings of reasons that say by themselves that nothing changes."""
+STOOD = {
+    "agrees": "this record agrees",
+    "odd": "this record contradicts it, and is kept as an alternative",
+    "changed": "the process has changed",
+    "opened": "this record contradicts what was known, near instability",
+    "silent": "this record says nothing of it",
+}
+"""How a record stood to what was known."""
+
+
+def _explained(body: Document) -> str:
+    """The cause, with its reason where that is not the decision's own."""
+    cause, why = cause_text(body), words(part(body, "diagnosis"), "reason")
+    if not part(body, "response"):
+        return ""
+    return cause if not why or why in words(body, "reason") else f"{cause}: {why}"
+
+
+def _known(body: Document) -> str:
+    """What the process is by now, how this record stood to that, and by how many loads it was explained."""
+    model = model_text(body)
+    if not model:
+        return ""
+    stood = STOOD.get(words(body, "surprise"), "")
+    estimate = part(body, "estimate")
+    loads, rival = len(numbers(estimate, "loads")), part(estimate, "rival")
+    beside = f"with {loads} load step{'s' * (loads != 1)} beside it" if loads else ""
+    other = "another model explains the record as well" if rival else ""
+    return ", ".join(text for text in (model, beside, stood, other) if text)
+
+
+def _proved(verdict: Document, reason: str) -> str:
+    """The guard's word, what Ms was before, and how much of the way to what the rule gives was gone."""
+    said = words(verdict, "reason")
+    if not said or said in reason:
+        return ""
+    if verdict.get("accepted") is not True or verdict.get("allowed") == []:
+        return said
+    before, step = ms_words(number(part(verdict, "ms"), "before")), number(verdict, "step")
+    was = "" if f"Ms {before} ->" in said else f"; Ms before {before}"
+    share = "" if step is None or step > WHOLE_STEP else f"; {step:.0%} of the full change"
+    return f"{said}{was}{share}"
 
 
 def _write(body: Document) -> Words:
     """A write that is meant, done, or has not come about."""
-    return words(body, "why"), _settings(body, "before"), _settings(body, "gains"), _digest(body), words(body, "reason")
+    why, of = words(body, "why"), words(body, "of")
+    done = "active, as read back" if "crc" in body else ""
+    what = f"the gains of {of}" if of else WRITTEN.get(why, why)
+    return what, _settings(body, "before"), _settings(body, "gains"), done, words(body, "reason")
+
+
+WRITTEN = {
+    "retune": "the gains that were decided on",
+    "schedule": "the gains of this region, by the schedule",
+    "restore": "the gains that are to run",
+}
+"""What a write is for."""
 
 
 def _order(body: Document) -> Words:
@@ -140,29 +238,34 @@ def _trial(body: Document) -> Words:
     ]
     told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
     verdict = f"predicted IAE per unit step: {', '.join(told)}" if told else ""
-    return (
-        words(body, "reason") or "on trial",
-        _settings(body, "verified"),
-        _settings(body, "gains"),
-        _digest(body),
-        verdict,
-    )
+    why = words(body, "reason") or f"{words(body, 'of') or 'a change'} is on trial"
+    return why, _settings(body, "verified"), _settings(body, "gains"), "", verdict
 
 
 def _judged(body: Document) -> Words:
-    """A response that was judged against the promise."""
-    return f"response judged, region then: {words(body, 'trial')}", "", "", "", words(body, "reason")
+    """A response that was judged against the promise, and what that means for the change."""
+    return f"the trial of {words(body, 'on_trial') or 'a change'} {_outcome(body)}", "", "", "", words(body, "reason")
+
+
+def _outcome(body: Document) -> str:
+    """What became of a trial by one response."""
+    finding, phase = words(body, "finding"), words(body, "trial")
+    if phase == TrialPhase.WAITING:
+        return "is over: it awaits operator approval"
+    if finding == TrialFinding.WORSE.name.lower():
+        return "has failed"
+    if phase in UNDECIDED and phase != TrialPhase.WRITING:
+        return "goes on"
+    return "has passed" if finding in PASSING else "is over without a verdict: its gains stay"
+
+
+PASSING = {finding.name.lower() for finding in (TrialFinding.BETTER, TrialFinding.AS_PROMISED)}
+"""Findings that speak for a change."""
 
 
 def _restore(body: Document) -> Words:
     """Verified gains that are to come back."""
-    return words(body, "reason"), "", _settings(body, "gains"), _digest(body), words(body, "cause")
-
-
-def _digest(body: Document) -> str:
-    """Which decision a row belongs to."""
-    digest = words(body, "decision")
-    return f"decision {digest[:8]}" if digest else ""
+    return words(body, "reason"), "", _settings(body, "gains"), words(body, "of"), words(body, "cause")
 
 
 def _session(body: Document) -> Words:

@@ -8,9 +8,9 @@ from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import LedgerError
 from retuner.ledger import LedgerReader, Row
 from retuner.ledger.chain import GENESIS, next_row
-from retuner.report.ledger_words import Told, told
+from retuner.ledger.decided import without_place
+from retuner.report.ledger_words import Teller, Told
 from retuner.session.order_queue import Shown, shown
-from retuner.session.recorded_session import without_place
 
 ROWS_KEPT = 20_000
 """Rows in words that are kept, the newest ones; `retuner ledger` has all of them."""
@@ -51,6 +51,7 @@ class LedgerTail:
         self.broken = ""
         self.names: list[str] = []
         self.told: deque[Told] = deque(maxlen=ROWS_KEPT)
+        self._teller = Teller()
         self.decisions: deque[Decided] = deque(maxlen=DECISIONS_KEPT)
         self.shown: dict[str, Shown] = {}
         self.ended = False
@@ -98,7 +99,7 @@ class LedgerTail:
 
     def _take(self, row: Row) -> None:
         self.count, self.head = row.seq, row.hash
-        self.told.append(told(row))
+        self.told.append(self._teller.told(row))
         body = row.body
         if row.kind == "session":
             config = part(body, "config")

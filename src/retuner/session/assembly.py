@@ -65,7 +65,6 @@ def guard_settings(config: Config) -> GuardSettings:
         for name in ("ms_nominal", "ms_worst", "tau_c_max_ratio", "step_up_max", "step_down_max", "kc_min", "kc_max")
         if getattr(a, name) is not None
     }
-    general["ms_target"] = min(GuardSettings().ms_target, a.ms_nominal)
     return GuardSettings(**general, **further)
 
 

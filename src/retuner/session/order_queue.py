@@ -5,7 +5,6 @@ What a person may refer to is what the session itself has shown: proposals by th
 and, at the start, the proposals and decisions of the session before it in the same folder.
 """
 
-import hashlib
 from collections import deque
 from collections.abc import Iterable, Mapping, Reversible
 from dataclasses import dataclass, field
@@ -19,11 +18,12 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.decisions.proposed_schedule import ROW as SCHEDULE
 from retuner.errors import LedgerError, one_line
 from retuner.ledger import Recorder, Row
+from retuner.ledger.decided import digest_of, without_place
 from retuner.schedule.gains import PidGains
 from retuner.session.ledger_rows import feed, gains_of
 from retuner.session.orders import LONGEST, Found, Order, OrderBox, OrderKind
 from retuner.session.outputs import LEDGER, ORDERS, loop_folder
-from retuner.session.recorded_session import believed_rows, canonical, without_place
+from retuner.session.recorded_session import believed_rows
 
 # What a session has shown and a person may refer to, read from its ledger: open proposals, changes, tried sets.
 #
@@ -132,7 +132,7 @@ def _order(found: Shown, body: Mapping[str, Any]) -> None:
 def _decision(found: Shown, body: Mapping[str, Any]) -> None:
     """One decision."""
     number, region, before = int(body["number"]), str(body["region"]), gains_of(body["gains_before"])
-    digest = hashlib.sha256(canonical(body)).hexdigest()
+    digest = digest_of(body)
     found.changes[number] = Change(region, before)
     found.in_force[region] = before
     if body["action"] == Action.ADVISE and body["gains_after"] is not None:

@@ -4,7 +4,6 @@ Whatever is missing, cut off or changed afterwards is told in one line: a sessio
 """
 
 import hashlib
-import json
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +16,6 @@ from retuner.config.session_config import SessionConfig
 from retuner.errors import LedgerError, UserError
 from retuner.ledger import LedgerReader, Row
 from retuner.session.outputs import BUS_LOG, CONFIG, LEDGER, log_of_bus, loop_folder
-
-PLACE = "samples"
-"""Key that a session adds to the body of each row: the number of samples that had been seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,13 +129,3 @@ def read_loops(session: Path) -> tuple[tuple[RecordedSession, ...], SessionConfi
         log = log_of_bus(folder / BUS_LOG, buses[i])
         recorded.append(RecordedSession(loop_folder(folder, own), one, mode, about[name], log, own))
     return tuple(recorded), config
-
-
-def without_place(body: Mapping[str, Any]) -> dict[str, Any]:
-    """The body of a row as it was given, without its place in the order of samples."""
-    return {key: value for key, value in body.items() if key != PLACE}
-
-
-def canonical(decision: Mapping[str, Any]) -> bytes:
-    """A decision's plain values as Decision.canonical() has them."""
-    return json.dumps(decision, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()

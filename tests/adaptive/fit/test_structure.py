@@ -19,10 +19,20 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 LOGS = st.floats(-5, 5)
 
 
-@given(type_=st.sampled_from(sorted(SIZE)), logs=st.lists(LOGS, min_size=4, max_size=4), sign=st.sampled_from([-1, 1]))
+@given(type_=st.sampled_from(sorted(SIZE)), logs=st.lists(LOGS, min_size=5, max_size=5), sign=st.sampled_from([-1, 1]))
 def test_there_and_back(type_: ProcessType, logs: list[float], sign: int) -> None:
     x = np.array(logs[: SIZE[type_]])
     np.testing.assert_allclose(parameters_of(model_at(type_, x, sign)), x, atol=1e-6)
+
+
+def test_an_inverse_response_is_a_zero_in_the_right_half_plane() -> None:
+    x = np.log([0.5, 1.0, 6.0, 1.5, 0.8])
+    w = np.geomspace(1e-2, 1e2, 30)
+    model = model_at(ProcessType.SOPDT_INVERSE, x, 1)
+    plain = model_at(ProcessType.SOPDT, x[:4], 1).linear().response(w)
+    np.testing.assert_allclose(model.linear().response(w), plain * (1 - 0.8j * w), rtol=1e-9)
+    rise = dynamics_at(ProcessType.SOPDT_INVERSE, x).step(np.array([0.2, 60.0]))
+    assert rise[0] < 0 < rise[1] == pytest.approx(6.0, rel=1e-3)
 
 
 @given(logs=st.lists(LOGS, min_size=4, max_size=4))

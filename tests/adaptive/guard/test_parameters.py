@@ -73,7 +73,19 @@ def test_every_parameter_can_have_its_own_limit(parameter: Parameter, more: bool
     for other in Parameter:
         for way in (True, False):
             hit = other == parameter and way == more
-            assert step_limit(other, more=way, settings=own) == (1.25 if hit else 2.0 if way else 4.0)
+            usual = 2.0 if way else 4.0
+            assert step_limit(other, more=way, settings=own, alone=True) == (1.25 if hit else usual)
+
+
+def test_kc_and_tau_i_may_each_go_as_far_as_they_may_alone_and_kc_over_tau_i_with_them() -> None:
+    old, far = PidGains(1.0, 0.1), PidGains(4.0, 1.6)
+    both = moved(old, far)
+    assert (both.kp, both.ki) == (pytest.approx(2.0), pytest.approx(0.4))
+    assert moved(old, far, replace(SETTINGS, integral_up_max=2.0)).ki == pytest.approx(0.2)
+    assert moved(old, far, replace(SETTINGS, kc_up_max=1.5)).kp == pytest.approx(1.5)
+    only = within_limits(PidGains(0.0, 0.1), PidGains(0.0, 1.6), 1.0, SETTINGS)
+    assert only is not None
+    assert only[0].ki == pytest.approx(0.2)
 
 
 def test_only_what_points_to_less_action_is_free_for_an_urgent_step() -> None:

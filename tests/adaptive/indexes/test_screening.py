@@ -8,10 +8,10 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retuner.adaptive.indexes.condition import Condition, record_condition, still_stretches
+from retuner.adaptive.indexes.condition import Condition, one_sided, record_condition, still_stretches
 from retuner.adaptive.indexes.glossary import GLOSSARY
 from retuner.adaptive.indexes.limits import at_limits
-from retuner.adaptive.indexes.recording_quality import quantum, recording_quality
+from retuner.adaptive.indexes.recording_quality import held_together, quantum, recording_quality
 from retuner.adaptive.indexes.screening import screen
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -171,3 +171,28 @@ def test_scale_and_level_do_not_matter(rng, wave):
     assert set(small) == set(large)
     for name in set(small) - in_units:
         assert large[name] == pytest.approx(small[name], rel=1e-6, abs=1e-9), name
+
+
+def test_gaps_that_were_filled_with_the_last_values():
+    rng = np.random.default_rng(8)
+    pv, co = rng.normal(size=(2, 600))
+    assert held_together(pv, co) is None
+    rows = np.arange(600)
+    last = np.where(rows % 60 < 40, rows, rows - rows % 60 + 39)  # of every 60 samples the last 20 repeat the 40th
+    found = held_together(pv[last], co[last])
+    assert found is not None
+    assert found.share == pytest.approx(1 / 3, abs=0.01)
+    assert found.samples == 20
+    assert held_together(pv[last], co) is None  # a sensor that holds its value
+    assert held_together(pv[last], np.roll(co[last], 13)) is None  # each compressed for itself
+    assert held_together(np.zeros(600), np.zeros(600)) is None
+
+
+def test_co_that_goes_one_way_without_bringing_pv_back():
+    n, noise = 400, 0.05 * np.random.default_rng(9).normal(size=400)
+    up, sp = np.linspace(10.0, 30.0, n), np.full(n, 5.0)
+    share = one_sided(Window(np.arange(n), sp, 6.0 + noise, up))
+    assert share == 1.0
+    assert one_sided(Window(np.arange(n), sp, 5.0 + noise, up)) is None
+    assert one_sided(Window(np.arange(n), sp, 6.0 + noise, up + 5 * np.sin(up))) is None
+    assert one_sided(Window(np.arange(n), sp, 6.0 + noise, np.full(n, 10.0))) is None

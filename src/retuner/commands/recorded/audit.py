@@ -12,11 +12,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from retuner.audit.catalogue import Catalogue, Task, catalogue, files_of
 from retuner.audit.loop_row import AuditSettings, Row, is_fault
-from retuner.audit.result_store import ResultStore, rows_of, signature
-from retuner.audit.results import write_joined, write_results
+from retuner.audit.planning import Pass, diagnosing, expected, screening
+from retuner.audit.result_store import ResultStore, rows_of
+from retuner.audit.results import mean_error, summary, write_joined, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine, processes
-from retuner.commands.options import Json, signed_by
-from retuner.commands.recorded.record_form import FormOptions, record_form
+from retuner.commands.options import FormOptions, Json, signed_by
+from retuner.commands.recorded.record_form import record_form
 from retuner.errors import UserError, user_input
 from retuner.report.console import screen_console
 from retuner.verbosity import quiet
@@ -39,8 +40,11 @@ class AuditOptions(FormOptions):
         str, typer.Option(help=r"Tag in the names of files without tags: ^([A-Z]+\d+)_", metavar="REGEX")
     ] = ""
     stretches: Annotated[
-        int, typer.Option(help="Stretches of each record that are diagnosed at most; 0 screens only.")
+        int, typer.Option(help="Stretches of each record that are diagnosed at most, up to 24; 0 screens only.")
     ] = 4
+    diagnose: Annotated[
+        float, typer.Option(help="Share of the loops that is diagnosed, in percent: the worst by the screening.")
+    ] = 100.0
     since: Annotated[Path | None, typer.Option(help="Folder of an earlier audit: what became worse?")] = None
     jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.")] = 0
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A dask cluster that does the work.")] = ""
@@ -60,6 +64,7 @@ def audit(options: AuditOptions) -> int:
     form = record_form(options)
     with user_input("--stretches"):
         settings = AuditSettings(options.stretches, form)
+    _refuse_share(options.diagnose)
     before = rows_of(options.since) if options.since is not None else []
     found = _catalogued(options, settings)
     with ResultStore(options.out) as store:
@@ -69,9 +74,16 @@ def audit(options: AuditOptions) -> int:
     _tell(rows, found, options)
     if stopped:
         left = len(found.tags) - len(rows)
-        sys.stderr.write(f"stopped: {left} loops are left; the same command goes on\n")
+        what = f"{left} loops are left" if left else "some loops are not diagnosed yet"
+        sys.stderr.write(f"stopped: {what}; the same command goes on\n")
         raise KeyboardInterrupt
     return 0 if any("failed" not in row for row in rows) else 1
+
+
+def _refuse_share(percent: float) -> None:
+    """Refuse a share that is none."""
+    if not 0 <= percent <= 100:
+        raise UserError(f"--diagnose {percent:g}: give 0 to 100 percent of the loops")
 
 
 def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
@@ -90,17 +102,36 @@ def _catalogued(options: AuditOptions, settings: AuditSettings) -> Catalogue:
 
 def _work(found: Catalogue, settings: AuditSettings, options: AuditOptions, store: ResultStore) -> bool:
     """Do what is not done yet; whether it was stopped by Ctrl-C, with what was done kept."""
-    done = store.done()
-    signed = {task: signature(task, settings) for task in found.tasks}
-    left = [task for task in found.tasks if any(done.get(tag) != signed[task] for tag in task.tags)]
     store.drop_others(set(found.tags))
+    share = options.diagnose / 100
+    _foretell(found, options)
+    first = screening(found.tasks, settings, store.done(), share)
+    if _pass(first, found.tags, options, store, "screened" if share < 1 else "loops"):
+        return True
+    if share >= 1 or settings.stretches == 0:
+        return False
+    then = diagnosing(found.tasks, settings, store.rows(), store.done(), share)
+    chosen = tuple(tag for task in then.signed for tag in task.tags)
+    return _pass(then, chosen, options, store, "diagnosed")
+
+
+def _foretell(found: Catalogue, options: AuditOptions) -> None:
+    """Say how long a long audit takes, and how to have it sooner."""
+    told = expected(len(found.tags), options.stretches, options.diagnose / 100, options.jobs or processes())
+    if told and not (options.scheduler or options.as_json or quiet()):
+        sys.stderr.write(told + "\n")
+
+
+def _pass(some: Pass, tags: Sequence[str], options: AuditOptions, store: ResultStore, what: str) -> bool:
+    """Do the tasks; whether it was stopped by Ctrl-C, with what was done kept. tags : all, done ones too."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     hidden = options.as_json or quiet() or not sys.stderr.isatty()
+    done = len(tags) - sum(len(task.tags) for task in some.tasks)
     with Progress(*columns, console=screen_console(stderr=True), disable=hidden) as bar:
-        shown = bar.add_task("loops", total=len(found.tags), completed=len(found.tags) - sum(len(t.tags) for t in left))
+        shown = bar.add_task(what, total=len(tags), completed=done)
         try:
-            for task, rows in _done(left, settings, options):
-                store.keep(rows, signed[task])
+            for task, rows in _done(some.tasks, some.settings, options):
+                store.keep(rows, some.signed[task])
                 bar.advance(shown, len(task.tags))
         except KeyboardInterrupt:
             return True
@@ -125,16 +156,37 @@ def _tell(rows: Sequence[Row], found: Catalogue, options: AuditOptions) -> None:
     sys.stderr.write(
         f"names: {_names_told(found)}; {options.out / JOINED} has all, to mend and give back by --record\n"
     )
-    worth = [row for row in rows if is_fault(row)]
-    sys.stdout.write(f"{len(worth)} of {len(rows)} loops deserve a visit\n")
-    for row in worth[:SHOWN]:
-        sys.stdout.write(f"{row['place']:>4}  {row['tag']:<20}  {row['action']}: {row['reason']}\n")
+    sys.stdout.write(summary(rows, len(found.refused)) + "\n")
+    for row in [row for row in rows if is_fault(row)][:SHOWN]:
+        sure = f", {row['confidence']:.0%} sure" if row["confidence"] is not None else ""
+        sys.stdout.write(f"{row['place']:>4}  {row['tag']}: {row['action']}{sure}{_cost(row)}\n      {row['reason']}\n")
+    if options.since is not None:
+        sys.stdout.write(_changed(rows))
     sys.stdout.write(f"the page: {options.out / 'index.html'}\n")
+
+
+def _cost(row: Row) -> str:
+    """What a loop's error is, and how much of it may go."""
+    error, share = mean_error(row), row.get("avoidable")
+    if error is None or not isinstance(share, float) or not row.get("basis"):
+        return ""
+    return f"; mean error {error:.3g}, of which {share:.0%} may go ({row['basis']})"
+
+
+def _changed(rows: Sequence[Row]) -> str:
+    """What became worse since the earlier audit, in a line."""
+    worse = [f"{row['tag']} ({row['change']})" for row in rows if str(row["change"]).startswith("worse")]
+    more = f" and {len(worse) - SHOWN} more" if len(worse) > SHOWN else ""
+    return f"worse since then: {', '.join(worse[:SHOWN]) or 'none'}{more}\n"
 
 
 def _names_told(found: Catalogue) -> str:
     """How names were joined to loops, by its first."""
     tag, roles = next(((tag, roles) for tag, roles in found.signals.items() if tag), ("", {}))
-    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) or "a loop for each file"
+    apart = [task for task in found.tasks if task.separate]
+    files = sum(len(task.files) for task in apart)
+    by_name = f"{files} files are records of {len(apart)} {'loop' if len(apart) == 1 else 'loops'}, by their names"
+    shown = ", ".join(f"{role} = {roles[role]}" for role in sorted(roles)) + ("; " if roles and apart else "")
+    shown += by_name if apart else ""
     more = f"; {len(found.others)} names belong to no loop" if found.others else ""
     return (f"{tag}: " if tag else "") + shown + more

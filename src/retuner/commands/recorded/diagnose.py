@@ -217,7 +217,7 @@ WINNER = {Cause.STICTION: "stuck", Cause.EXTERNAL: "external"}
 
 def _picture(found: DiagnosedRecord, options: RecordOptions) -> bytes:
     """The record with what was found."""
-    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png  # noqa: PLC0415  slow to load
+    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 
     told, estimate = found.result.diagnosis, found.result.estimate
     lines = [*_controller_lines(found), *_process_lines(found), *evidence_lines(found.evidence, readings=False)]

@@ -168,8 +168,8 @@ def described(found: Identification) -> list[str]:
 
 def _picture(recording: Recording, found: Identification, options: RecordOptions) -> bytes:
     """The record with the model's pv."""
-    from retuner.adaptive.identification.fitted_curve import fitted_pv  # noqa: PLC0415  matplotlib only when a picture is wanted
-    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png  # noqa: PLC0415
+    from retuner.adaptive.identification.fitted_curve import fitted_pv
+    from retuner.report.record_plots import ExplainedCurve, RecordPicture, record_png
 
     window, estimate = recording.window(), found.estimate
     title = f"{Path(recording.source).name}: " + ("identified" if estimate.identifiable else "not identifiable")

@@ -1,60 +1,17 @@
-"""Options for the form of a record, and telling what was assumed where they leave it open."""
+"""The record that options give, and telling what was assumed where they leave its form open."""
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
+from retuner.commands.options import FormOptions
 from retuner.drivers.historian.assumption import Assumption, in_a_line, in_full
 from retuner.drivers.historian.loop_record import LoopRecord, read_loop_record
 from retuner.drivers.historian.record_form import COLUMN_ROLES, RecordForm, form_from_toml
 from retuner.errors import UserError, user_input
 from retuner.verbosity import LOGGER, busy, quiet
-
-PANEL = "The form of the record (else detected, and reported)"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FormOptions:
-    """How a record is written; what is left open is found in it."""
-
-    columns: Annotated[
-        str, typer.Option(help="Names of columns: t=time,pv=temp,co=out,sp=target.", rich_help_panel=PANEL)
-    ] = ""
-    tag: Annotated[str, typer.Option(help="Which loop of many: FIC101 of FIC101.PV.", rich_help_panel=PANEL)] = ""
-    sp: Annotated[float | None, typer.Option(help="The setpoint where no column has it.", rich_help_panel=PANEL)] = None
-    dt: Annotated[
-        float | None, typer.Option(help="Seconds between rows where no column has the time.", rich_help_panel=PANEL)
-    ] = None
-    time_format: Annotated[
-        str, typer.Option(help="Format of time stamps: %d.%m.%Y %H:%M:%S.", rich_help_panel=PANEL)
-    ] = ""
-    time_unit: Annotated[str, typer.Option(help="Time as a number: s, ms, min, h, d.", rich_help_panel=PANEL)] = ""
-    zone: Annotated[
-        str, typer.Option(help="Time zone of stamps without one: Europe/Berlin.", rich_help_panel=PANEL)
-    ] = ""
-    decimal: Annotated[str, typer.Option(help="Decimal mark: . or ,", rich_help_panel=PANEL)] = ""
-    good: Annotated[str, typer.Option(help="Quality code of a good value.", rich_help_panel=PANEL)] = ""
-    bad: Annotated[str, typer.Option(help="Another code for a missing value.", rich_help_panel=PANEL)] = ""
-    scale: Annotated[
-        str, typer.Option(help="Raw signals: pv=4..20:0..200,co=mA:0..100 or counts.", rich_help_panel=PANEL)
-    ] = ""
-    dbc: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="What the frames of bus traffic mean; may be repeated.", rich_help_panel=PANEL
-        ),
-    ] = None
-    record: Annotated[
-        Path | None,
-        typer.Option(metavar="TOML", help="A file with all of this in its section record.", rich_help_panel=PANEL),
-    ] = None
-    assume: Annotated[
-        bool, typer.Option("--assume", help="Print what was assumed as a section record.", rich_help_panel=PANEL)
-    ] = False
 
 
 def record_form(options: FormOptions) -> RecordForm:

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from retuner.adaptive.controller_settings.read_off import settings_in_force
-from retuner.commands.options import ActionOption, Controller, Json, PvSpan, controller_units
-from retuner.commands.recorded.record_form import FormOptions, read_record
+from retuner.commands.options import ActionOption, Controller, FormOptions, Json, PvSpan, controller_units
+from retuner.commands.recorded.record_form import read_record
 from retuner.decision_page.shown_units import show_units
 from retuner.drivers.historian.loop_record import LoopRecord
 from retuner.drivers.recorded.recording import Recording, require_setpoint

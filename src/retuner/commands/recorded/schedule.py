@@ -12,8 +12,16 @@ import numpy as np
 import typer
 
 from retuner.adaptive.signals.sample import Window
-from retuner.commands.options import ActionOption, Controller, Json, PvSpan, controller_units, signed_by
-from retuner.commands.recorded.record_form import FormOptions, read_record, tell_assumed
+from retuner.commands.options import (
+    ActionOption,
+    Controller,
+    FormOptions,
+    Json,
+    PvSpan,
+    controller_units,
+    signed_by,
+)
+from retuner.commands.recorded.record_form import read_record, tell_assumed
 from retuner.commands.recorded.recorded_loop import require_length
 from retuner.decision_page.shown_units import chosen_units, show_units
 from retuner.drivers.historian.assumption import Assumption
@@ -182,8 +190,8 @@ def _written(found: ScheduleDesign, windows: list[Window], options: ScheduleOpti
     folder = options.out
     if folder is None:
         return []
-    from retuner.schedule_report.drawing import schedule_png  # noqa: PLC0415  matplotlib only when it is wanted
-    from retuner.schedule_report.page import page  # noqa: PLC0415
+    from retuner.schedule_report.drawing import schedule_png
+    from retuner.schedule_report.page import page
 
     name = found.table.loop if found.table is not None else options.files[0].stem
     files: dict[Path, str | bytes] = {

@@ -31,12 +31,13 @@ class TuneOptions:
 
     type: Annotated[
         str | None,
-        typer.Option(help="fopdt, sopdt, integrating, integrating-lag, double-integrating or delay."),
+        typer.Option(help="fopdt, sopdt, integrating, integrating-lag, double-integrating, delay or sopdt-inverse."),
     ] = None
     k: Annotated[float | None, typer.Option(help="Steady-state gain; slope gain of integrating types.")] = None
     tau1: Annotated[float, typer.Option(help="Lag, s.")] = 0.0
     tau2: Annotated[float, typer.Option(help="Second lag, s.")] = 0.0
     theta: Annotated[float, typer.Option(help="Dead time, s.")] = 0.0
+    inverse: Annotated[float, typer.Option(help="Inverse response b of 1 - b s, s (sopdt-inverse).")] = 0.0
     rule: Annotated[str, typer.Option(help="Tuning rule; a wrong name shows the list.")] = "simc"
     kind: Annotated[str | None, typer.Option(help="p, pi or pid; default pi where the rule has it.")] = None
     form: Annotated[str | None, typer.Option(help="series, ideal or parallel; default the rule's own.")] = None
@@ -78,7 +79,7 @@ class TuneOptions:
             Only a part of a model is given, or a value is out of its range.
         """
         if self.type is None:
-            if self.k is not None or any((self.tau1, self.tau2, self.theta)):
+            if self.k is not None or any((self.tau1, self.tau2, self.theta, self.inverse)):
                 raise UserError(f"--type is missing: give one of {', '.join(ProcessType)}")
             return None
         if self.type not in set(ProcessType):
@@ -86,7 +87,8 @@ class TuneOptions:
         if self.k is None:
             raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
         with user_input("retuner tune"):
-            return ProcessModel(ProcessType(self.type), self.k, self.tau1, self.tau2, self.theta)
+            lags = (self.tau1, self.tau2, self.theta)
+            return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse)
 
 
 @app.command(epilog="Example: retuner tune --type fopdt --k 0.361 --tau1 138 --theta 14.2 --rule simc")
@@ -150,7 +152,7 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
         row = RuleRow(result, performance(model.linear(), result.tuning.gains), None)
         _draw(model, (row,), path)
         return
-    from retuner.report.tuning_plots import pareto_png  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.report.tuning_plots import pareto_png
 
     with user_input("--plot"):
         picture = pareto_png(model)
@@ -159,7 +161,7 @@ def _draw_one(model: ProcessModel | None, result: TuneResult, path: Path) -> Non
 
 def _draw(model: ProcessModel, rows: tuple[RuleRow, ...], path: Path) -> None:
     """The responses of rules in one figure."""
-    from retuner.report.tuning_plots import responses_png  # noqa: PLC0415  matplotlib only when a picture is wanted
+    from retuner.report.tuning_plots import responses_png
 
     with user_input("--plot"):
         picture = responses_png(model, rows)

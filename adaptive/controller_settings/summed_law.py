@@ -1,0 +1,60 @@
+"""The law of a controller over a whole record, where its single movements are lost.
+
+    co = kp (sp - pv) + ki integral of (sp - pv) + a constant
+
+A recorder that holds co, or draws lines through it, takes away the movements from which read_off.py tells settings.
+The way that co goes in the long run stays: it shows the direction, and roughly how fast the integral acts. That is
+enough to say that pv stands while co travels, and not enough for settings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import FloatArray, Window
+from retuner.schedule.gains import PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class SummedSettings:
+    """Settings.
+
+    explained : share of co's variance that the law must explain; 0.9 to 0.999, default 0.98.
+    disagreement : largest ratio of ki in the two halves of the record; 1.1 to 3, default 1.5.
+    """
+
+    explained: float = 0.98
+    disagreement: float = 1.5
+
+
+def summed_law(window: Window, settings: SummedSettings | None = None) -> PidGains | None:
+    """Direction and rough gains, in parallel form and the record's units; None where the law does not hold.
+
+    window : closed-loop record. The gain kp is left out where it comes out against the integral's direction: then the
+    record shows the integral alone.
+    """
+    settings = settings or SummedSettings()
+    error = window.sp - window.pv
+    steps = (error[1:] + error[:-1]) / 2 * np.diff(window.t_s)
+    summed = np.concatenate([[0.0], np.cumsum(steps)])
+    if not np.ptp(window.co) or not np.ptp(summed):
+        return None
+    both = _fitted(window.co, np.stack([summed, error], axis=1))
+    found = both if both[0] * both[1] > 0 else _fitted(window.co, summed[:, None])
+    columns = np.stack([summed, error], axis=1)[:, : len(found)]
+    left = window.co - columns @ found
+    if float(np.var(left)) > (1 - settings.explained) * float(np.var(window.co)):
+        return None
+    half = len(error) // 2
+    first, second = (float(_fitted(window.co[p], columns[p])[0]) for p in (slice(half), slice(half, None)))
+    if first * second <= 0 or max(first / second, second / first) > settings.disagreement:
+        return None
+    return PidGains(kp=float(found[1]) if len(found) > 1 else 0.0, ki=float(found[0]), kd=0.0)
+
+
+def _fitted(co: FloatArray, columns: FloatArray) -> FloatArray:
+    """Least squares beside a constant."""
+    centred = columns - columns.mean(axis=0)
+    scale = np.linalg.norm(centred, axis=0)
+    scale[scale == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(centred / scale, co - co.mean(), rcond=None)[0] / scale)

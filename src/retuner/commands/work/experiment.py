@@ -1,0 +1,204 @@
+"""retuner experiment step|setpoint|relay|ultimate: on demand against a controller, with limits, restored afterwards; or
+the evaluation of a recorded one (--from FILE).
+"""
+
+import json
+import sys
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+
+from retuner.adaptive.experiments.plan import Kind, Plan
+from retuner.adaptive.rules.registry import rule_named
+from retuner.commands.options import on_bus
+from retuner.commands.recorded.record_form import read_record, tell_assumed
+from retuner.commands.work.experiment_options import (
+    OnDemandOptions,
+    RecordedOptions,
+    RelayOptions,
+    SetpointOptions,
+    StepOptions,
+    UltimateOptions,
+)
+from retuner.config import Config, load_config
+from retuner.drivers.device import DeviceError
+from retuner.drivers.recorded.recording import require_excitation, require_setpoint
+from retuner.errors import UserError, user_input
+from retuner.experiment.drawing import experiment_png
+from retuner.experiment.findings import METHODS, OVERSHOOT_RULE, ULTIMATE, Question, described, evaluate, headline
+from retuner.experiment.on_demand import OnDemandExperiment
+from retuner.experiment.result import RECORD
+from retuner.experiment.runner import Bench
+from retuner.experiment.target import DEFAULT_DEVIATION, DEFAULT_SAMPLES, DEFAULT_SHARE, REST_WAIT_SAMPLES
+from retuner.files import write_whole
+from retuner.ledger import Ledger
+from retuner.report.console import RunScreen, screen_console
+from retuner.session.assembly import make_plant
+from retuner.session.bench import live, simulated
+from retuner.session.outputs import BUS_LOG, LEDGER, fresh_folder, give_back
+from retuner.session.running import real_time_speed
+from retuner.stopping import stoppable
+from retuner.verbosity import quiet
+
+
+class ExperimentSignal(NamedTuple):
+    """What a test does to the loop. amplitude : co percent (setpoint: pv units), None for the default share."""
+
+    amplitude: float | None = None
+    cycles: int = 4
+    bias: float = 0.0
+    hysteresis: float | None = None
+    kc0: float | None = None
+
+
+def step(options: StepOptions) -> int:
+    """A step of co; the exit status."""
+    return _test(Kind.STEP, options, question_for(Kind.STEP, options), ExperimentSignal(options.amplitude))
+
+
+def setpoint(options: SetpointOptions) -> int:
+    """A step of the setpoint; the exit status."""
+    question = question_for(Kind.SETPOINT, options, options.kc0)
+    return _test(Kind.SETPOINT, options, question, ExperimentSignal(options.amplitude, kc0=options.kc0))
+
+
+def relay(options: RelayOptions) -> int:
+    """Relay feedback; the exit status."""
+    question = question_for(Kind.RELAY, options, None, options.hysteresis)
+    shape = ExperimentSignal(options.amplitude, options.cycles, options.bias, options.hysteresis)
+    return _test(Kind.RELAY, options, question, shape)
+
+
+def ultimate(options: UltimateOptions) -> int:
+    """A recorded swing; the exit status."""
+    return from_recording(options.file, options, question_for(ULTIMATE, options, options.kc))
+
+
+def _test(kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
+    """A recording, or a controller."""
+    if options.file is not None and options.config is not None:
+        raise UserError("give CONFIG to run the test, or --from FILE to evaluate a recording, not both")
+    if options.file is not None:
+        return from_recording(options.file, options, question)
+    if options.config is None:
+        raise UserError(f"give CONFIG to run the test, or --from FILE; `retuner experiment {kind} --help`")
+    return on_demand(options.config, kind, options, question, shape)
+
+
+def from_recording(file: Path, options: RecordedOptions, question: Question) -> int:
+    """Evaluate a recorded experiment and show it; the exit status: 0, or 1 when it carries no settings.
+
+    Raises
+    ------
+    UserError, RecordingError
+        The file or an option cannot be used.
+    """
+    read = read_record([file], options)
+    tell_assumed(read.assumed, options)
+    recording = read.recording
+    if question.kind != ULTIMATE:
+        require_excitation(recording)
+    if question.kind == Kind.SETPOINT:
+        require_setpoint(recording)
+    window = recording.window()
+    found = evaluate(window, question)
+    if options.plot is not None:
+        title = f"{file.name}: {headline(found)}"
+        write_whole(options.plot, experiment_png(window, found, title, "pv unit", None))
+    if options.as_json:
+        sys.stdout.write(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n")
+    else:
+        Console(highlight=False, soft_wrap=True, markup=False).print("\n".join(described(found)))
+    return 0 if found.usable else 1
+
+
+def question_for(
+    experiment: str, options: RecordedOptions, kc: float | None = None, hysteresis: float | None = None
+) -> Question:
+    """The question that the options ask of a record.
+
+    Raises
+    ------
+    UserError
+        A number is out of its range, or a method or rule is not known.
+    """
+    method, rule = options.method, options.rule
+    if method not in METHODS[experiment]:
+        raise UserError(f"--method {method}: {experiment} has {', '.join(METHODS[experiment])}")
+    if kc is not None and not 0 < abs(kc) < float("inf"):
+        raise UserError(f"the gain of the experiment is {kc:g}; give a finite gain other than 0")
+    if hysteresis is not None and not 0 <= hysteresis < float("inf"):
+        raise UserError(f"--hysteresis {hysteresis:g}: give 0 or a positive number of pv units")
+    if rule != OVERSHOOT_RULE:
+        with user_input(f"--rule {rule}"):
+            rule_named(rule)
+    at_rest = experiment != Kind.SETPOINT
+    return Question(experiment, method, rule, options.kind, kc, hysteresis or 0.0, from_rest=at_rest)
+
+
+def on_demand(path: Path, kind: Kind, options: OnDemandOptions, question: Question, shape: ExperimentSignal) -> int:
+    """Conduct an experiment, evaluate it, and write the settings if they are confirmed; the exit status.
+
+    Raises
+    ------
+    ConfigError, UserError, DeviceError
+        The configuration, an option, the folder or the bus cannot be used; nothing was touched.
+    """
+    config = on_bus(load_config(path, options.loop), options.interface, options.channel)
+    in_process = config.bus.interface == "virtual"
+    if in_process:
+        make_plant(config)
+    speed = real_time_speed(options.speed, simulated=in_process)
+    plan = plan_for(config, kind, options, shape)
+    folder = options.out or Path(f"{config.output.directory}-experiment")
+    console = screen_console(stderr=options.as_json)
+    screen = RunScreen(console, config.loop.pv_unit, quiet=options.as_json, answers_only=quiet())
+    fresh = fresh_folder(folder)
+    try:
+        with stoppable(), Ledger(folder / LEDGER) as ledger, screen:
+            log = folder / BUS_LOG
+            place: AbstractContextManager[Bench] = simulated(config, log) if in_process else live(config, speed, log)
+            with place as bench:
+                return OnDemandExperiment(
+                    config, plan, question, folder, ledger, screen, bench, yes=options.yes, as_json=options.as_json
+                ).run()
+    except (DeviceError, UserError):
+        if not (folder / RECORD).exists():  # nothing happened: leave no folder behind
+            give_back(fresh)
+        raise
+
+
+def plan_for(config: Config, kind: Kind, options: OnDemandOptions, shape: ExperimentSignal) -> Plan:
+    """The plan that options and configuration make.
+
+    Raises
+    ------
+    UserError
+        An option is out of its range.
+    """
+    loop, dt = config.loop, config.loop.sample_time_s
+    span = loop.pv_max - loop.pv_min
+    range_ = span if kind == Kind.SETPOINT else loop.co_max_pct - loop.co_min_pct
+    with user_input(f"retuner experiment {kind}"):
+        return Plan(
+            kind=kind,
+            amplitude=_or(shape.amplitude, DEFAULT_SHARE * range_),
+            pv_low=_or(options.pv_low, loop.pv_min),
+            pv_high=_or(options.pv_high, loop.pv_max),
+            deviation=_or(options.deviation, DEFAULT_DEVIATION * span),
+            co_low=loop.co_min_pct,
+            co_high=loop.co_max_pct,
+            time_s=_or(options.time, DEFAULT_SAMPLES * dt),
+            rest_time_s=_or(options.rest, REST_WAIT_SAMPLES * dt),
+            cycles=shape.cycles,
+            bias=shape.bias,
+            hysteresis=shape.hysteresis,
+            kc0=shape.kc0,
+        )
+
+
+def _or(given: float | None, default: float) -> float:
+    """What was given, else the default."""
+    return default if given is None else given

@@ -1,0 +1,22 @@
+"""The options of `retuner replay`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from retuner.commands.options import FormOptions, Json, Loop
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayOptions(FormOptions):
+    """Repeat the decisions of a session byte for byte, or apply retuner to a recorded log."""
+
+    target: Annotated[Path, typer.Argument(metavar="SESSION|LOG", help="A session's folder; or, with --config, a log.")]
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Apply this configuration to a log (.csv, .parquet, .blf, .asc, .mf4, candump .log)."),
+    ] = None
+    loop: Loop = None
+    as_json: Json = False

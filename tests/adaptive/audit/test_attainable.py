@@ -1,0 +1,120 @@
+"""What a loop could have had: foreseen from a record, beside the same loop simulated anew under the same loads."""
+
+import math
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.audit.attainable import Foreseen, foreseen
+from retuner.adaptive.audit.verdict import Action, Basis, LoopVerdict, error_share, with_foreseen
+from retuner.adaptive.audit.windows import spread_over
+from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import Window
+from retuner.drivers.plants.linear_plant import LinearPlant
+from retuner.schedule import pid
+from retuner.schedule.gains import PidGains
+
+DT_S = 2.0
+SLOW, GOOD = PidGains.from_ideal(0.4, 60.0), PidGains.from_ideal(1.6, 30.0)
+MODELS = (
+    ProcessModel(ProcessType.FOPDT, 1.5, 30.0, theta_s=7.0),
+    ProcessModel(ProcessType.SOPDT, -0.8, 40.0, 11.0, theta_s=3.3),
+    ProcessModel(ProcessType.INTEGRATING, 0.03, theta_s=6.0),
+    ProcessModel(ProcessType.INTEGRATING_LAG, 0.02, tau2_s=9.0, theta_s=4.0),
+)
+
+
+def simulated(model: ProcessModel, gains: PidGains) -> Window:
+    """A loop under load steps and a setpoint change; the loads are the same for all settings."""
+    plant, law = LinearPlant(model.linear(), start_pv=50.0, start_co=50.0), pid.law(gains)
+    state: pid.StateTuple = pid.start(law, 50.0, 50.0, 50.0)
+    pv, rows, co = 50.0, [], 50.0
+    for i in range(600):
+        sp = 50.0 if i < 350 else 52.0
+        if i:
+            state, co = pid.step(law, state, sp, pv, DT_S)
+        rows.append((i * DT_S, sp, pv, co))
+        pv = plant.step(co, 4.0 * (50 < i < 200), DT_S)
+    return Window(*np.array(rows).T.copy())
+
+
+def of(model: ProcessModel, gains: PidGains) -> PidGains:
+    """Settings for this process's sign and speed."""
+    scale = 1 / (model.slope * 20.0)
+    return PidGains(gains.kp * scale, gains.ki * scale, gains.kd * scale)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: str(m.type))
+def test_what_is_foreseen_is_what_the_other_controller_does(model: ProcessModel) -> None:
+    before, after = (simulated(model, of(model, gains)) for gains in (SLOW, GOOD))
+    found = foreseen([before], [model], of(model, GOOD))
+    assert found is not None
+    error, travel = (float(np.sum(np.abs(after.sp - after.pv))) * DT_S, float(np.sum(np.abs(np.diff(after.co)))))
+    assert found.error[0] == pytest.approx(error, rel=1e-6)
+    assert found.travel[0] == pytest.approx(travel, rel=1e-6)
+    assert found.saved == pytest.approx(1 - error / found.error[1])
+    assert 0.3 < found.saved < 1
+
+
+def test_the_settings_in_force_change_nothing_and_uneven_times_little() -> None:
+    record = simulated(MODELS[0], SLOW)
+    same = foreseen([record], MODELS[:1], SLOW)
+    assert same is not None
+    assert same.saved == pytest.approx(0, abs=1e-9)
+    kept = np.sort(np.random.default_rng(5).permutation(len(record.t_s))[:500])
+    some = foreseen([Window(record.t_s[kept], record.sp[kept], record.pv[kept], record.co[kept])], MODELS[:1], SLOW)
+    assert some is not None
+    assert some.saved == pytest.approx(0, abs=0.1)
+
+
+def test_settings_that_no_model_holds_are_told_by_none_and_doubtful_ones_by_their_range() -> None:
+    record = simulated(MODELS[0], SLOW)
+    assert foreseen([Window(record.t_s, record.pv, record.pv, record.co)], MODELS[:1], GOOD) is None
+    other = ProcessModel(ProcessType.FOPDT, 1.5, 30.0, theta_s=14.0)
+    found = foreseen([record, record], (MODELS[0], other), of(MODELS[0], GOOD))
+    assert found is not None
+    assert found.least <= found.saved <= found.most
+    assert found.most - found.least > 0.01
+    assert found.span_s == pytest.approx(2 * 600 * DT_S)
+    assert math.isfinite(found.least)
+
+
+def test_parts_stand_for_the_whole_record_and_hold_no_gap() -> None:
+    n = 40_000
+    t_s = np.arange(n) * 5.0 + 4_000.0 * (np.arange(n) >= 17_500)
+    record = Window(t_s, np.zeros(n), np.arange(n) * 1.0, np.ones(n))
+    parts = spread_over(record)
+
+    assert 6 <= len(parts) <= 8
+    assert all(np.max(np.diff(part.t_s)) < 6 for part in parts)
+    assert parts[0].pv[0] == 0
+    assert parts[-1].pv[-1] == n - 1
+    assert spread_over(record.part(slice(0, 5_000)))[0].t_s.shape == (5_000,)
+
+
+SLUGGISH = LoopVerdict(Cause.SLUGGISH, 0.8, Action.RETUNE, "slow", 0.0, 2, 2, 0.9, 0.72, Basis.HARRIS)
+
+
+def told(saved: float, least: float, calmer: float) -> Foreseen:
+    return Foreseen(100.0, (1.0, 2.0), (3.0, 4.0), saved, least, max(saved, 0.9), calmer)
+
+
+def test_the_benefit_of_a_retune_is_what_was_foreseen() -> None:
+    found = with_foreseen(SLUGGISH, told(0.4, 0.3, -2.0), proposed=True)
+    assert (found.avoidable, found.basis, found.action) == (0.4, Basis.SIMULATED, Action.RETUNE)
+    assert found.rank == pytest.approx(0.8 * 0.4)
+    calmer = with_foreseen(SLUGGISH, told(-0.1, -0.2, 0.6), proposed=True)
+    assert calmer.avoidable == 0.0
+    assert calmer.rank == pytest.approx(0.8 * 0.3)
+    assert with_foreseen(SLUGGISH, told(-0.1, -0.2, 0.0), proposed=True).rank > 0
+
+
+def test_what_is_not_sure_enough_to_be_proposed_counts_by_the_worst_model_and_asks_for_a_step() -> None:
+    found = with_foreseen(SLUGGISH, told(0.4, 0.3, 0.9), proposed=False)
+    assert (found.avoidable, found.basis, found.action) == (0.3, Basis.SIMULATED, Action.STEP)
+    for unknown in (None, told(0.4, -math.inf, 0.9)):
+        found = with_foreseen(SLUGGISH, unknown, proposed=False)
+        assert (found.avoidable, found.basis, found.action) == (0.9, Basis.HARRIS, Action.STEP)
+        assert 0 < found.rank < SLUGGISH.rank
+    assert error_share(0.75) == pytest.approx(0.5)

@@ -1,0 +1,71 @@
+"""An inverse response is found as what it is, a zero in the right half-plane, and not as loads or a dead time."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.record import Record
+from retuner.adaptive.fit.refine import refine
+from retuner.adaptive.fit.search import with_inverse
+from retuner.adaptive.fit.structure import parameters_of
+from retuner.adaptive.identification.identify import identify_window
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.signals.sample import Window
+
+INVERSE = ProcessType.SOPDT_INVERSE
+K, LAGS, B, DELAY = 1.0, (12.0, 5.0), 5.0, 3
+"""Gain, lags and zero in seconds, dead time in samples of a second."""
+
+
+def record(seed: int, *, sp: float = 0.0, load: float = 0.0, kc: float = 0.5, n: int = 400) -> Window:
+    """PI on the process: a setpoint step and a load step after 40 s, 1 % noise."""
+    rng = np.random.default_rng(seed)
+    a, b, c, _, _ = cont2discrete(
+        (np.array([[-1 / LAGS[0], 0], [0, -1 / LAGS[1]]]), np.ones((2, 1)), _parts(), np.zeros((1, 1))), 1.0
+    )
+    x, integral = np.zeros(2), 0.0
+    pv, co, wanted = np.zeros(n), np.zeros(n), np.where(np.arange(n) >= 40, sp, 0.0)
+    for i in range(n):
+        pv[i] = float((c @ x).item()) + 0.01 * rng.standard_normal()
+        integral += kc / 17 * (wanted[i] - pv[i])
+        co[i] = kc * (wanted[i] - pv[i]) + integral
+        entered = (co[i - DELAY] if i >= DELAY else 0.0) + (load if i >= 40 else 0.0)
+        x = a @ x + b[:, 0] * entered
+    return Window(np.arange(float(n)), wanted, pv, co)
+
+
+def _parts() -> np.ndarray:
+    """K (1 - B s) / ((1 + T1 s)(1 + T2 s)) in partial fractions."""
+    one, two = LAGS
+    return np.array([[K * (1 + B / one) / (one - two), -K * (1 + B / two) / (one - two)]])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_setpoint_step_shows_the_zero_and_no_load_is_invented(seed: int) -> None:
+    found = identify_window(record(seed, sp=1.0), sign=1)
+    model = found.log.model()
+    assert found.identifiable
+    assert found.log.type == INVERSE
+    assert found.load_times_s == ()
+    assert model.k == pytest.approx(K, rel=0.05)
+    assert model.inverse_s + model.theta_s == pytest.approx(B + DELAY, rel=0.15)
+    assert model.inverse_s == pytest.approx(B, rel=0.3)
+
+
+def test_beside_a_load_it_is_found_too() -> None:
+    model = identify_window(record(4, load=1.0, n=600), sign=1).log.model()
+    assert model.k == pytest.approx(K, rel=0.2)
+    assert model.without_inverse().theta_s == pytest.approx(B + DELAY, rel=0.3)
+
+
+def test_the_bigger_structure_is_never_the_worse_one() -> None:
+    of = Record.of(record(5, sp=1.0))
+    plain = ProcessModel(ProcessType.SOPDT, K, *LAGS, DELAY + B)
+    smaller = Misfit(of, plain.type, 1, 0, of.noise_std, 0.3)
+    fit = refine(smaller, parameters_of(plain))
+    bigger = with_inverse(fit, INVERSE)
+    assert bigger.deviance < fit.deviance - 30
+    assert math.exp(bigger.x[-1]) == pytest.approx(B, rel=0.4)
