@@ -95,7 +95,7 @@ def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
 def test_a_loop_with_an_interpolated_table_runs_the_mean_where_it_is():
     regions = Regions("pv", "-", ("low", "high"), 0.0, (50.0,), 100.0)
     table = GainTable("loop", regions, (PidGains(1.0, 0.1), PidGains(3.0, 0.3)), Lookup.INTERPOLATED)
-    loop = WatchedLoop(VaryingPlant(RANGE.at, RANGE.rest, 0.1, 25.0), table, 0.1, FixedGains(), sp0=25.0)
+    loop = WatchedLoop(VaryingPlant(RANGE.at, RANGE.rest, 0.1, 40.0), table, 0.1, FixedGains(), sp0=40.0)
     trace = loop.run(75.0, 0.0, [0.0] * 3)
     (last, _) = trace[-1]
     assert loop.gains == table.at(0, last)
