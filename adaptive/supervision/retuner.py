@@ -285,8 +285,7 @@ class Retuner:
 
     def _still_allowed(self, region: int) -> StillAllowed:
         """What is known of a region's process now."""
-        at, now_s = self._finder.scheduled, self._now_s
-        return known_of(self.region_models.get(region), self.table, region, at, now_s, self.settings)
+        return known_of(self.region_models, self.table, region, self._now_s, self.settings)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""
