@@ -17,7 +17,7 @@ from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
@@ -36,7 +36,13 @@ from retuner.adaptive.supervision.causes import (
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import change_request, posterior_of, promise_of, unproved_request
+from retuner.adaptive.supervision.guard_request import (
+    change_request,
+    posterior_of,
+    promise_of,
+    tuning_of,
+    unproved_request,
+)
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import (
     RobustProposal,
@@ -44,7 +50,6 @@ from retuner.adaptive.supervision.proposal_from_model import (
     half_seen,
     no_gain,
     over_limit,
-    propose,
     worst_ms,
 )
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
@@ -121,7 +126,7 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = _across(found, known) if record.crossed else _inside(record, known, settings)
+        learned = _across(found, known) if record.crossed else _inside(found, known)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
@@ -129,8 +134,18 @@ def identification(found: Findings) -> None:
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
-def _inside(record: ResponseRecord, known: RegionModel | None, settings: RetunerSettings) -> Learned:
-    """What a response teaches the region in which it began and ended."""
+def _inside(found: Findings, known: RegionModel | None) -> Learned:
+    """What a response teaches the region in which it began and ended.
+
+    One that went far is fitted in motion first. Where that does not agree with what is known, or does not settle it, it
+    is judged as any other: the process may have changed in time.
+    """
+    record, settings = found.record, found.settings
+    if record.moved:
+        learned = _across(found, known)
+        settled = learned.region_model is not None and learned.region_model.identifiable
+        if settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
+            return learned
     return update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
 
 
@@ -217,8 +232,8 @@ def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> 
 
 def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    log = predicted(model, float(record.window.t_s[-1]), settings.tracker)
-    return propose(model, log, record.in_force, settings)
+    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
+    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
 
 
 def without_a_model(found: Findings) -> None:

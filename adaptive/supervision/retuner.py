@@ -285,8 +285,7 @@ class Retuner:
 
     def _still_allowed(self, region: int) -> StillAllowed:
         """What is known of a region's process now."""
-        at, now_s = self._finder.scheduled, self._now_s
-        return known_of(self.region_models.get(region), self.table, region, at, now_s, self.settings)
+        return known_of(self.region_models, self.table, region, self._now_s, self.settings)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""
@@ -298,8 +297,9 @@ class Retuner:
             self._change(region, gains)
 
     def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes."""
+        """The one place where the table changes; an oscillation that was explained is to be explained anew."""
         self.table = self.table.with_gains(region, gains)
+        self.standing.pop(region, None)
         self._finder.gains_changed()
 
     def _gains_at(self, region: int, x: float, x2: float) -> PidGains:
@@ -468,8 +468,7 @@ class Retuner:
         accepted: bool,
     ) -> Decision:
         """The record; accepted : gains may be written, as far as proof and trial are concerned."""
-        verdict, learned = outcome.verdict, outcome.learned
-        mode = self.settings.mode_of(region)
+        verdict, learned, mode = outcome.verdict, outcome.learned, self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
         region_model = learned.region_model if learned else None
         self._decisions += 1

@@ -28,7 +28,7 @@ from retuner.ledger.decided import digest_of, without_place
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
     "decision": RETUNER, "dropped": RETUNER, "trial": RETUNER, "judged": RETUNER, "restore": RETUNER,
-    "lockout": RETUNER, "nudge": RETUNER,
+    "lockout": RETUNER, "nudge": RETUNER, "schedule": RETUNER,
     "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
     "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
     "restart": CONTROLLER,
@@ -274,7 +274,18 @@ def _session(body: Document) -> Words:
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
     config = part(body, "config")
     loops = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
-    return f"begins: {', '.join(loops)}", "", "", made_with, ""
+    return f"begins: {', '.join(loops)}", "", "", made_with, "; ".join(map(_taken_up, parts(body, "schedules")))
+
+
+def _taken_up(schedule: Document) -> str:
+    """A schedule that a session proposed, and this one runs."""
+    standing = "as proposed" if schedule.get("as_proposed") is True else "edited since"
+    return f"{words(schedule, 'loop')}: schedule of proposal {words(schedule, 'hash')[:8]}, {standing}"
+
+
+def _schedule(body: Document) -> Words:
+    """Another schedule that the records ask for."""
+    return words(body, "reason"), "", "", f"proposal {words(body, 'hash')[:8]}", "proposed"
 
 
 def _other(body: Document) -> Words:
@@ -295,6 +306,7 @@ WORDS: dict[str, Callable[[Document], Words]] = {
     "trial": _trial,
     "judged": _judged,
     "restore": _restore,
+    "schedule": _schedule,
 }
 
 
