@@ -409,8 +409,19 @@ def _rounded(value: float, digits: int = DIGITS) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def schedule_section(table: GainTable) -> str:
-    """The [schedule] of a configuration (loop.toml) that runs this table."""
+def schedule_section(table: GainTable, loop: str = "") -> str:
+    """The [schedule] of a configuration (loop.toml) that runs this table.
+
+    loop : its name where it is one of several; its section is then [loop.schedule], below its [[loop]].
+    """
+    text = _section(table)
+    if not loop:
+        return text
+    below = text.replace("\n[[schedule.", "\n[[loop.schedule.").replace("[schedule]", "[loop.schedule]", 1)
+    return f"# Of the loop {json.dumps(loop)}: to stand below its [[loop]], before the next one.\n{below}"
+
+
+def _section(table: GainTable) -> str:
     axes = table.regions.axes
     simple = table.lookup is Lookup.HARD and len(axes) == 1 and axes[0].variable != CAN
     lines = ["[schedule]"]
