@@ -90,10 +90,11 @@ def where_gains_run(
     """
     regions, sign = table.regions, table.gains[0].direction
     hard = table.lookup is Lookup.HARD
-    found = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
+    own = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
+    found = dict(own)
     for region in range(len(regions)):
         if region not in found:
-            lent = borrowed(region_models, region, regions, t_s, sign, settings.borrowing, settings.tracker)
+            lent = borrowed(own, region, regions, t_s, sign, settings.borrowing, settings.tracker)
             found.update({} if lent is None else {region: lent})
     return found
 
