@@ -104,7 +104,9 @@ class DiagnosisSettings:
     held_share: float = 0.15
     majority: float = 0.75
     fit: FitSettings = field(
-        default_factory=lambda: FitSettings(ChoiceSettings(most_loads=6, most_order=WHITE), most_samples=2000)
+        default_factory=lambda: FitSettings(
+            ChoiceSettings(most_loads=6, most_order=WHITE, inverse=False), most_samples=2000
+        )
     )
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=2.4, weak=10.0))
     robust: RobustSettings = field(default_factory=RobustSettings)

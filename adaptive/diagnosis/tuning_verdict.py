@@ -20,13 +20,14 @@ from retuner.adaptive.fit.coincident_loads import apart, setpoint_changes
 from retuner.adaptive.fit.structure import model_at
 from retuner.adaptive.identification.candidate import Candidate
 from retuner.adaptive.identification.estimate import ModelEstimate, factor_text, gain_spread
-from retuner.adaptive.identification.identify import TWO_WAYS, Fits, FitSettings, estimate_of
+from retuner.adaptive.identification.identify import FEWEST_SAMPLES_IN_THETA, TWO_WAYS, Fits, FitSettings, estimate_of
 from retuner.adaptive.identification.robust_simc import RobustTuning, robust_simc
 from retuner.adaptive.indexes.condition import one_sided
 from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.schedule.gains import PidGains
@@ -212,8 +213,10 @@ def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
 
 
 def _open(found: Found, why: str) -> Found:
-    """The cause without settings."""
-    reason = f"{found.diagnosis.reason}; what the settings should be it does not show: {why}"
+    """The cause without settings, and without a number that rests on what is not known."""
+    slow = found.diagnosis.cause is Cause.SLUGGISH
+    told = "loads are rejected more slowly than need be" if slow else found.diagnosis.reason
+    reason = f"{told}; what the settings should be it does not show: {why}"
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 
@@ -402,4 +405,15 @@ def weighed(
         weights[verdict.cause] += math.exp(-p.excess / 2)
         firsts.setdefault(verdict.cause, verdict)
     cause = max(weights, key=lambda c: weights[c])
-    return replace(firsts[cause], confidence=weights[cause] / sum(weights.values()))
+    told = replace(firsts[cause], confidence=weights[cause] / sum(weights.values()))
+    if told.cause not in TUNING_CAUSES or told.evidence["ms"] > settings.ms_high:
+        return told
+    least = FEWEST_SAMPLES_IN_THETA * sample_time_s
+    if any(without_second_lag(p.model).theta_s >= least for p in estimate.plausible):
+        return told
+    reason = (
+        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much hangs on a dead time that no model of "
+        "the record shows"
+    )
+    known = {name: value for name, value in told.evidence.items() if name not in {"ki_ratio", "kp_ratio"}}
+    return replace(told, reason=reason, evidence=known)

@@ -105,6 +105,10 @@ def criterion(found: Colour, n: int, unknowns: int, model_error: float) -> float
 
 LOAD_COST = 3
 """A load step counts as so many unknowns: its size and its time, and one for having been looked for everywhere."""
+ROUNDING_COST = 3
+"""A lag of the loads' own counts as so many: beside a load it does what a second lag of the process does, and processes
+have one. At the price of one unknown it took the second lag's place in a tenth of the records of loads, and settings
+went wrong both ways; with loads that did come through a lag, naming the other one costs little."""
 AT_REST = 1e-4
 """A start_spread of zero (a record known to begin at rest) counts as this, so that its weight stays finite."""
 RAMP_SPREAD = 0.5
@@ -179,7 +183,8 @@ class Misfit:
     @property
     def unknowns(self) -> int:
         """What is fitted, as the information criterion counts it."""
-        return self.size + (LOAD_COST - 1) * self.loads + 2 * self.harmonics + int(self.ramp)
+        more = ROUNDING_COST - 1 if self.rounded else 0
+        return self.size + (LOAD_COST - 1) * self.loads + more + 2 * self.harmonics + int(self.ramp)
 
     @property
     def input(self) -> FloatArray:

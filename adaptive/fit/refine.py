@@ -24,6 +24,10 @@ LEAST_TIME = 0.02
 """Shortest dead time and second lag, in sampling intervals."""
 LEAST_LAG = 0.3
 """Shortest sum of lags, in sampling intervals."""
+MOST_INVERSE = 0.25
+"""Longest inverse response, in record lengths: beyond it the record shows a process of the other sign."""
+LEAST_SECOND = 1.0
+"""Shortest second lag of an inverse response, in sampling intervals: a kick within one fits to any dead time."""
 MOST_THETA = 0.9
 """Longest dead time, in record lengths."""
 MOST_LAG = 100.0
@@ -125,7 +129,8 @@ def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
     if type_ in SECOND:
         low[SECOND[type_]], high[SECOND[type_]] = math.log(LEAST_TIME * dt), math.log(span)
     if type_ in INVERSE:
-        low[INVERSE[type_]], high[INVERSE[type_]] = math.log(LEAST_TIME * dt), math.log(span)
+        low[INVERSE[type_]], high[INVERSE[type_]] = math.log(LEAST_TIME * dt), math.log(MOST_INVERSE * span)
+        low[SECOND[type_]] = math.log(LEAST_SECOND * dt)
     d = SIZE[type_]
     low[d : d + misfit.loads], high[d : d + misfit.loads] = 0.0, span - dt
     if misfit.rounded:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retuner.adaptive.fit.misfit import Misfit
+from retuner.adaptive.fit.misfit import ROUNDING_COST, Misfit
 from retuner.adaptive.fit.refine import Fit, Prior, bounds, pinned, refine
 from retuner.adaptive.fit.search import long_lag
 from retuner.adaptive.fit.structure import SECOND, SIZE, THETA, model_at
@@ -60,12 +60,16 @@ def plausible(found: list[Candidate], covariance: FloatArray, priors: Priors) ->
 def _rivals(found: list[Candidate]) -> list[Plausible]:
     """The other candidates that came close, those of a larger structure as likely as what they leave.
 
+    So are those whose loads have a lag of their own where the best has none: the record does not tell whose lag it is.
     The price of one parameter more tells which structure to name, not that the other is wrong: an integrator under a
     drifting load and a lag with thirty times the dead time were seen to leave the same.
     """
     best = found[0]
-    size, n = SIZE[best.fit.misfit.type], len(best.fit.misfit.record.pv)
-    more = [max(SIZE[c.fit.misfit.type] - size, 0) * math.log(n) for c in found[1:]]
+    n, size = len(best.fit.misfit.record.pv), SIZE[best.fit.misfit.type]
+    rounding = 0 if best.fit.misfit.rounded else ROUNDING_COST
+    more = [
+        (max(SIZE[c.fit.misfit.type] - size, 0) + rounding * int(c.fit.misfit.rounded)) * math.log(n) for c in found[1:]
+    ]
     excess = [max(c.criterion - best.criterion - price, 0.0) for c, price in zip(found[1:], more, strict=True)]
     return [
         Plausible(model_at(c.fit.misfit.type, c.fit.x, c.fit.misfit.sign), e)

@@ -1,6 +1,7 @@
-"""What is known of a dead time before any record: it is seldom a small share of the second lag.
+"""What is known before any record: a dead time is seldom a small share of the second lag, an inverse response seldom
+many times as long as it.
 
-    one standard deviation for every e-fold and a bit that theta lies below a share of c2
+    one standard deviation for every e-fold and a bit that theta lies below a share of c2, or b above some times c2
 
 A record of loads hardly shows a dead time: the unknown time of the load takes it up, and the likelihood is level from
 theta = 0 to the truth. The best fit then ends at no dead time at all, and settings for that are too strong. But what is
@@ -19,24 +20,29 @@ from retuner.adaptive.signals.sample import FloatArray
 
 LEAST_SHARE = 0.5
 """Of c2: a dead time from here on is nothing unusual (lags in series, fitted by two: 0.4 to 2)."""
+MOST_TIMES = 2.0
+"""The same for an inverse response: up to so many times c2 it is nothing unusual."""
 SPREAD = 1.2
 """Standard deviation of ln theta below it."""
 
 
 def unusual(type_: ProcessType, x: FloatArray) -> float:
-    """How many standard deviations a dead time is too short to be usual beside the second lag; 0 without one.
+    """How many standard deviations something is unusual; 0 without a second lag.
 
-    An inverse response is as good as a dead time.
+    A dead time too short beside the second lag, or an inverse response too long.
     """
-    if type_ not in SECOND or type_ in INVERSE:
+    if type_ not in SECOND:
         return 0.0
+    if type_ in INVERSE:  # which is as good as a dead time
+        return max(float(x[INVERSE[type_]] - x[SECOND[type_]]) - math.log(MOST_TIMES), 0.0) / SPREAD
     return max(math.log(LEAST_SHARE) + float(x[SECOND[type_]] - x[THETA]), 0.0) / SPREAD
 
 
 def usual(type_: ProcessType, x: FloatArray) -> Prior | None:
-    """The prior that holds at the parameters x; None where the dead time is usual, or the structure has one lag."""
+    """The prior that holds at the parameters x; None where all is usual, or the structure has one lag."""
     if unusual(type_, x) <= 0:
         return None
     row = np.zeros((1, SIZE[type_]))
-    row[0, THETA], row[0, SECOND[type_]] = 1 / SPREAD, -1 / SPREAD
-    return Prior(row, np.array([math.log(LEAST_SHARE) / SPREAD]))
+    place, ratio = (INVERSE[type_], MOST_TIMES) if type_ in INVERSE else (THETA, LEAST_SHARE)
+    row[0, place], row[0, SECOND[type_]] = 1 / SPREAD, -1 / SPREAD
+    return Prior(row, np.array([math.log(ratio) / SPREAD]))

@@ -92,7 +92,9 @@ class RetunerSettings:
     limit_swing: LimitSwingSettings = field(default_factory=LimitSwingSettings)
     diagnosis: DiagnosisSettings = field(default_factory=lambda: DiagnosisSettings(cause=CauseSettings()))
     cause: CauseSettings = field(default_factory=lambda: CauseSettings(slack=1.15))
-    robust: RobustSettings = field(default_factory=lambda: RobustSettings(ms_third=1.85, hidden_share=0.1))
+    robust: RobustSettings = field(
+        default_factory=lambda: RobustSettings(ms_worst=1.95, ms_third=1.85, hidden_share=0.1)
+    )
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
     pv_range: tuple[float, float] = EVERYWHERE

@@ -1,11 +1,17 @@
 """Which cause margins name, and how the rule's Ms limit feeds the guard."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.tuning_verdict import weighed
 from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.identification.identify import identify_window
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.identification.robust_simc import RobustSettings, robust_simc
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
@@ -46,3 +52,15 @@ def test_a_diagnosis_refuses_what_is_no_number() -> None:
         Diagnosis(Cause.OK, 1.2, {}, "")
     with pytest.raises(ValueError, match="ms is not a number"):
         Diagnosis(Cause.OK, 1.0, {"ms": math.nan}, "")
+
+
+@pytest.mark.parametrize(("theta", "told"), [(0.1, False), (5.0, True)])
+def test_how_much_slower_is_told_only_where_a_dead_time_shows(loop: Callable, theta: float, told: bool) -> None:
+    estimate = identify_window(loop(sp=1.0, noise=0.01).run(1), 1)
+    models = (Plausible(ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, theta), 0.0),)
+    estimate = replace(estimate, plausible=models)
+    best = robust_simc(estimate, 1.0, RobustSettings())
+    found = weighed(estimate, PidGains(0.5, 0.01), best, 1.0, CAUSES)
+    assert found.cause == Cause.SLUGGISH
+    assert ("times slower" in found.reason) == told
+    assert ("ki_ratio" in found.evidence) == told

@@ -139,7 +139,8 @@ def _decision(body: Document) -> Words:
     concerns = words(body, "on_trial") if words(body, "code").startswith(ABOUT_A_TRIAL) else ""
     done = "kept" if stays(body) else ACTIONS.get(action, action)
     reason = words(body, "reason")
-    said = reason if action == "none" and reason.startswith(OWN_WORDS) else f"{done}: {reason}"
+    own = f"{done}: " in reason or reason.startswith((done, *OWN_WORDS))
+    said = reason if own else f"{done}: {reason}"
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
     seen = (response_text(body), _explained(body), _known(body))
     return (
@@ -147,14 +148,14 @@ def _decision(body: Document) -> Words:
         _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
         " | ".join(text for text in seen if text),
-        _proved(part(body, "verdict"), reason),
+        "" if action == "restore" else _proved(part(body, "verdict"), reason),
     )
 
 
 ABOUT_A_TRIAL = ("undo_", "kept_")
 """Beginnings of the codes of decisions on what becomes of a change on trial."""
-OWN_WORDS = ("no change", "refused", "the trial gains stay", "rollback refused")
-"""Beginnings of reasons that say by themselves that nothing changes."""
+OWN_WORDS = ("refused", "the trial gains stay", "rollback refused", "an operator replaced")
+"""Beginnings of reasons that say by themselves what is done."""
 STOOD = {
     "agrees": "this record agrees",
     "odd": "this record contradicts it, and is kept as an alternative",
