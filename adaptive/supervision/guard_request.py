@@ -118,6 +118,10 @@ BEYOND = 1.05
 """Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
 
 
+MS_BETWEEN = "ms_between"
+"""Name of the evidence that a set is too much away from its region's middle."""
+
+
 def tuning_of(
     table: GainTable,
     region: int,
@@ -148,7 +152,7 @@ def tuning_of(
         return found
     seen = "the loop is unstable" if math.isinf(worst.ms) else f"Ms {worst.ms:.2f} is over {high:g}"
     words = f"{seen} on the way to region {worst.to}"
-    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
+    evidence = {**found.diagnosis.evidence, MS_BETWEEN: worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 

@@ -37,13 +37,14 @@ from retuner.adaptive.supervision.causes import (
 )
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import (
+    MS_BETWEEN,
     change_request,
     posterior_of,
     promise_of,
     tuning_of,
     unproved_request,
 )
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, may_follow
 from retuner.adaptive.supervision.proposal_from_model import (
     RobustProposal,
     behaves,
@@ -57,7 +58,6 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import promised_cost
-from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
@@ -198,17 +198,12 @@ def region_model(found: Findings) -> None:
     limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
     found.in_use = found.region_model = limit_swing or learned.region_model
     found.rested_on = _rested_on(record, learned.agreement)
-    found.clear = _clear_crossing(found, learned) if record.crossed else clear_case(found, learned)
+    found.clear = clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
-
-
-def _clear_crossing(found: Findings, learned: Learned) -> bool:
-    """The same of a response that crossed a border: a setpoint step that the process in motion explains by itself."""
-    return found.record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
 
 
 def _rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
@@ -340,9 +335,7 @@ def refutation(found: Findings) -> None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
     found.forget = _learned(found).agreement not in ANEW and swings_by_it
-    found.region_model = found.excitation = (
-        None  # the record's own model was not known before: what was known then stays
-    )
+    found.region_model = found.excitation = None  # the record's own model was not known before: that stays
     found.doubted(doubt)
 
 
@@ -377,6 +370,8 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
     """
     record, settings = found.record, found.settings
+    if MS_BETWEEN in _wanted(found).diagnosis.evidence:  # what is over its limit is not the middle
+        return ""
     seen, limit = decay_seen(record.response), settings.cause.ms_high
     calmed = _wanted(found).diagnosis.cause is Cause.AGGRESSIVE and verdict.ms_before <= limit
     swings = seen is not None and seen > (settings.swing.damping if calmed else settings.trial.harmless_decay)
@@ -445,15 +440,9 @@ def expectation(found: Findings) -> None:
         found.promise is None
         and verdict is not None
         and verdict.accepted
-        and _may_follow(found.question.trial, settings)
+        and may_follow(found.question.trial, settings)
     ):
         found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
-
-
-def _may_follow(trial: Trial, settings: RetunerSettings) -> bool:
-    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
-    last_one = trial.kept + 1 >= settings.trial.responses
-    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
 def check_after_trial(found: Findings) -> None:
