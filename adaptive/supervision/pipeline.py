@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
@@ -32,6 +31,7 @@ from retuner.adaptive.supervision.causes import (
     joining,
     looked_at_lately,
     not_as_modelled,
+    rested_on,
     swings_between_limits,
     wrong_way,
 )
@@ -39,12 +39,13 @@ from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import (
     MS_BETWEEN,
     change_request,
+    may_follow,
     posterior_of,
     promise_of,
     tuning_of,
     unproved_request,
 )
-from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult, may_follow
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import (
     RobustProposal,
     behaves,
@@ -197,20 +198,13 @@ def region_model(found: Findings) -> None:
         return
     limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
     found.in_use = found.region_model = limit_swing or learned.region_model
-    found.rested_on = _rested_on(record, learned.agreement)
+    found.rested_on = rested_on(record, learned.agreement)
     found.clear = clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
-
-
-def _rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
-    """What the model rested on before this response."""
-    if agreement == Agreement.CHANGED:
-        return record.excitation.of_alternative()
-    return Excitation() if agreement in ANEW else record.excitation
 
 
 def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:

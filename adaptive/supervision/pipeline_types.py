@@ -303,12 +303,6 @@ class Findings:
         )
 
 
-def may_follow(trial: Trial, settings: RetunerSettings) -> bool:
-    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
-    last_one = trial.kept + 1 >= settings.trial.responses
-    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
-
-
 def held(outcome: StageResult, trial: Trial, now_s: float) -> StageResult:
     """The outcome with the reason why nothing may be changed now, when something was accepted."""
     if outcome.verdict is None or not outcome.verdict.accepted:
