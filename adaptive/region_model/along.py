@@ -1,9 +1,10 @@
 """What the regions together say of the process between them: smooth curves over the scheduling variables.
 
     ln p(x) = c + phi(x) z,   z ~ N(0, I)      phi : level, slope and bends (schedule_design/shapes.py), of both axes
-    x_i = ln p(mean place of the records of region i) + e_i,   e_i ~ N(0, P_i)
+    x_i = ln p(place of region i) + e_i,   e_i ~ N(0, P_i)
 
-Every region with records of its own is one observation of the curves, where these were, with its covariance P_i. What
+Every region with records of its own is one observation of the curves, with its covariance P_i: at its centre, which it
+stands for as one set of gains serves it all, or, where gains move with the place, where its records were. What
 follows for z is linear regression with a normal prior (kriging, Matheron 1963; its equal, Wahba 1978), with all
 parameters of a structure at once, because P_i couples them. The curves are constant, lines or bent: each by its
 evidence, the mean of the three being what is known (nobody has to choose here, as a person does who draws up a
@@ -83,19 +84,25 @@ def lenders(region_models: Mapping[int, RegionModel], sign: int) -> dict[int, Re
 
 
 def curves(
-    region_models: Mapping[int, RegionModel], regions: Regions, t_s: float, tracker: TrackerSettings
+    region_models: Mapping[int, RegionModel],
+    regions: Regions,
+    t_s: float,
+    tracker: TrackerSettings,
+    *,
+    of_records: bool = False,
 ) -> dict[ProcessType, Curves]:
     """The curves of every structure that all these regions have, none where there is no region.
 
     Parameters
     ----------
-    region_models : by region, as `lenders` gives them. t_s : now; what is known has aged until then.
+    region_models : by region, as `lenders` gives them. t_s : now; what is known has aged until then. of_records : the
+        models are of the places where their records were, and not of the centres.
     """
     logs = {i: {log.type: log for log in predicted_all(model, t_s, tracker)} for i, model in region_models.items()}
     if not logs:
         return {}
     types = set.intersection(*(set(known) for known in logs.values()))
-    places = [place_of_records(region_models[i], regions, i) for i in logs]
+    places = [place_of_records(region_models[i], regions, i) if of_records else centre_of(regions, i) for i in logs]
     return {t: _through(regions, places, [known[t] for known in logs.values()]) for t in ProcessType if t in types}
 
 

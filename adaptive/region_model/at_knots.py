@@ -40,7 +40,8 @@ def at_knots(
     found = dict(region_models)
     for region, model in region_models.items():
         if model.records:
-            through = curves(lenders(region_models, model.log.sign), regions, t_s, tracker)
+            lent = lenders(region_models, model.log.sign)
+            through = curves(lent, regions, t_s, tracker, of_records=True)
             found[region] = carried(model, regions, through, place_of_records(model, regions, region), region)
     return found
 

@@ -146,7 +146,8 @@ def _places(
     own = {i: model for i, model in lenders(region_models, sign).items() if model.records >= LEAST_RECORDS}
     if len(own) < max(len(regions), 2) or len(regions.axes) > 1:  # what is not known must keep its own set
         return ()
-    curve = curves(own, regions, t_s, tracker).get(ProcessType.FOPDT)
+    by_knot = table.lookup is Lookup.INTERPOLATED
+    curve = curves(own, regions, t_s, tracker, of_records=by_knot).get(ProcessType.FOPDT)
     if curve is None:
         return ()
     grid = np.linspace(regions.span(min(own))[0], regions.span(max(own))[1], PLACES).tolist()

@@ -170,8 +170,13 @@ def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> 
 
 
 def clear_case(found: Findings, learned: Learned) -> bool:
-    """Whether the response is the loop's own doing beyond doubt."""
+    """Whether the response is the loop's own doing beyond doubt.
+
+    One that crossed a border is where it is a setpoint step that the process in motion explains by itself.
+    """
     record, loads = found.record, len(learned.estimate.load_times_s)
+    if record.crossed:
+        return record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
     return is_clear(record.samples, record.response, found.unexplained, loads, found.settings.swing)
 
 

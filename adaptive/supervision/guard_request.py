@@ -91,10 +91,11 @@ def where_gains_run(
     """
     regions, sign = table.regions, table.gains[0].direction
     hard = table.lookup is Lookup.HARD
-    found = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
+    own = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
+    found = dict(own)
     for region in range(len(regions)):
         if region not in found:
-            lent = borrowed(region_models, region, regions, t_s, sign, settings.borrowing, settings.tracker)
+            lent = borrowed(own, region, regions, t_s, sign, settings.borrowing, settings.tracker)
             found.update({} if lent is None else {region: lent})
     return found
 
@@ -116,6 +117,10 @@ def allowed_where_gains_run(
 
 BEYOND = 1.05
 """Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
+
+
+MS_BETWEEN = "ms_between"
+"""Name of the evidence that a set is too much away from its region's middle."""
 
 
 def tuning_of(
@@ -148,7 +153,7 @@ def tuning_of(
         return found
     seen = "the loop is unstable" if math.isinf(worst.ms) else f"Ms {worst.ms:.2f} is over {high:g}"
     words = f"{seen} on the way to region {worst.to}"
-    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
+    evidence = {**found.diagnosis.evidence, MS_BETWEEN: worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 

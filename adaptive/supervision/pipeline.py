@@ -36,6 +36,7 @@ from retuner.adaptive.supervision.causes import (
 )
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import (
+    MS_BETWEEN,
     change_request,
     may_follow,
     posterior_of,
@@ -196,17 +197,12 @@ def region_model(found: Findings) -> None:
     limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
     found.in_use = found.region_model = limit_swing or learned.region_model
     found.rested_on = rested_on(record, learned.agreement)
-    found.clear = _clear_crossing(found, learned) if record.crossed else clear_case(found, learned)
+    found.clear = clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
         now = replace(now, alternative=int(found.clear))
     found.excitation = found.excitation_now = now
     found.tuning = _tuning(record, found.in_use, settings)
-
-
-def _clear_crossing(found: Findings, learned: Learned) -> bool:
-    """The same of a response that crossed a border: a setpoint step that the process in motion explains by itself."""
-    return found.record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
 
 
 def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
@@ -318,9 +314,7 @@ def refutation(found: Findings) -> None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
     found.forget = _learned(found).agreement not in ANEW and swings_by_it
-    found.region_model = found.excitation = (
-        None  # the record's own model was not known before: what was known then stays
-    )
+    found.region_model = found.excitation = None  # the record's own model was not known before: that stays
     found.doubted(doubt)
 
 
@@ -355,6 +349,8 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
     """
     record, settings = found.record, found.settings
+    if MS_BETWEEN in _wanted(found).diagnosis.evidence:  # what is over its limit is not the middle
+        return ""
     seen, limit = decay_seen(record.response), settings.cause.ms_high
     calmed = _wanted(found).diagnosis.cause is Cause.AGGRESSIVE and verdict.ms_before <= limit
     swings = seen is not None and seen > (settings.swing.damping if calmed else settings.trial.harmless_decay)

@@ -32,7 +32,7 @@ def weighed(
     ready: bool = True,
 ) -> StageResult:
     """The pipeline's last stages on one response, with what comes before them given."""
-    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True)
+    verdict: Any = SimpleNamespace(accepted=True, ruling=Ruling.ACCEPTED, allowed=(), urgent=True, ms_before=2.0)
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
