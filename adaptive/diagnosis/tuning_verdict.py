@@ -284,7 +284,13 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         return Doubt(Cause.UNKNOWN, reason)
     if refuted:
         return Doubt(Cause.UNKNOWN, UNSTABLE)
-    return None
+    return _overshoot_by_loads(verdict, evidence, settings)
+
+
+def _overshoot_by_loads(verdict: Diagnosis, evidence: Mapping[str, float], settings: DiagnosisSettings) -> Doubt | None:
+    """A loop as slow as the model says does not overshoot its setpoint: then the loads that explain it are a cover."""
+    told = _overshoots(evidence, settings) if verdict.cause is Cause.SLUGGISH and evidence["loads"] else ""
+    return Doubt(Cause.UNKNOWN, f"perhaps sluggish, by a model that needs load steps{told}") if told else None
 
 
 def _by_tone_instead(loop: Loop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
