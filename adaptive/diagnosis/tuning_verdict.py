@@ -200,7 +200,13 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
         unsure = TWO_WAYS.format(factor_text(between))
         if not asked:
             return _torn(loop, found, other.log.model(), unsure)
-    return _open(found, unsure) if unsure else _first_step(loop, found)
+    if not unsure:
+        return _first_step(loop, found)
+    # by a model that is not known, a loop is not called slow that overshoots: the loads that explain it are a cover
+    covered = _overshoots(found.diagnosis.evidence, loop.settings) if found.diagnosis.cause is Cause.SLUGGISH else ""
+    if covered and found.diagnosis.evidence["loads"]:
+        return _torn(loop, found, other.log.model(), f"perhaps sluggish, by a model that needs load steps{covered}")
+    return _open(found, unsure)
 
 
 def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
@@ -284,13 +290,7 @@ def _doubt(verdict: Diagnosis, loop: Loop, oscillates: bool) -> Doubt | None:
         return Doubt(Cause.UNKNOWN, reason)
     if refuted:
         return Doubt(Cause.UNKNOWN, UNSTABLE)
-    return _overshoot_by_loads(verdict, evidence, settings)
-
-
-def _overshoot_by_loads(verdict: Diagnosis, evidence: Mapping[str, float], settings: DiagnosisSettings) -> Doubt | None:
-    """A loop as slow as the model says does not overshoot its setpoint: then the loads that explain it are a cover."""
-    told = _overshoots(evidence, settings) if verdict.cause is Cause.SLUGGISH and evidence["loads"] else ""
-    return Doubt(Cause.UNKNOWN, f"perhaps sluggish, by a model that needs load steps{told}") if told else None
+    return None
 
 
 def _by_tone_instead(loop: Loop, evidence: Mapping[str, float], may_be_asked: bool) -> Doubt:
@@ -416,8 +416,8 @@ def weighed(
     if any(without_second_lag(p.model).theta_s >= least for p in estimate.plausible):
         return told
     reason = (
-        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much hangs on a dead time that no model of "
-        "the record shows"
+        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much depends on a dead time "
+        "that no model of the record shows"
     )
     known = {name: value for name, value in told.evidence.items() if name not in {"ki_ratio", "kp_ratio"}}
     return replace(told, reason=reason, evidence=known)
