@@ -62,10 +62,15 @@ class Copy:
         self._process: subprocess.Popen[str] | None = None
         self._sound: dict[str, bool] = {}
 
-    def make(self) -> None:
+    def make(self, kept: "Kept") -> bool:
         """Copy what has changed, and run as they are the tests that are new or run lines of what has changed.
 
         A file of tests at a time, and kept after each: an interrupted map goes on.
+
+        Returns
+        -------
+        bool
+            Whether the map is whole; not when the time of kept is over.
         """
         known = _known(self._map)
         for link in (path for path in self.folder.rglob("*") if path.is_symlink()):
@@ -76,10 +81,13 @@ class Copy:
         for path in (path for path in now if path not in TARGETS):
             if known["state"].get(path) == _stamp(known, path, now):
                 continue
+            if kept.over:
+                return False
             _merge(known, self._run(path), path)
             known["state"][path] = _stamp(known, path, now)
             self._map.write_text(json.dumps(known), encoding="utf-8")
         self._s, self._lines = known["s"], known["lines"]
+        return True
 
     def _run(self, path: str) -> dict[str, Any]:
         """A file of tests as it is: how long each takes, each line of the mutated files with the tests that run it."""
@@ -254,10 +262,15 @@ class Kept:
         if again:
             self.killed = {name: True for name, dead in self.killed.items() if dead}
 
+    @property
+    def over(self) -> bool:
+        """Whether the time to begin something is over."""
+        return time.monotonic() > self._until_s
+
     def look(self, change: Change, copy: Copy) -> bool | None:
         """Whether it is killed, found out now unless that is known; None when there is no time left for it."""
         if change.name not in self.killed:
-            if time.monotonic() > self._until_s:
+            if self.over:
                 return None
             began = time.monotonic()
             is_dead = self.killed[change.name] = copy.finds(change)

@@ -125,7 +125,9 @@ def host() -> float:
 def python(count: int, seed: int, kept: Kept, copy: Copy) -> float:
     """So many mutants, drawn; the share that is killed of those that are not equal to the original."""
     drawn, places = draw(count, seed)
-    copy.make()
+    if not copy.make(kept):
+        print("which tests run which lines is not yet known of all; go on with the same command")
+        return 0.0
     for change in chain.from_iterable(zip(*drawn.values(), strict=True)):  # a count that is broken off is of all groups
         if not why_equal(change):
             kept.look(change, copy)

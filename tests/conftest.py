@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Generator
 
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -26,19 +26,31 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.markexpr = EFFORT.marks
 
 
+@pytest.hookimpl(trylast=True)  # when their order is drawn
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long tests run without the tracer."""
-    for item in items:
-        if item.get_closest_marker("slow"):
-            item.add_marker(pytest.mark.no_cover)
+    """Long tests begin first, a file of them on each worker in turn: none is left alone at the end.
+
+    The workers get equal pieces of the list, one after the other (--dist worksteal).
+    """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    long = [item for item in items if item.get_closest_marker("slow")]
+    files = list(dict.fromkeys(item.path for item in long))
+    others = deque(item for item in items if not item.get_closest_marker("slow"))
+    ordered: list[pytest.Item] = []
+    for worker in range(workers):
+        piece = (len(items) - len(ordered)) // (workers - worker)
+        mine = [item for item in long if files.index(item.path) % workers == worker]
+        ordered += mine + [others.popleft() for _ in range(min(piece - len(mine), len(others)))]
+    items[:] = [*ordered, *others]
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """And so do the further cases of a test that has taken its time under it."""
+    """Without the tracer run long tests, and the further cases of a test that has taken its time under it."""
     test, begun_s = item.nodeid.partition("[")[0], time.process_time()
-    if _spent_s[test] > COUNTED_S:
-        item.add_marker(pytest.mark.no_cover)
+    long = any(item.get_closest_marker(mark) for mark in ("slow", "uncounted"))
+    if (long or _spent_s[test] > COUNTED_S) and not item.config.getoption("cov_context", None):  # who runs which line?
+        item.add_marker("no_cover")
     try:
         return (yield)
     finally:

@@ -141,7 +141,7 @@ def _compared(a: SwingTrack, b: SwingTrack) -> Iterator[tuple[float, float, floa
         effective = float(np.sum(sizes)) ** 2 / max(float(np.sum(sizes**2)), 1e-300)
         both_powers = power[0] * power[1]
         delay = math.atan2(cross.imag, cross.real) / (2 * math.pi)
-        yield both_powers, abs(cross) ** 2 / both_powers, delay, effective
+        yield both_powers, min(abs(cross) ** 2 / both_powers, 1.0), delay, effective
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +205,17 @@ def cascades(tracks: Mapping[str, TrendTrack]) -> dict[str, str]:
                 for tag, found in _followed(slaves, some):
                     best[tag] = max(best.get(tag, found), found, key=lambda one: one[0])
     return {tag: best[tag][1] for tag in tracks if tag in best}
+
+
+def twins(tracks: Mapping[str, TrendTrack]) -> dict[str, str]:
+    """Loops whose setpoint and moving output are another's at every moment, by that other's tag: exported twice."""
+    first: dict[tuple[float, int, bytes, bytes], str] = {}
+    found: dict[str, str] = {}
+    for tag, track in sorted(tracks.items()):
+        if _moves(track.co):
+            other = first.setdefault((track.every_s, track.first, track.sp.tobytes(), track.co.tobytes()), tag)
+            found |= {tag: other} if other != tag else {}
+    return found
 
 
 def _by_clock(signals: Mapping[str, tuple[TrendTrack, FloatArray]]) -> list[_Clocked]:

@@ -11,7 +11,9 @@ the time at a limit, and l of the integral of |error| come up there, nearly all 
 
     odds = one-sidedness  x  (l / (1 - l)) / (w / (1 - w))
 
-Stretches in order elsewhere do not speak against that. "Unknown" says nothing either way. A stretch in which nothing
+Stretches in order elsewhere do not speak against that. Where no stretch names a fault or "in order", the idle index of
+the whole record may: a loop whose controller waits for the process after every load is sluggish (Hagglund 1999). It
+tells no settings. "Unknown" says nothing either way. A stretch in which nothing
 happens (noise) does not clear a valve that sticks when it moves: of what is no fault only "ok" speaks against.
 
 What a visit may bring is a share of the mean |error|. Where a process was identified, it is what other settings would
@@ -46,6 +48,10 @@ LEAST_BENEFIT = 0.05
 """A fault stays in the list even where settings that cure it take no error away: it is short of margin."""
 SWINGS = 0.5
 """Share of the stretches in which an oscillation lasts from which the loop swings."""
+
+WAITS = 0.25
+"""Idle index of a whole record from which its controller waits for the process."""
+SURE_IT_WAITS = 0.7
 
 
 class Action(StrEnum):
@@ -205,6 +211,8 @@ def loop_verdict(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> Loo
         return _of_limit(bound, screen, stretches)
     if best is not None and joined_confidence(best, stretches) >= CONVINCED:
         return _of_fault(best, screen, stretches)
+    if _waits(screen, stretches):
+        return _of_idle(screen, len(stretches))
     if any(s.cause in {Cause.OK, Cause.NOISE} for s in stretches) and screen.swinging < SWINGS:
         calm = [s for s in stretches if s.cause in {Cause.OK, Cause.NOISE}]
         sure = 1 - joined_confidence(best, stretches) if best is not None else max(s.confidence for s in calm)
@@ -223,6 +231,25 @@ def asks(screen: LoopScreen) -> float:
         return 0.0
     signs = (screen.harris, abs(screen.idle or 0.0), screen.swinging * screen.strength)
     return 1 - math.prod(1 - min(max(sign, 0.0), 1.0) for sign in signs)
+
+
+def _waits(screen: LoopScreen, stretches: Sequence[StretchVerdict]) -> bool:
+    """Whether a loop that swings not and binds not waits for its process, and no stretch says that it is in order."""
+    idle = screen.idle if screen.setpoint else None
+    open_ = all(s.cause in {Cause.NOISE, Cause.UNKNOWN} for s in stretches)
+    calm = screen.swinging < SWINGS and screen.at_limits < LEAST_AT_LIMIT
+    return bool(stretches) and open_ and calm and idle is not None and idle >= WAITS
+
+
+def _of_idle(screen: LoopScreen, looked_at: int) -> LoopVerdict:
+    """Sluggish by the idle index, without settings."""
+    action = Action.RECORD
+    reason = (
+        f"after loads co and pv come back together (idle index {screen.idle:.2f}): the loop waits for the process. "
+        "A setpoint step tells the settings"
+    )
+    rank = SURE_IT_WAITS * screen.harris / EFFORT[action] ** 0.5
+    return LoopVerdict(Cause.SLUGGISH, SURE_IT_WAITS, action, reason, None, 0, looked_at, screen.harris, rank)
 
 
 def limit_confidence(screen: LoopScreen) -> float:

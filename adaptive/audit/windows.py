@@ -47,7 +47,7 @@ def stretches_of_interest(record: Window, period_s: float | None, most: int) -> 
         return []
     n, usual_s = len(record.t_s), record.sample_time_s
     length = USUAL if period_s is None else max(int(CYCLES * period_s / usual_s), FEWEST)
-    if n <= 1.5 * length:
+    if n <= max(1.5 * length, USUAL):  # a fit takes all of so many, and `diagnose` says the same of them
         return [record.condensed(MOST)]
     gap = np.concatenate([[0], np.cumsum(np.diff(record.t_s) > GAP * usual_s)])
     taken: list[Stretch] = []

@@ -219,8 +219,10 @@ def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
 
 
 def _open(found: Found, why: str) -> Found:
-    """The cause without settings."""
-    reason = f"{found.diagnosis.reason}; what the settings should be it does not show: {why}"
+    """The cause without settings, and without a number that rests on what is not known."""
+    slow = found.diagnosis.cause is Cause.SLUGGISH
+    told = "loads are rejected more slowly than need be" if slow else found.diagnosis.reason
+    reason = f"{told}; what the settings should be it does not show: {why}"
     return replace(found, diagnosis=replace(found.diagnosis, reason=reason, settled=False), tuning=None)
 
 

@@ -62,10 +62,24 @@ static int view(PyObject *object, View *v, const char *name, int writable) {
     return 0;
 }
 
+/* Whether all of x is finite: x - x is 0 then and else is not; on eight lanes, as long records are asked. */
+WIDE static int all_finite(const double *restrict x, Py_ssize_t n) {
+    double sums[8] = {0}, all = 0;
+    Py_ssize_t whole = n - n % 8;
+    for (Py_ssize_t i = 0; i < whole; i += 8)
+        for (int j = 0; j < 8; j++)
+            sums[j] += x[i + j] - x[i + j];
+    for (Py_ssize_t i = whole; i < n; i++)
+        all += x[i] - x[i];
+    for (int j = 0; j < 8; j++)
+        all += sums[j];
+    return all == 0;
+}
+
 static int finite_view(PyObject *object, View *v, const char *name, int writable) {
     if (view(object, v, name, writable))
         return -1;
-    for (Py_ssize_t i = 0; i < v->n; i++)
+    for (Py_ssize_t i = all_finite(v->x, v->n) ? v->n : 0; i < v->n; i++)
         if (!isfinite(v->x[i])) {
             PyErr_Format(PyExc_ValueError, "%s[%zd] is not a finite number", name, i);
             return -1;

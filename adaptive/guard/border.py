@@ -99,7 +99,7 @@ def at_border(
 
     def ms_of(pair: tuple[ProcessModel, ProcessModel], gains: PidGains, share: float) -> float:
         process = (_between(pair, border, share) or pair[0]).seen_by_controller(sample_time_s).linear()
-        return sensitivity_peak(process, _mixed(gains, border, share), filter_s)
+        return sensitivity_peak(process, mixed(gains, border, share), filter_s)
 
     worst, proper = -math.inf, True
     pairs, shares = _pairs(border, own), _shares(border)
@@ -138,7 +138,13 @@ def _between(pair: tuple[ProcessModel, ProcessModel], border: NeighbourBorder, s
     return _inside(pair, border, share) if border.beside else between_models(*pair, share)
 
 
-def _mixed(gains: PidGains, border: NeighbourBorder, share: float) -> PidGains:
+def likeliest_between(border: NeighbourBorder, own: ProcessModel, share: float) -> ProcessModel:
+    """The process at a weight of the neighbour by the best models of both; the own one where nothing is known there."""
+    there = border.models[0].model if border.models else own
+    return _between((own, there), border, share) or own
+
+
+def mixed(gains: PidGains, border: NeighbourBorder, share: float) -> PidGains:
     """The gains in force at a weight of the neighbour."""
     if not border.interpolated:
         return gains

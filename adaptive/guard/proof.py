@@ -2,7 +2,7 @@
 
     direction, numbers -> evidence -> locks, limits, commissioned set, sampling -> size of the step
                        -> Ms on the process <= ms_nominal, Ms on every model that the records allow <= ms_worst
-                       -> the same on both sides of every border of the region
+                       -> the same on both sides of every border of the region, and between the knots of a mean
 
 The remedies come in this order: a larger tau_c (to tau_c_max_ratio theta), a half step, a quarter step, refusal. Steps
 are taken in the logarithms, so that a half step lies between old and new in every form. A loop that is itself over a
@@ -135,6 +135,8 @@ def slower_settings(request: ChangeRequest, settings: GuardSettings) -> Sequence
     return [simc(model, wanted.tau_c_s * whole ** (i / STEPS), kind) for i in range(1, STEPS + 1)]
 
 
+CALMED = 0.98
+"""Of an Ms over its limit between two knots: a change that leaves more of it does not cure it."""
 SHARES = (1.0, 0.5, 0.25)
 """Full, half and quarter step."""
 SHORT_OF_LIMIT = (1.0, 1.0 - 1e-6, 0.99, 0.95, 0.9)
@@ -166,12 +168,35 @@ class _Case:
     outside: Check | None = None
     asked: dict[tuple[str, PidGains], tuple[float, bool]] = field(default_factory=dict)
     over: bool = field(init=False)
+    between: float = field(init=False)
     oscillates: bool = field(init=False)
 
     def __post_init__(self) -> None:
         old, s = self.request.in_force, self.settings
-        self.over = len(self.loops) > 0 and not self.loops.within(old, s.ms_nominal, s.ms_worst)
-        self.oscillates = self.over and self.loops.all_over(old, s.ms_worst)
+        self.between = self.most_between(old)
+        over = len(self.loops) > 0 and not self.loops.within(old, s.ms_nominal, s.ms_worst)
+        self.oscillates = over and self.loops.all_over(old, s.ms_worst)
+        self.over = over or self.between > s.ms_border
+
+    def most_between(self, gains: PidGains) -> float:
+        """Largest Ms between the knots of an interpolated table with these gains; 0 where nothing is known to ask."""
+        asked = [self.at(border, gains)[0] for border in self.request.borders if border.interpolated]
+        return max((ms for ms in asked if not math.isnan(ms)), default=0.0)
+
+    def at(self, border: NeighbourBorder, gains: PidGains) -> tuple[float, bool]:
+        """Ms at a border, and whether it is proved there; asked once."""
+        key, request = (border.name, gains), self.request
+        if key not in self.asked:
+            limit, old = self.settings.ms_border, request.in_force
+            self.asked[key] = at_border(
+                border, request.models, gains, old, limit, request.sample_time_s, request.filter_s
+            )
+        return self.asked[key]
+
+    def calmer_between(self, gains: PidGains) -> bool:
+        """Whether gains are no more than allowed between the knots, or less than what is in force."""
+        limit = self.settings.ms_border
+        return self.between <= limit or self.most_between(gains) <= max(limit, self.between * CALMED)
 
     @property
     def urgent(self) -> bool:
@@ -337,24 +362,18 @@ def _best(case: _Case, tried: list[TriedSettings], doubted: bool) -> Verdict | N
 
 
 def _borders_hold(case: _Case, gains: PidGains) -> bool:
-    """Whether every border is proved; remembers the first that is not."""
+    """Whether every border is proved, and what was too much between knots is less; remembers the first that is not."""
     for border in case.request.borders:
         check = _border_check(case, border, gains)
         if check is not None and not check.passed:
             case.at_border = case.at_border or check
             return False
-    return True
+    return case.calmer_between(gains)
 
 
 def _border_check(case: _Case, border: NeighbourBorder, gains: PidGains) -> Check | None:
     """One border; None where nothing is known to ask."""
-    request, limit = case.request, case.settings.ms_border
-    key = (border.name, gains)
-    if key not in case.asked:
-        case.asked[key] = at_border(
-            border, request.models, gains, request.in_force, limit, request.sample_time_s, request.filter_s
-        )
-    ms, passed = case.asked[key]
+    limit, (ms, passed) = case.settings.ms_border, case.at(border, gains)
     if math.isnan(ms):
         return None
     return Check(

@@ -65,6 +65,7 @@ class NudgeInput(StrEnum):
     EXCURSION = "the control error is larger than a bump should make it"
     LIMITED = "the output stands at a limit"
     NOT_IN_AUTO = "the loop is not in automatic"
+    NOT_ALLOWED = "the mode does not allow it any more"
     ENDED = "the session ends"
     LEFT_OUT = "the session before left it out; the setpoint goes back"
     OTHERS = "someone else has moved the setpoint: it stays as it is"
@@ -72,7 +73,7 @@ class NudgeInput(StrEnum):
 
 
 P, E = NudgePhase, NudgeInput
-TROUBLE = (E.NOT_TAKEN, E.AT_REST, E.TOO_LONG, E.EXCURSION, E.LIMITED, E.NOT_IN_AUTO, E.ENDED)
+TROUBLE = (E.NOT_TAKEN, E.AT_REST, E.TOO_LONG, E.EXCURSION, E.LIMITED, E.NOT_IN_AUTO, E.NOT_ALLOWED, E.ENDED)
 COURSE: dict[tuple[NudgePhase, NudgeInput], NudgePhase] = {
     (P.WATCHING, E.DUE): P.ANNOUNCED,
     (P.ANNOUNCED, E.PUT_OFF): P.WATCHING,
@@ -98,7 +99,7 @@ class LoopAround:
 
     at_rest : no response is under way. wanted : why a bump would teach something, empty where it would not or must not
     be made. hour : of the day, 0 to 24. band : noise band, pv units. low, high : setpoints that keep the loop inside
-    its region and pv inside its range.
+    its region and pv inside its range. allowed : by the mode of the region.
     """
 
     at_rest: bool
@@ -107,6 +108,7 @@ class LoopAround:
     band: float
     low: float
     high: float
+    allowed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,6 +283,8 @@ class NudgePlanner:
         here, there = (abs(sample.sp - x) <= SAME * self.size for x in (self._before, self._to))
         other = abs(sample.sp - 2 * self._before + self._to) <= SAME * self.size
         since = sample.t_s - self._since_s
+        if not around.allowed and self.phase in {NudgePhase.GOING, NudgePhase.HOLDING} and (here or there or other):
+            return NudgeInput.NOT_ALLOWED
         match self.phase:
             case NudgePhase.ANNOUNCED if not here:
                 return NudgeInput.OTHERS

@@ -54,12 +54,18 @@ class Nudger:
         retuner = self._retuner
         wanted = self._wanted() if free and retuner.open_question is None else ""
         low, high = self._room()
-        return LoopAround(retuner.at_rest, wanted, self._hour_of(sample.t_s), retuner.band, low, high)
+        hour = self._hour_of(sample.t_s)
+        return LoopAround(retuner.at_rest, wanted, hour, retuner.band, low, high, self._may_write())
+
+    def _may_write(self) -> bool:
+        """Whether the mode of the region allows retuner to write by itself."""
+        retuner, region = self._retuner, self._retuner.region
+        return region is not None and retuner.settings.mode_of(region) in WRITES
 
     def _wanted(self) -> str:
         """Why a bump would teach something here, in words; empty where it would not, or must not be made."""
         retuner, region = self._retuner, self._retuner.region
-        if region is None or retuner.settings.mode_of(region) not in WRITES:
+        if region is None or not self._may_write():
             return ""
         name, phase = retuner.table.regions.names[region], retuner.trials.phase(region)
         if phase is TrialPhase.TRIAL:

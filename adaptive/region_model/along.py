@@ -1,9 +1,9 @@
 """What the regions together say of the process between them: smooth curves over the scheduling variables.
 
     ln p(x) = c + phi(x) z,   z ~ N(0, I)      phi : level, slope and bends (schedule_design/shapes.py), of both axes
-    x_i = ln p(centre of region i) + e_i,   e_i ~ N(0, P_i)
+    x_i = ln p(mean place of the records of region i) + e_i,   e_i ~ N(0, P_i)
 
-Every region with records of its own is one observation of the curves, at its centre, with its covariance P_i. What
+Every region with records of its own is one observation of the curves, where these were, with its covariance P_i. What
 follows for z is linear regression with a normal prior (kriging, Matheron 1963; its equal, Wahba 1978), with all
 parameters of a structure at once, because P_i couples them. The curves are constant, lines or bent: each by its
 evidence, the mean of the three being what is known (nobody has to choose here, as a person does who draws up a
@@ -47,10 +47,30 @@ class Curves:
         rows = _rows(self.axes, place, len(self.centre))
         return self.centre + rows @ self.z, rows @ self.p @ rows.T
 
+    def step(self, here: Place, there: Place) -> tuple[FloatArray, FloatArray]:
+        """By how much the logarithms change from one place to another, and the covariance of that; shapes as `at`."""
+        rows = _rows(self.axes, there, len(self.centre)) - _rows(self.axes, here, len(self.centre))
+        return rows @ self.z, rows @ self.p @ rows.T
+
 
 def centre_of(regions: Regions, region: int) -> Place:
     """Middle of a region on each axis."""
     return tuple(regions.centre(region, axis) for axis in range(len(regions.axes)))
+
+
+def place_of_records(region_model: RegionModel, regions: Regions, region: int) -> Place:
+    """Where on each axis the records of a region were, in the mean; its centre where none is remembered."""
+    if not region_model.points:
+        return centre_of(regions, region)
+    where = np.mean([(point.x, point.x2) for point in region_model.points], axis=0)
+    return tuple(min(max(float(x), axis.low), axis.high) for x, axis in zip(where, regions.axes, strict=False))
+
+
+def open_curves(regions: Regions, d: int) -> Curves:
+    """The curves of d parameters before any record."""
+    axes = _axes(regions)
+    size = d * _size(axes)
+    return Curves(axes, np.zeros(d), np.zeros(size), np.eye(size))
 
 
 def lenders(region_models: Mapping[int, RegionModel], sign: int) -> dict[int, RegionModel]:
@@ -75,7 +95,7 @@ def curves(
     if not logs:
         return {}
     types = set.intersection(*(set(known) for known in logs.values()))
-    places = [centre_of(regions, i) for i in logs]
+    places = [place_of_records(region_models[i], regions, i) for i in logs]
     return {t: _through(regions, places, [known[t] for known in logs.values()]) for t in ProcessType if t in types}
 
 

@@ -1,10 +1,9 @@
 """A schedule that the regions' own records ask for: other regions, or more of them, than the table has.
 
 The curves through what is known of the regions (along.py) are put to the same question as those of a whole record
-(schedule_design/places.py, cover.py): the fewest sets, as steps, with which every place that is known keeps
-Ms and J on all models still allowed. It is proposed where every region is known, and the table in force does not keep
-them everywhere, and the other would. Knots are not proposed: a live session tunes them by what is known of one region,
-and what runs between two is the mean. Nothing is changed by it: a person takes it up, or leaves it.
+(schedule_design/places.py, cover.py): the fewest sets, as steps or interpolated, with which every place that is known
+keeps Ms and J on all models still allowed. It is proposed where every region is known, and the table in force does not
+keep them everywhere, and the other would. Nothing is changed by it: a person takes it up, or leaves it.
 
 Pure: a table and region models in, a proposal out.
 """
@@ -20,11 +19,11 @@ from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.along import curves, lenders
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings
-from retuner.adaptive.schedule_design.cover import Layout, steps
+from retuner.adaptive.schedule_design.cover import Layout, knots, steps
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_of
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions, choose, enter
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 PLACES = 13
 MOST_SETS = 8
@@ -57,7 +56,8 @@ class Refinement:
         """The proposal in a sentence or two."""
         axis = self.table.regions.axes[0]
         where = ", ".join(f"{self.table.regions.centre(i):.4g}" for i in range(len(self.table.gains)))
-        many = f"{len(self.table.gains)} steps about {axis.label} = {where} {axis.unit}".rstrip()
+        what = "steps" if self.table.lookup is Lookup.HARD else "interpolated sets"
+        many = f"{len(self.table.gains)} {what} about {axis.label} = {where} {axis.unit}".rstrip()
         return (
             f"Another schedule serves more places: {many}. It keeps Ms {self.limits.ms:g} and J {self.limits.j:g} at "
             f"{self.kept_then} of {self.places} known places, the present one at {self.kept}. "
@@ -107,7 +107,7 @@ def refinement(
     kept = sum(place.keeps(gains, wanted) for place, gains in zip(known, now, strict=True))
     if kept == len(known):
         return None
-    layout = steps(places, wanted, MOST_SETS)
+    layout = _fewest(places, wanted)
     if layout is None:
         return None
     other = _table_of(table, layout)
@@ -119,6 +119,12 @@ def refinement(
         max(place.judged(gains).ms_worst for place, gains in zip(known, sets, strict=True)) for sets in (now, then)
     )
     return Refinement(other, len(known), kept, kept_then, ms, ms_then, wanted)
+
+
+def _fewest(places: Sequence[Place], limits: DesignLimits) -> Layout | None:
+    """The fewest sets; steps where both need as many, for they are the simpler to judge."""
+    able = [found(places, limits, MOST_SETS) for found in (steps, knots)]
+    return min((one for one in able if one is not None), key=lambda one: len(one.sets), default=None)
 
 
 def in_force(table: GainTable, x: float) -> PidGains:

@@ -61,7 +61,7 @@ def steps(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | 
         (*_reach(places, i, gains, limits), gains)
         for i, place in enumerate(places)
         if place.known
-        for gains in (_times(place.own, factor) for factor in CALMER)
+        for gains in (times(place.own, factor) for factor in CALMER)
     ]
     chosen: list[tuple[int, int, PidGains]] = []
     covered = -1
@@ -97,7 +97,7 @@ def _reach(places: Sequence[Place], at: int, gains: PidGains, limits: DesignLimi
     return first, last
 
 
-def _times(gains: PidGains, factor: float) -> PidGains:
+def times(gains: PidGains, factor: float) -> PidGains:
     """All gains times one factor."""
     return PidGains(gains.kp * factor, gains.ki * factor, gains.kd * factor)
 
@@ -131,7 +131,7 @@ def knots(places: Sequence[Place], limits: DesignLimits, most: int) -> Layout | 
 
 def _row(places: Sequence[Place], factor: float, limits: DesignLimits) -> list[Knot]:
     """The known places with their own gains times a factor, where these keep the limits."""
-    found = [(i, _times(p.own, factor)) for i, p in enumerate(places) if p.known]
+    found = [(i, times(p.own, factor)) for i, p in enumerate(places) if p.known]
     return [(i, gains) for i, gains in found if places[i].keeps(gains, limits)]
 
 

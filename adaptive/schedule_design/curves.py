@@ -18,12 +18,14 @@ from retuner.adaptive.schedule_design.agreement import agreement
 from retuner.adaptive.schedule_design.characteristic import Characteristic
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, at, noise_of, refined
 from retuner.adaptive.schedule_design.rest import Rest
-from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Shape
+from retuner.adaptive.schedule_design.shapes import LEVEL_STD, Axis, Second, Shape
 from retuner.adaptive.schedule_design.start import starts, with_loads
 from retuner.adaptive.schedule_design.stretches import Stretch
 from retuner.adaptive.schedule_design.weighing import SHAPES, SIMPLER, weighed
 from retuner.adaptive.signals.sample import FloatArray
 
+FIRST_ORDER = 3
+"""Parameters of a process without a second lag."""
 SECOND_LAG = 0.35
 """Share of theta with which a second lag starts."""
 
@@ -39,6 +41,7 @@ class Curves:
     joint, noise, now : the fit behind them. log_likelihood : of the white remainder, by which variables are compared.
     evidence : ln E of the shapes over that of a constant process. weight : ln E among other structures. rest : the co
     that holds each place. differences : standard deviation of each ln p between the stretches, beside the curves.
+    second_evidence : ln E of the shapes over the best in which nothing changes with the second variable.
     """
 
     form: Form
@@ -53,20 +56,27 @@ class Curves:
     weight: float
     rest: Rest
     differences: tuple[float, ...] = ()
+    second_evidence: float = 0.0
 
-    def ln(self, x: FloatArray) -> FloatArray:
-        """ln b, ln theta, ln tau (, ln tau2) at places, shape (n, parameters), at the co that holds each."""
-        found = np.stack([curve[:, 0] for curve in self.form.curves(x, self.z[:, None])], axis=1)
+    def ln(self, x: FloatArray, x2: FloatArray | None = None) -> FloatArray:
+        """ln b, ln theta, ln tau (, ln tau2) at places, shape (n, parameters), at the co that holds each.
+
+        x2 : of the second variable, where there is one.
+        """
+        found = np.stack([curve[:, 0] for curve in self.form.curves(x, self.z[:, None], x2)], axis=1)
         if self.form.felt is not None:
             found[:, 0] += self.form.felt.columns(self.rest.co(x)) @ self.z[self.form.felt_place]
         return found
 
-    def ln_covariance(self, x: float) -> FloatArray:
+    def ln_covariance(self, x: float, x2: float | None = None) -> FloatArray:
         """Their covariance at one place."""
         rich, felt = self.rich, self.form.felt
         rows = np.zeros((len(rich.shapes), rich.size))
         for i, (place, shape) in enumerate(zip(rich.places, rich.shapes, strict=True)):
             rows[i, place] = rich.axis.columns(np.array(x), shape)
+        for i, place in enumerate(rich.second_places):
+            assert rich.second is not None
+            rows[i, place] = rich.second.columns(np.array(0.0 if x2 is None else x2), i)
         held = self.rest.co(np.array([x]))
         if rich.felt is not None:
             rows[0, rich.felt_place] = rich.felt.columns(held)[0]
@@ -80,9 +90,20 @@ class Curves:
 
 
 def curves(
-    stretches: Sequence[Stretch], axis: Axis, sign: int | None, progress: Progress, *, pushed: bool = False
+    stretches: Sequence[Stretch],
+    axis: Axis,
+    sign: int | None,
+    progress: Progress,
+    *,
+    pushed: bool = False,
+    second: Second | None = None,
+    known: Form | None = None,
 ) -> Curves:
-    """The curves of some stretches over an axis. sign : of the process gain, where it is known. pushed : see Form.
+    """The curves of some stretches over an axis.
+
+    sign : of the process gain, where it is known. pushed : see Form. second : axis and push of another variable; the
+    stretches have it as x2. known : a form whose second lag and characteristic there shall be; left out, both are
+    weighed.
 
     Raises
     ------
@@ -93,14 +114,17 @@ def curves(
         raise ValueError("no stretch of the records is long enough and moves both pv and co: nothing to learn from")
     joint = Joint.of(stretches)
     progress("one process for all", 0.0)
-    first = [_settled(joint, form, np.zeros(form.size), 1) for form in starts(stretches, axis, sign, pushed=pushed)]
+    begun = starts(stretches, axis, sign, pushed=pushed, second=second)
+    first = [_settled(joint, form, np.zeros(form.size), 1) for form in begun]
     constant = max(first, key=_innovations)
     progress("a second lag", 0.2)
-    constants = [constant, _settled(constant[0], *_with_second_lag(constant[1], constant[3].z), 1)]
+    constants = [constant] if known is None or len(known.shapes) == FIRST_ORDER else []
+    if known is None or len(known.shapes) > FIRST_ORDER:
+        constants.append(_settled(constant[0], *_with_second_lag(constant[1], constant[3].z), 1))
     progress("curves", 0.3)
     bent = [_settled(fit[0], *_bent(fit), 2) for fit in constants]
     progress("the installed characteristic", 0.55)
-    felt = _characteristic(stretches)
+    felt = _characteristic(stretches) if known is None or known.felt is not None else None
     bent += [_settled(fit[0], *_felt(fit, felt), 1) for fit in bent if felt is not None]
     progress("which of them change", 0.75)
     noise = max(bent, key=_innovations)[2]
@@ -118,7 +142,7 @@ def _chosen(rich: Fit, c: float) -> Curves:
     together = agreement(form, now, [len(left) for left in now.left], c)
     told = weighed(form, together)
     felt = None if form.felt is None or told.felt is Shape.CONSTANT else replace(form.felt, shape=told.felt)
-    fit = _under(noise, joint, *form.with_shapes(told.shapes, now.z, felt))
+    fit = _under(noise, joint, *form.with_shapes(told.shapes, now.z, felt, told.second))
     return Curves(
         form=fit[1],
         z=fit[3].z,
@@ -132,19 +156,21 @@ def _chosen(rich: Fit, c: float) -> Curves:
         weight=evidence_of(fit, c),
         rest=Rest.of(joint.stretches),
         differences=together.differences,
+        second_evidence=told.second_evidence,
     )
 
 
 def _bent(fit: Fit) -> tuple[Form, FloatArray]:
     """Everything free to bend."""
     _, form, _, now = fit
-    return form.with_shapes((Shape.BENT,) * len(form.shapes), now.z)
+    bent = (Shape.BENT,) * len(form.shapes)
+    return form.with_shapes(bent, now.z, None, bent)
 
 
 def _felt(fit: Fit, felt: Characteristic) -> tuple[Form, FloatArray]:
     """The same with co acting through a characteristic."""
     _, form, _, now = fit
-    return form.with_shapes(form.shapes, now.z, felt)
+    return form.with_shapes(form.shapes, now.z, felt, form.second_shapes)
 
 
 LEAST_TRAVEL = 1e-6
@@ -195,7 +221,10 @@ def _with_second_lag(form: Form, z: FloatArray) -> tuple[Form, FloatArray]:
     centre = (form.centre[0], form.centre[1], form.centre[2], ln_theta + math.log(SECOND_LAG))
     less = z.copy()
     less[form.places[1].start] += math.log(1 - SECOND_LAG) / LEVEL_STD
-    return replace(form, shapes=(*form.shapes, Shape.CONSTANT), centre=centre), np.append(less, 0.0)
+    second = form.second
+    if second is not None:
+        second = replace(second, shapes=(*second.shapes, Shape.CONSTANT))
+    return replace(form, shapes=(*form.shapes, Shape.CONSTANT), centre=centre, second=second), np.append(less, 0.0)
 
 
 LOAD_PRICE = 6.0
@@ -207,7 +236,8 @@ def _innovations(fit: Fit) -> float:
     joint, form, _, now = fit
     noise = noise_of(now.left, 1e-12)
     sizes = np.array([len(x) for x in now.left])
-    bought = sum(map(len, joint.loads)) / 2 + (len(sizes) if form.pushed else 0)
+    pushes = form.pushed + (form.second is not None and form.second.pushed)
+    bought = sum(map(len, joint.loads)) / 2 + len(sizes) * pushes
     return float(-np.sum(sizes * np.log(noise.sigma))) - LOAD_PRICE * bought
 
 
@@ -217,6 +247,7 @@ def evidence_of(fit: Fit, c: float) -> float:
     assert now.jacobian is not None
     occam = float(np.linalg.slogdet(np.eye(form.size) + now.jacobian.T @ now.jacobian / c)[1])
     steps = sum(SHAPES.index(shape) for shape in form.shapes) + (len(form.shapes) - 3)
+    steps += sum(SHAPES.index(shape) for shape in form.second_shapes)
     steps += 0 if form.felt is None else SHAPES.index(form.felt.shape)
     loads = sum(map(len, joint.loads)) / 2
     return -0.5 * (float(now.r @ now.r) / c + float(now.z @ now.z) + occam) - SIMPLER * steps - LOAD_PRICE * loads

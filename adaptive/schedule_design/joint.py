@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from retuner.adaptive.schedule_design.characteristic import Characteristic
-from retuner.adaptive.schedule_design.motion import Batch, Local, response
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways, response
+from retuner.adaptive.schedule_design.shapes import Axis, Second, Shape
 from retuner.adaptive.schedule_design.stretches import Stretch
 from retuner.adaptive.signals.sample import FloatArray
 
@@ -35,8 +35,9 @@ class Form:
     """What is fitted. shapes : of ln b, ln theta, ln tau and, where there is a second lag, ln tau2.
 
     centre : of the prior of each. sign : of the process gain. axis : see Axis. felt : how co acts; its coefficients
-    stand last in z. pushed : the variable comes from outside and moves pv by itself as well: it enters as a load does,
-    with a size of its own in each stretch.
+    stand behind the shapes' in z. pushed : the variable comes from outside and moves pv by itself as well: it
+    enters as a load does, with sizes of its own in each stretch, by the ways of motion.push_ways.
+    second : another variable beside it; its coefficients stand last.
     """
 
     axis: Axis
@@ -45,11 +46,12 @@ class Form:
     sign: int
     felt: Characteristic | None = None
     pushed: bool = False
+    second: Second | None = None
 
     @property
     def size(self) -> int:
         """Number of coefficients z."""
-        return sum(self.shapes) + (0 if self.felt is None else self.felt.size)
+        return int(self.felt_place.stop) + (0 if self.second is None else sum(self.second.sizes))
 
     @property
     def places(self) -> tuple[slice, ...]:
@@ -57,32 +59,78 @@ class Form:
         ends = np.cumsum(self.shapes).tolist()
         return tuple(slice(end - int(shape), end) for end, shape in zip(ends, self.shapes, strict=True))
 
-    def curves(self, x: FloatArray, z: FloatArray) -> list[FloatArray]:
-        """ln p at x for each variant of z, shape (size, variants): each (*x.shape, variants)."""
-        return [
+    def curves(self, x: FloatArray, z: FloatArray, x2: FloatArray | None = None) -> list[FloatArray]:
+        """ln p at x (and x2) for each variant of z, shape (size, variants): each (*x.shape, variants)."""
+        found = [
             centre + self.axis.columns(x, shape) @ z[place]
             for centre, shape, place in zip(self.centre, self.shapes, self.places, strict=True)
         ]
+        if x2 is None:
+            return found
+        return [one + more for one, more in zip(found, self.beside(x2, z), strict=True)]
+
+    def beside(self, x2: FloatArray, z: FloatArray) -> list[FloatArray]:
+        """What the second variable adds to each ln p: arguments and shapes as `curves`."""
+        if self.second is None:
+            return [np.zeros((*x2.shape, z.shape[1]))] * len(self.shapes)
+        return [self.second.columns(x2, i) @ z[place] for i, place in enumerate(self.second_places)]
+
+    @property
+    def second_places(self) -> tuple[slice, ...]:
+        """Where each parameter's coefficients over the second variable stand in z; none where there is none."""
+        if self.second is None:
+            return ()
+        ends = (self.felt_place.stop + np.cumsum(self.second.sizes)).tolist()
+        return tuple(slice(end - size, end) for end, size in zip(ends, self.second.sizes, strict=True))
+
+    @property
+    def second_shapes(self) -> tuple[Shape, ...]:
+        """Of each parameter over the second variable; none where there is none."""
+        return () if self.second is None else self.second.shapes
+
+    def outside(self, batch: Batch) -> list[FloatArray]:
+        """The variables that come from outside, at every row."""
+        found = [batch.x] if self.pushed else []
+        return found + ([batch.x2] if self.second is not None and self.second.pushed and batch.x2 is not None else [])
+
+    def drift(self, batch: Batch, local: Local, z: FloatArray) -> FloatArray:
+        """motion.drifted; nothing where no variable comes from outside."""
+        if not self.outside(batch) or local.tau is None:
+            return np.zeros_like(local.b)
+        ln_k = local.b + local.tau
+        if batch.x2 is not None and self.second is not None:
+            added = self.beside(batch.x2, z)
+            beside = added[0] + added[2]
+            ln_k = ln_k if self.pushed and self.second.pushed else beside if self.second.pushed else ln_k - beside
+        return drifted(batch, local, ln_k)
 
     @property
     def felt_place(self) -> slice:
         """Where the coefficients of the characteristic stand in z."""
-        return slice(sum(self.shapes), self.size)
+        return slice(sum(self.shapes), sum(self.shapes) + (0 if self.felt is None else self.felt.size))
 
     def arriving(self, batch: Batch, local: Local, z: FloatArray) -> FloatArray:
         """What arrives between the rows at these dead times for each variant of z, as the process feels it."""
         return self.sign * batch.arriving(np.exp(local.theta), self.felt, z[self.felt_place])
 
     def with_shapes(
-        self, shapes: Sequence[Shape], z: FloatArray, felt: Characteristic | None = None
+        self,
+        shapes: Sequence[Shape],
+        z: FloatArray,
+        felt: Characteristic | None = None,
+        second: Sequence[Shape] = (),
     ) -> tuple["Form", FloatArray]:
-        """The same with other shapes, and z carried over: what is new is zero, what goes is lost."""
-        sizes = [*map(int, shapes), 0 if felt is None else felt.size]
+        """The same with other shapes, and z carried over: what is new is zero, what goes is lost.
+
+        second : shapes over the second variable, where there is one.
+        """
+        beside = None if self.second is None else replace(self.second, shapes=tuple(second))
+        sizes = [*map(int, shapes), 0 if felt is None else felt.size, *(() if beside is None else beside.sizes)]
         carried = []
-        for place, new in zip([*self.places, self.felt_place], sizes, strict=True):
+        for place, new in zip([*self.places, self.felt_place, *self.second_places], sizes, strict=True):
             old = z[place][:new]
             carried.append(np.pad(old, (0, new - len(old))))
-        return replace(self, shapes=tuple(shapes), felt=felt), np.concatenate(carried)
+        return replace(self, shapes=tuple(shapes), felt=felt, second=beside), np.concatenate(carried)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +166,7 @@ class At:
     """The misfit at one z. r : whitened, scaled, shape (n,). left : pv that is not explained, one array a stretch.
 
     jacobian : dr/dz, shape (n, size), or None. starts, sizes : slope at the start, and sizes of the loads in co units,
-    behind them that of the variable's push, where it has one.
+    behind them those of the variable's push, where it has one.
     """
 
     z: FloatArray
@@ -156,7 +204,7 @@ def at(joint: Joint, form: Form, z: FloatArray, noise: Noise, *, derivatives: bo
 
 def local_at(form: Form, batch: Batch, z: FloatArray) -> Local:
     """The process at every row for each variant of z, shape (size, variants)."""
-    curves = form.curves(batch.x, z)
+    curves = form.curves(batch.x, z, batch.x2)
     return Local(curves[0], curves[1], curves[2], curves[3] if len(curves) > 3 else None)
 
 
@@ -172,8 +220,8 @@ def _at_batch(
     """The same for one batch."""
     now = local_at(form, batch, z[:, None])
     arriving = form.arriving(batch, now, z[:, None])
-    y = response(now, arriving, batch.h_s)[..., 0]
-    columns = _columns(batch, loads, now, pushed=form.pushed)
+    y = (response(now, arriving, batch.h_s) + form.drift(batch, now, z[:, None]))[..., 0]
+    columns = _columns(batch, loads, now, form.outside(batch))
     rs, lefts, bases, starts, sizes = [], [], [], [], []
     for j, stretch in enumerate(batch.stretches):
         n = len(stretch)
@@ -207,10 +255,9 @@ def _jacobian(
     for j, rows in enumerate(loads):
         for row, size in zip(rows, now.sizes[j][: len(rows)], strict=True):
             arriving[row:, j] += size
-        if form.pushed:
-            arriving[:, j] += now.sizes[j][-1] * batch.pushes[:, j, None]
     start = np.repeat(now.starts[:, None], variants.shape[1], axis=1)
     y = response(local, arriving, batch.h_s, start)
+    y += form.drift(batch, local, variants) + _moved_by_push(batch, local, now, form.outside(batch))
     moved = (y[..., 1:] - y[..., :1]) / STEP
     found = []
     for j, stretch in enumerate(batch.stretches):
@@ -219,23 +266,35 @@ def _jacobian(
     return np.concatenate(found)
 
 
-def _columns(batch: Batch, loads: Sequence[tuple[int, ...]], now: Local, *, pushed: bool) -> list[FloatArray]:
-    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps, the push.
+def _moved_by_push(batch: Batch, local: Local, now: At, outside: Sequence[FloatArray]) -> FloatArray:
+    """What the variables themselves do to pv, with the sizes that are held."""
+    ways = push_ways(batch, local, outside)
+    if not ways:
+        return np.zeros_like(local.b)
+    sizes = np.stack([size[-len(ways) :] for size in now.sizes], axis=1)
+    return np.asarray(sum(way * size[:, None] for way, size in zip(ways, sizes, strict=True)), dtype=np.float64)
+
+
+def _columns(
+    batch: Batch, loads: Sequence[tuple[int, ...]], now: Local, outside: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """What enters linearly, a stretch each, shape (rows, columns): level, slope at the start, load steps, pushes.
 
     Of each load also the one a row later, so that its time need not be a row's.
     """
-    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0) + pushed
+    rows, most = len(batch.pv), 1 + max(map(len, loads), default=0)
     steps = np.zeros((rows - 1, len(batch.stretches), most))
     for j, entered in enumerate(loads):
         for i, row in enumerate(entered, 1):
             steps[row:, j, i] = 1.0
-        if pushed:
-            steps[:, j, 1 + len(entered)] = batch.pushes[:, j]
     start = np.zeros(steps.shape[1:])
     start[:, 0] = 1.0
     y = response(now.repeated(most), steps, batch.h_s, start)
     ones = np.ones((rows, 1))
-    return [np.concatenate([ones, y[:, j, : 1 + len(entered) + pushed]], axis=1) for j, entered in enumerate(loads)]
+    beside = np.concatenate([y[..., :0], *push_ways(batch, now, outside)], axis=2)
+    return [
+        np.concatenate([ones, y[:, j, : 1 + len(entered)], beside[:, j]], axis=1) for j, entered in enumerate(loads)
+    ]
 
 
 def white(values: FloatArray, ar: Sequence[float]) -> FloatArray:
@@ -277,6 +336,8 @@ def _step(form: Form, now: At, damping: float) -> FloatArray:
     step = -np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64)
     places = form.axis.grid(9)
     moves = [c - m for c, m in zip(form.curves(places, step[:, None]), form.centre, strict=True)]
+    if form.second is not None:
+        moves += form.beside(form.second.axis.grid(9), step[:, None])
     if form.felt is not None:
         moves.append(form.felt.columns(form.felt.axis.grid(9)) @ step[form.felt_place, None])
     farthest = max(float(np.max(np.abs(moved))) for moved in moves)

@@ -47,7 +47,7 @@ class Local(NamedTuple):
 class Batch:
     """Stretches of like length beside each other, the shorter ones filled up. Shapes (rows, stretches).
 
-    pv, x : filled with their last value. inside : which rows are real. h_s : of each stretch, shape (stretches,).
+    pv, x, x2 : filled with their last value. inside : which rows are real. h_s : of each stretch, shape (stretches,).
     """
 
     stretches: tuple[Stretch, ...]
@@ -55,22 +55,17 @@ class Batch:
     x: FloatArray
     inside: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
     h_s: FloatArray
+    x2: FloatArray | None = None
 
     @classmethod
     def of(cls, stretches: Sequence[Stretch]) -> "Batch":
         """Stretches as they come."""
         rows = max(len(s) for s in stretches)
-        pv, x = (
-            np.stack([np.pad(values, (0, rows - len(values)), mode="edge") for values in several], axis=1)
-            for several in ([s.pv for s in stretches], [s.x for s in stretches])
-        )
+        pv, x = (_filled([getattr(s, name) for s in stretches], rows) for name in ("pv", "x"))
+        seconds = [s.x2 for s in stretches if s.x2 is not None]
         inside = np.stack([np.arange(rows) < len(s) for s in stretches], axis=1)
-        return cls(tuple(stretches), pv, x, inside, np.array([s.signals.h_s for s in stretches]))
-
-    @property
-    def pushes(self) -> FloatArray:
-        """How far the variable is from where it was at the start of each stretch, shape (rows - 1, stretches)."""
-        return np.asarray((self.x[1:] + self.x[:-1]) / 2 - self.x[0], dtype=np.float64)
+        h = np.array([s.signals.h_s for s in stretches])
+        return cls(tuple(stretches), pv, x, inside, h, _filled(seconds, rows) if seconds else None)
 
     def arriving(
         self, theta_s: FloatArray, characteristic: Characteristic | None = None, z: FloatArray | None = None
@@ -112,6 +107,41 @@ def response(local: Local, arriving: FloatArray, h_s: FloatArray, start: FloatAr
         decay = np.exp(-h / tau)
         held = tau * (1 - decay)
     return _run(kick, decay, np.exp(_between(local.b)) * held, start)
+
+
+def _filled(several: Sequence[FloatArray], rows: int) -> FloatArray:
+    """Beside each other, each filled up with its last value."""
+    return np.stack([np.pad(values, (0, rows - len(values)), mode="edge") for values in several], axis=1)
+
+
+def push_ways(batch: Batch, local: Local, outside: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+    """y where a variable itself moves it, by each of the ways it may take: as co does, and past the second lag.
+
+    A flow meets the heat that is stored and not the steam valve. outside : variables at every row. Each of shape
+    (rows, stretches, variants).
+    """
+    ways = []
+    for x in outside:
+        away = (x[1:] + x[:-1]) / 2 - x[0]
+        moved = np.broadcast_to(away[..., None], (*away.shape, local.b.shape[2]))
+        ways.append(response(local, moved, batch.h_s))
+        if local.tau2 is not None:
+            ways.append(response(local._replace(tau2=None), moved, batch.h_s))
+    return tuple(ways)
+
+
+def drifted(batch: Batch, local: Local, ln_k: FloatArray) -> FloatArray:
+    """y where the gain changes by an outside variable while pv is away from where it was: (rows, stretches, variants).
+
+    The input at rest is v0(y, x) = v0(y0, x) + (y - y0) / k(x). Of its change with x the first part is a push of
+    unknown size; the second follows from k and the pv that was recorded. ln_k : that part of ln k which follows
+    outside variables.
+    """
+    if local.tau is None:
+        return np.zeros_like(local.b)
+    away = _between(batch.pv - np.mean(batch.pv, axis=0))[..., None]
+    moved = -away * np.exp(-_between(local.b + local.tau)) * np.diff(ln_k, axis=0)
+    return response(local._replace(tau2=None), -np.cumsum(moved, axis=0), batch.h_s)
 
 
 def _between(rows: FloatArray) -> FloatArray:

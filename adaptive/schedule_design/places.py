@@ -5,7 +5,7 @@ with an Ms within its limit on every model that is still allowed (identification
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Place:
 
     processes : of the model and of all allowed, as the sampled controller sees them.
     ln_std : of ln b, ln theta, ln tau (, ln tau2). gain_std : of ln Kc of its own settings. known : whether settings
-    may follow. iae : of its own settings for a step of setpoint and of load.
+    may follow. iae : of its own settings for a step of setpoint and of load. x2 : of a second variable.
     """
 
     x: float
@@ -82,6 +82,7 @@ class Place:
     own: PidGains
     iae: tuple[float, float]
     sample_time_s: float
+    x2: float | None = None
     _judged: dict[PidGains, Judged] = field(default_factory=dict, repr=False, compare=False)
     _j: dict[PidGains, float] = field(default_factory=dict, repr=False, compare=False)
 
@@ -150,9 +151,13 @@ def iae(model: ProcessModel, gains: PidGains, sample_time_s: float) -> tuple[flo
     return setpoint.error, load_variation(process, gains, with_output=False).error
 
 
-def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimits) -> Place:
-    """The place x of some curves."""
-    return place_of(x, curves.ln(np.array([x]))[0], curves.ln_covariance(x), curves.form.sign, sample_time_s, limits)
+def place_at(curves: Curves, x: float, sample_time_s: float, limits: DesignLimits, x2: float | None = None) -> Place:
+    """The place x (and x2) of some curves."""
+    if x2 is None:
+        ln, covariance = curves.ln(np.array([x]))[0], curves.ln_covariance(x)
+    else:
+        ln, covariance = curves.ln(np.array([x]), np.array([x2]))[0], curves.ln_covariance(x, x2)
+    return replace(place_of(x, ln, covariance, curves.form.sign, sample_time_s, limits), x2=x2)
 
 
 def place_of(x: float, ln: FloatArray, p: FloatArray, sign: int, sample_time_s: float, limits: DesignLimits) -> Place:

@@ -31,14 +31,22 @@ class Shape(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Where the curves live: low to high of the scheduling variable."""
+    """Where the curves live: low to high of the scheduling variable.
+
+    by_ratio : whether a straight line is one over ln x, a power law, as gain, lag and delay over a flow are.
+    """
 
     low: float
     high: float
+    by_ratio: bool = False
 
     def columns(self, x: FloatArray, shape: Shape) -> FloatArray:
         """d ln p(x) / dz, shape (*x.shape, shape). Outside low..high it is what it is at the end."""
-        xi = np.clip(2 * (x - self.low) / (self.high - self.low) - 1, -1.0, 1.0)
+        inside = np.clip(x, self.low, self.high)
+        share = (inside - self.low) / (self.high - self.low)
+        if self.by_ratio:
+            share = np.log(inside / self.low) / np.log(self.high / self.low)
+        xi = 2 * share - 1
         found = [np.full(x.shape, LEVEL_STD), SLOPE_STD * xi]
         found += [np.interp(xi, _PLACES, bend) for bend in _BENT.T]
         return np.stack(found[: int(shape)], axis=-1)
@@ -46,6 +54,29 @@ class Axis:
     def grid(self, n: int) -> FloatArray:
         """n places from low to high."""
         return np.linspace(self.low, self.high, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Second:
+    """A second variable beside the first: ln p(x, x2) is the curve over x and one over x2 without a level of its own.
+
+    So every parameter is a product k(x) f(x2): both may matter, and neither bends the other's curve.
+
+    axis : of x2. shapes : of each parameter over it. pushed : it comes from outside and moves pv by itself.
+    """
+
+    axis: Axis
+    shapes: tuple[Shape, ...]
+    pushed: bool = False
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of coefficients of each parameter."""
+        return tuple(int(shape) - 1 for shape in self.shapes)
+
+    def columns(self, x2: FloatArray, i: int) -> FloatArray:
+        """d ln p_i / dz at x2, shape (*x2.shape, sizes[i])."""
+        return self.axis.columns(x2, self.shapes[i])[..., 1:]
 
 
 def _bends() -> FloatArray:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from retuner.adaptive.schedule_design.joint import At, Form, Joint, Noise, local_at, white
-from retuner.adaptive.schedule_design.motion import Batch, Local, response
-from retuner.adaptive.schedule_design.shapes import Axis, Shape
+from retuner.adaptive.schedule_design.motion import Batch, Local, push_ways, response
+from retuner.adaptive.schedule_design.shapes import Axis, Second, Shape
 from retuner.adaptive.schedule_design.stretches import Stretch
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import FloatArray
@@ -22,11 +22,19 @@ WHITENINGS: tuple[tuple[float, ...], ...] = ((), (0.97,))
 controller must not be differenced: its output answers the noise at once, as if there were no dead time."""
 
 
-def starts(stretches: Sequence[Stretch], axis: Axis, sign: int | None, *, pushed: bool = False) -> list[Form]:
+def starts(
+    stretches: Sequence[Stretch],
+    axis: Axis,
+    sign: int | None,
+    *,
+    pushed: bool = False,
+    second: Second | None = None,
+) -> list[Form]:
     """Constant processes to start from, one for each whitening; their z is zero, as the prior is centred on it.
 
-    sign : of the process gain, where it is known. pushed : see Form.
+    sign : of the process gain, where it is known. pushed, second : see Form.
     """
+    form = Form(axis, (Shape.CONSTANT,) * 3, (0.0, 0.0, 0.0), 1, pushed=pushed, second=second)
     chosen = sorted(stretches, key=_excitation, reverse=True)[:MOST_STRETCHES]
     batch = Batch.of(chosen)
     h = float(np.median(batch.h_s))
@@ -35,20 +43,20 @@ def starts(stretches: Sequence[Stretch], axis: Axis, sign: int | None, *, pushed
     thetas = np.geomspace(0.5 * h, 0.3 * longest, NODES)
     best = [(math.inf, 0.0, 0.0, 0.0)] * len(WHITENINGS)
     for theta in thetas.tolist():
-        for w, found in enumerate(_searched(batch, lags, theta, pushed=pushed)):
+        for w, found in enumerate(_searched(batch, lags, theta, form.outside(batch))):
             nodes = zip(lags.tolist(), found, strict=True)
             right = [(cost, slope, theta, lag) for lag, (cost, slope) in nodes if sign is None or slope * sign > 0]
             best[w] = min(best[w], *right, (math.inf, 0.0, 0.0, 0.0))
     found_any = [node for node in dict.fromkeys(best) if node[0] < math.inf]
     if not found_any:
         raise ValueError("pv goes against co everywhere, where the controller says otherwise: are the columns right?")
-    return [replace(_constant(axis, *node[1:]), pushed=pushed) for node in found_any]
+    return [_constant(form, *node[1:]) for node in found_any]
 
 
-def _constant(axis: Axis, slope: float, theta: float, lag: float) -> Form:
+def _constant(form: Form, slope: float, theta: float, lag: float) -> Form:
     """The form of a constant process."""
     centre = (math.log(max(abs(slope), 1e-300)), math.log(theta), math.log(lag))
-    return Form(axis, (Shape.CONSTANT,) * 3, centre, 1 if slope >= 0 else -1)
+    return replace(form, centre=centre, sign=1 if slope >= 0 else -1)
 
 
 def _excitation(stretch: Stretch) -> float:
@@ -56,7 +64,9 @@ def _excitation(stretch: Stretch) -> float:
     return float(np.ptp(stretch.pv)) / max(noise_sigma(stretch.pv), 1e-12 * float(np.ptp(stretch.pv)) + 1e-300)
 
 
-def _searched(batch: Batch, lags: FloatArray, theta: float, *, pushed: bool) -> list[list[tuple[float, float]]]:
+def _searched(
+    batch: Batch, lags: FloatArray, theta: float, outside: Sequence[FloatArray]
+) -> list[list[tuple[float, float]]]:
     """Misfit and slope gain for each whitening and lag, at one dead time."""
     shape = (len(batch.pv), len(batch.stretches), len(lags))
     ln_tau = np.broadcast_to(np.log(lags), shape)
@@ -64,10 +74,7 @@ def _searched(batch: Batch, lags: FloatArray, theta: float, *, pushed: bool) -> 
     arriving = np.repeat(batch.arriving(np.full((*shape[:2], 1), theta)), len(lags), axis=2)
     moved = response(local, arriving, batch.h_s)
     begun = response(local, np.zeros_like(arriving), batch.h_s, np.ones(shape[1:]))
-    beside = begun[..., None]
-    if pushed:
-        push = response(local, np.repeat(batch.pushes[..., None], len(lags), axis=2), batch.h_s)
-        beside = np.stack([begun, push], axis=-1)
+    beside = np.stack([begun, *push_ways(batch, local, outside)], axis=-1)
     return [[_node(batch, moved[..., i], beside[..., i, :], ar) for i in range(len(lags))] for ar in WHITENINGS]
 
 
@@ -99,8 +106,8 @@ def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
     for batch in joint.batches:
         local = local_at(form, batch, now.z[:, None])
         arriving = form.arriving(batch, local, now.z[:, None])
-        explained = response(local, arriving, batch.h_s)[..., 0]
-        waves = _waves(batch, local, pushed=form.pushed)
+        explained = (response(local, arriving, batch.h_s) + form.drift(batch, local, now.z[:, None]))[..., 0]
+        waves = _waves(batch, local, form.outside(batch))
         theta, tau = (
             float(np.exp(np.median(p))) for p in (local.theta, local.b * 0 if local.tau is None else local.tau)
         )
@@ -116,7 +123,7 @@ def with_loads(joint: Joint, form: Form, now: At, noise: Noise) -> Joint:
     return replace(joint, loads=tuple(loads))
 
 
-def _waves(batch: Batch, local: Local, *, pushed: bool) -> tuple[FloatArray, FloatArray]:
+def _waves(batch: Batch, local: Local, outside: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """What a slope at the start and the variable's push, (rows, stretches, 1 or 2), and a load step do to pv.
 
     A load step entering at each row: (rows, stretches, rows).
@@ -125,9 +132,7 @@ def _waves(batch: Batch, local: Local, *, pushed: bool) -> tuple[FloatArray, Flo
     steps = np.broadcast_to((np.arange(rows - 1)[:, None] >= np.arange(rows))[:, None, :], (rows - 1, count, rows))
     loads = response(local.repeated(rows), steps.astype(np.float64), batch.h_s)
     begun = response(local, np.zeros((rows - 1, count, 1)), batch.h_s, np.ones((count, 1)))
-    if not pushed:
-        return begun, loads
-    return np.concatenate([begun, response(local, batch.pushes[..., None], batch.h_s)], axis=2), loads
+    return np.concatenate([begun, *push_ways(batch, local, outside)], axis=2), loads
 
 
 def _greedy(y: FloatArray, columns: FloatArray, steps: FloatArray, allowed: range) -> tuple[int, ...]:

@@ -30,6 +30,8 @@ SMOOTHED_ROWS = 5
 class Signals:
     """One record on an even clock. t_s, pv, sp, x : at the middle of each interval of h_s, shape (n,).
 
+    x2 : a second scheduling variable there, where there is one.
+
     begun_s, fired : times, and the integral of co until each, at the record's own samples.
     changes : rows at which the setpoint changes.
     """
@@ -42,6 +44,7 @@ class Signals:
     begun_s: FloatArray
     fired: FloatArray
     changes: tuple[int, ...]
+    x2: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,11 @@ class Stretch:
         return self.signals.x[self.first : self.end]
 
     @property
+    def x2(self) -> FloatArray | None:
+        """The second scheduling variable of its rows."""
+        return None if self.signals.x2 is None else self.signals.x2[self.first : self.end]
+
+    @property
     def t_s(self) -> FloatArray:
         """Times of its rows."""
         return self.signals.t_s[self.first : self.end]
@@ -84,12 +92,12 @@ class Stretch:
         return np.asarray(np.where(early > 0, fired[0] - rate * early, found), dtype=np.float64)
 
 
-def signals_of(window: Window, x: FloatArray, every: int) -> Signals:
+def signals_of(window: Window, x: FloatArray, every: int, x2: FloatArray | None = None) -> Signals:
     """A record with `every` of its samples in an interval.
 
     Parameters
     ----------
-    window : the record. x : the scheduling variable at its samples, shape (n,).
+    window : the record. x : the scheduling variable at its samples, shape (n,). x2 : a second one.
     """
     dt = window.sample_time_s
     h = every * dt
@@ -97,10 +105,17 @@ def signals_of(window: Window, x: FloatArray, every: int) -> Signals:
     fired = np.concatenate([[0.0], np.cumsum(window.co * held)])
     t = np.arange(window.t_s[0] + h / 2, window.t_s[-1], h) if every > 1 else window.t_s
     pv, sp, x = (_averaged(window.t_s, values, t, h, dt) for values in (window.pv, window.sp, x))
-    if len(t) > SMOOTHED_ROWS:
-        x = np.convolve(np.pad(x, SMOOTHED_ROWS // 2, mode="edge"), np.full(SMOOTHED_ROWS, 1 / SMOOTHED_ROWS), "valid")
+    beside = None if x2 is None else _smoothed(_averaged(window.t_s, x2, t, h, dt))
     begun = np.append(window.t_s, window.t_s[-1] + dt)
-    return Signals(h, t, pv, sp, x, begun, fired, _changes(window, t))
+    return Signals(h, t, pv, sp, _smoothed(x), begun, fired, _changes(window, t), beside)
+
+
+def _smoothed(x: FloatArray) -> FloatArray:
+    """Means over SMOOTHED_ROWS."""
+    if len(x) <= SMOOTHED_ROWS:
+        return x
+    padded = np.pad(x, SMOOTHED_ROWS // 2, mode="edge")
+    return np.convolve(padded, np.full(SMOOTHED_ROWS, 1 / SMOOTHED_ROWS), "valid")
 
 
 def _averaged(at_s: FloatArray, values: FloatArray, t_s: FloatArray, h_s: float, dt: float) -> FloatArray:

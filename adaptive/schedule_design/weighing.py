@@ -13,7 +13,6 @@ bent is sure, and wrong at both ends and the middle): so it is that of all of th
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -32,31 +31,71 @@ class Weighed:
     """shapes, felt : the likeliest, of the parameters and of the characteristic.
 
     covariance : of the rich form's z round those. evidence : ln E over that of a process that is the same everywhere.
+    second : the likeliest over the second variable. second_evidence : ln E over the best without any of these.
     """
 
     shapes: tuple[Shape, ...]
     felt: Shape
     covariance: FloatArray
     evidence: float
+    second: tuple[Shape, ...] = ()
+    second_evidence: float = 0.0
 
 
 def weighed(form: Form, told: Agreement) -> Weighed:
     """form : every shape as rich as it may become."""
-    most = [*form.shapes, Shape.CONSTANT if form.felt is None else form.felt.shape]
-    ranked = {
-        shapes: _evidence(_kept(form, shapes), told, sum(SHAPES.index(s) for s in shapes))
-        for shapes in product(*([s for s in SHAPES if s <= richest] for richest in most))
-    }
+    n = len(form.shapes)
+    most = (*form.shapes, Shape.CONSTANT if form.felt is None else form.felt.shape, *form.second_shapes)
+    ranked = _ranked(form, told, most, len(most))
     best = max(ranked, key=ranked.__getitem__)
-    level = max(e for shapes, e in ranked.items() if set(shapes) == {Shape.CONSTANT})
+    level = ranked[(Shape.CONSTANT,) * len(most)]
     covariance = _covariance(form, told, ranked, best)
-    return Weighed(best[:-1], best[-1], covariance, ranked[best] - level)
+    without = _ranked(form, told, most, n + 1) if form.second_shapes else ranked
+    return Weighed(
+        best[:n], best[n], covariance, ranked[best] - level, best[n + 1 :], ranked[best] - max(without.values())
+    )
+
+
+FOLLOWED = 12.0
+"""Nats below the best so far within which shapes are followed further: rarer ones weigh nothing."""
+
+
+def _ranked(form: Form, told: Agreement, most: tuple[Shape, ...], free: int) -> dict[tuple[Shape, ...], float]:
+    """ln E of the shapes that weigh anything, by a search from nothing and from everything, a step at a time.
+
+    most : the richest. free : how many of the first may be other than constant.
+    """
+    allowed = tuple(shape if i < free else Shape.CONSTANT for i, shape in enumerate(most))
+    ranked: dict[tuple[Shape, ...], float] = {}
+    waiting = [(Shape.CONSTANT,) * len(most), allowed]
+    top = -math.inf
+    while waiting:
+        for shapes in waiting:
+            ranked[shapes] = _evidence(_kept(form, shapes), told, sum(SHAPES.index(s) for s in shapes))
+            top = max(top, ranked[shapes])
+        best = max(waiting, key=ranked.__getitem__)
+        near = [s for s in waiting if ranked[s] >= top - FOLLOWED or s is best]
+        fresh = {other for s in near for other in _neighbours(s, allowed)} - ranked.keys()
+        waiting = sorted(fresh)
+    return ranked
+
+
+def _neighbours(shapes: tuple[Shape, ...], allowed: tuple[Shape, ...]) -> list[tuple[Shape, ...]]:
+    """One of them a step simpler or richer."""
+    found = []
+    for i, shape in enumerate(shapes):
+        for step in (-1, 1):
+            place = SHAPES.index(shape) + step
+            if 0 <= place < len(SHAPES) and SHAPES[place] <= allowed[i]:
+                found.append((*shapes[:i], SHAPES[place], *shapes[i + 1 :]))
+    return found
 
 
 def _kept(form: Form, shapes: Sequence[Shape]) -> list[int]:
     """Rows of z that these shapes have."""
-    places = [*form.places, form.felt_place]
-    sizes = [*map(int, shapes[:-1]), int(shapes[-1]) - 1]
+    n = len(form.shapes)
+    places = [*form.places, form.felt_place, *form.second_places]
+    sizes = [*map(int, shapes[:n]), *(int(shape) - 1 for shape in shapes[n:])]
     return [row for p, n in zip(places, sizes, strict=True) for row in range(p.start, p.start + n)]
 
 

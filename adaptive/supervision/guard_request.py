@@ -2,19 +2,24 @@
 shown of gains on trial: what they promise, what was seen, and what is known by then of the tried set and the old one.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
 from retuner.adaptive.guard import Verdict
-from retuner.adaptive.guard.border import borders_of
+from retuner.adaptive.guard.between import eased, worst_between
+from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
 from retuner.adaptive.guard.model_set import allowed
 from retuner.adaptive.guard.request import ChangeRequest, Evidence, Support
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed
+from retuner.adaptive.region_model.at_knots import at_knots
+from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.kalman import gate
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
@@ -22,6 +27,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import JudgedResponse
@@ -29,7 +35,7 @@ from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posteri
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 
 def change_request(
@@ -52,7 +58,7 @@ def change_request(
     damping : of the response, None when it did not swing.
     """
     in_force, commissioned = tables
-    known = {index: still_allowed(region_model, t_s, settings) for index, region_model in region_models.items()}
+    known = allowed_where_gains_run(in_force, region_models, t_s, settings)
     contradicting = learned is not None and learned.agreement == Agreement.CONTRADICTS
     return ChangeRequest(
         in_force=in_force.gains_of(region),
@@ -74,6 +80,75 @@ def change_request(
         locks=settings.locks_of(region),
         units=settings.units,
     )
+
+
+def where_gains_run(
+    table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> Mapping[int, RegionModel]:
+    """What is known where the regions' own sets run: in an interpolated table at the knots. Of every region, by what
+    the others lend where nothing is known of it itself.
+    """
+    regions, sign = table.regions, table.gains[0].direction
+    hard = table.lookup is Lookup.HARD
+    found = dict(region_models) if hard else at_knots(region_models, regions, t_s, settings.tracker)
+    for region in range(len(regions)):
+        if region not in found:
+            lent = borrowed(region_models, region, regions, t_s, sign, settings.borrowing, settings.tracker)
+            found.update({} if lent is None else {region: lent})
+    return found
+
+
+def allowed_where_gains_run(
+    table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
+) -> dict[int, tuple[Plausible, ...]]:
+    """The models that are still allowed there, by region.
+
+    A step ends at its border: of what is only lent beyond it, the likeliest model is asked. A mean of two sets runs all
+    the way, and is asked of all.
+    """
+    found = {}
+    for region, model in where_gains_run(table, region_models, t_s, settings).items():
+        only_lent = table.lookup is Lookup.HARD and region not in region_models
+        found[region] = still_allowed(model, t_s, settings)[: 1 if only_lent else None]
+    return found
+
+
+BEYOND = 1.05
+"""Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
+
+
+def tuning_of(
+    table: GainTable,
+    region: int,
+    region_models: Mapping[int, RegionModel],
+    in_force: PidGains,
+    t_s: float,
+    settings: RetunerSettings,
+) -> RobustProposal:
+    """What the rule gives for a region, eased to what its part of the ways to the neighbours bears (guard/between.py);
+    and whether its tuning is a cause.
+
+    In an interpolated table what ran, in_force, is a mean of several sets: asked is what the region's own does.
+    """
+    hard, dt_s, guard = table.lookup is Lookup.HARD, settings.sample_time_s, settings.guard
+    model = where_gains_run(table, region_models, t_s, settings)[region]
+    log, own = predicted(model, t_s, settings.tracker), in_force if hard else table.gains_of(region)
+    found, process = propose(model, log, own, settings), log.model()
+    known = allowed_where_gains_run(table, region_models, t_s, settings)
+    borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
+    limit, high = (guard.ms_border, BEYOND * guard.ms_border) if hard else (guard.ms_nominal, settings.cause.ms_high)
+    easier = eased(found.tuning.gains, borders, process, limit, dt_s, settings.filter_s)
+    if easier == found.tuning.gains:
+        return found
+    given = (process.seen_by_controller(dt_s), own, easier, log.gain_uncertainty(dt_s))
+    found = replace(found, tuning=replace(found.tuning, gains=easier), diagnosis=tuning_cause(*given, settings.cause))
+    worst = worst_between(borders, process, own, dt_s, settings.filter_s)
+    if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
+        return found
+    seen = "the loop is unstable" if math.isinf(worst.ms) else f"Ms {worst.ms:.2f} is over {high:g}"
+    words = f"{seen} on the way to region {worst.to}"
+    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
+    return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 
 def unproved_request(
@@ -100,22 +175,32 @@ def unproved_request(
 
 
 def known_of(
-    region_model: RegionModel | None,
-    table: GainTable,
-    region: int,
-    at: tuple[float, float],
-    t_s: float,
-    settings: RetunerSettings,
+    region_models: Mapping[int, RegionModel], table: GainTable, region: int, t_s: float, settings: RetunerSettings
 ) -> StillAllowed:
     """What is known of a region's process now, as it is asked which of its sets is to run.
 
-    at : scheduling values, where in an interpolated table a mean of several regions' sets runs.
+    In an interpolated table that is asked at the region's knot, and half way to its neighbours.
     """
-    if region_model is None:
+    if region not in region_models:
         return NOTHING_KNOWN
-    models = still_allowed(region_model, t_s, settings)
-    sampled = tuple(found.model.seen_by_controller(settings.sample_time_s).linear() for found in models)
-    return StillAllowed(sampled, lambda own: table.with_gains(region, own).at(region, *at), settings.filter_s)
+    models, dt_s = allowed_where_gains_run(table, region_models, t_s, settings), settings.sample_time_s
+    alone = tuple(found.model.seen_by_controller(dt_s).linear() for found in models[region])
+    if table.lookup is Lookup.HARD:
+        return StillAllowed(alone, settings.filter_s)
+    borders = borders_of(table, region, {i: allowed for i, allowed in models.items() if i != region})
+    best = models[region][0].model
+    halves = [
+        (
+            likeliest_between(border, best, HALF).seen_by_controller(dt_s).linear(),
+            partial(mixed, border=border, share=HALF),
+        )
+        for border in borders
+    ]
+    return StillAllowed(alone, settings.filter_s, tuple(halves))
+
+
+HALF = 0.5
+"""Weight of a neighbour half way to it."""
 
 
 def _urgent(damping: float | None, settings: RetunerSettings) -> bool:

@@ -13,10 +13,11 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, predicted, update_region_model
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned, update_region_model
 from retuner.adaptive.signals.growth import grows
 from retuner.adaptive.signals.sample import LoopMode
 from retuner.adaptive.supervision.admission import Ground, admit, inside_region
@@ -35,7 +36,13 @@ from retuner.adaptive.supervision.causes import (
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
-from retuner.adaptive.supervision.guard_request import change_request, posterior_of, promise_of, unproved_request
+from retuner.adaptive.supervision.guard_request import (
+    change_request,
+    posterior_of,
+    promise_of,
+    tuning_of,
+    unproved_request,
+)
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import (
     RobustProposal,
@@ -43,7 +50,7 @@ from retuner.adaptive.supervision.proposal_from_model import (
     half_seen,
     no_gain,
     over_limit,
-    propose,
+    worst_ms,
 )
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -52,6 +59,7 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
+from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
 NOT_KNOWN = "not_identifiable"
@@ -118,7 +126,7 @@ def identification(found: Findings) -> None:
     record, settings = found.record, found.settings
     try:
         known = _known(found) or _from_neighbours(record, settings)
-        learned = _across(found, known) if record.crossed else _inside(record, known, settings)
+        learned = _across(found, known) if record.crossed else _inside(found, known)
     except np.linalg.LinAlgError as error:  # a record that breaks the arithmetic must not break the supervision
         found.stop("fit_failed", f"the fit failed: {error}")
         return
@@ -126,8 +134,18 @@ def identification(found: Findings) -> None:
     found.unexplained = learned.estimate.unexplained(float(np.ptp(record.window.pv)))
 
 
-def _inside(record: ResponseRecord, known: RegionModel | None, settings: RetunerSettings) -> Learned:
-    """What a response teaches the region in which it began and ended."""
+def _inside(found: Findings, known: RegionModel | None) -> Learned:
+    """What a response teaches the region in which it began and ended.
+
+    One that went far is fitted in motion first. Where that does not agree with what is known, or does not settle it, it
+    is judged as any other: the process may have changed in time.
+    """
+    record, settings = found.record, found.settings
+    if record.moved:
+        learned = _across(found, known)
+        settled = learned.region_model is not None and learned.region_model.identifiable
+        if settled and learned.agreement in {Agreement.FIRST, Agreement.AGREES}:
+            return learned
     return update_region_model(known, record.window, record.in_force, settings.tracker, settings.fit, record.at)
 
 
@@ -214,8 +232,8 @@ def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> 
 
 def _tuning(record: ResponseRecord, model: RegionModel, settings: RetunerSettings) -> RobustProposal:
     """What the rule gives for a model as it may be met now, and whether the tuning in force is a cause by it."""
-    log = predicted(model, float(record.window.t_s[-1]), settings.tracker)
-    return propose(model, log, record.in_force, settings)
+    now_s, models = float(record.window.t_s[-1]), {**record.region_models, record.region: model}
+    return tuning_of(record.table, record.region, models, record.in_force, now_s, settings)
 
 
 def without_a_model(found: Findings) -> None:
@@ -239,8 +257,26 @@ def without_a_model(found: Findings) -> None:
     if stored is None:
         found.stop(NOT_KNOWN, f"{reason}; beside its neighbours' no gains of this region give that")
         return
+    bold = _too_bold(found, learned, stored)
+    if bold:
+        found.stop(NOT_KNOWN, f"{reason}; not done: {bold}")
+        return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
+
+
+def _too_bold(found: Findings, learned: Learned, stored: PidGains) -> str:
+    """That a step to more action would be over its Ms limit on a model that the records allow; empty where it is not.
+
+    What does not carry settings may still say how far not to go.
+    """
+    record, settings = found.record, found.settings
+    after = record.table.with_gains(record.region, stored).at(record.region, *record.at)
+    if less_of_everything(record.in_force, after):
+        return ""
+    allowed = (found.in_use or learned.estimate).plausible
+    ms = worst_ms(allowed, after, settings.sample_time_s, settings.robust.believed)
+    return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
 
 
 def _own_fault(found: Findings) -> Diagnosis | None:
@@ -342,8 +378,10 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     """
     record, settings = found.record, found.settings
     seen, limit = decay_seen(record.response), settings.cause.ms_high
-    swings = seen is not None and seen > settings.trial.harmless_decay
-    if swings or verdict.urgent or cost < settings.worth_iae or verdict.ms_before > settings.guard.ms_worst:
+    calmed = _wanted(found).diagnosis.cause is Cause.AGGRESSIVE and verdict.ms_before <= limit
+    swings = seen is not None and seen > (settings.swing.damping if calmed else settings.trial.harmless_decay)
+    little = cost < settings.worth_iae and not calmed
+    if swings or verdict.urgent or little or verdict.ms_before > settings.guard.ms_worst:
         return ""
     own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
     if own and verdict.ms_before > limit and cost <= settings.own_iae:

@@ -31,6 +31,10 @@ from retuner.adaptive.weighed import NO_NUMBERS, Numbers
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
+FAR = 0.1
+"""Share of an axis along which a process may be expected to change by twice what records of one place differ by:
+before any record a factor of 4 over the whole is one standard deviation (schedule_design/shapes.py)."""
+
 
 @dataclass(frozen=True)
 class ResponseRecord:
@@ -74,6 +78,17 @@ class ResponseRecord:
             axis.variable == "sp" and not low <= (min(way) + max(way)) / 2 <= high
             for axis, way, (low, high) in zip(regions.axes, ways_of(regions, self.own), spans, strict=True)
         )
+
+    @cached_property
+    def moved(self) -> bool:
+        """Whether the process was at places so far apart, within a table of several regions, that one linear model of
+        the response would be a fiction.
+        """
+        regions = self.table.regions
+        if len(regions) == 1:
+            return False
+        ways = zip(regions.axes, ways_of(regions, self.own), strict=True)
+        return any(max(way) - min(way) > FAR * (axis.high - axis.low) for axis, way in ways)
 
     @property
     def pattern(self) -> Response | None:

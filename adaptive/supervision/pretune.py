@@ -13,13 +13,12 @@ import numpy as np
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import prove
-from retuner.adaptive.region_model.update import predicted, update_region_model
+from retuner.adaptive.region_model.update import update_region_model
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.supervision.decision import Action, Basis, Decision, Mode
-from retuner.adaptive.supervision.guard_request import change_request, promise_of
+from retuner.adaptive.supervision.guard_request import change_request, promise_of, tuning_of
 from retuner.adaptive.supervision.pipeline import NOT_KNOWN
 from retuner.adaptive.supervision.pipeline_types import StageResult
-from retuner.adaptive.supervision.proposal_from_model import propose
 from retuner.adaptive.supervision.retuner import Retuner
 
 WORDS = "pretune, from a commanded step of co"
@@ -63,7 +62,7 @@ def _outcome(retuner: Retuner, region: int, window: Window) -> StageResult:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.estimate.reason}", learned)
     retuner.region_models[region] = learned.region_model
     retuner.excitation[region] = Excitation(setpoints=1, clear=1)  # from rest: the loop's own doing
-    wanted = propose(learned.region_model, predicted(learned.region_model, t_s, settings.tracker), in_force, settings)
+    wanted = tuning_of(retuner.table, region, retuner.region_models, in_force, t_s, settings)
     if not wanted.ready:
         return StageResult(NOT_KNOWN, f"{WORDS}: {learned.region_model.reason}", learned, diagnosis=wanted.diagnosis)
     if not wanted.diagnosis.retune:

@@ -99,6 +99,12 @@ def over_limit(
     return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)
 
 
+def worst_ms(allowed: Sequence[Plausible], gains: PidGains, sample_time_s: float, excess: float) -> float:
+    """Largest Ms over the models that are believed to within an excess; 0 where there are none."""
+    models = [p.model.seen_by_controller(sample_time_s).linear() for p in believed(allowed, excess)]
+    return max((sensitivity_peak(model, gains) for model in models), default=0.0)
+
+
 def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
     """That a loop does well enough not to be moved at once, in words; empty where it does not.
 

@@ -57,7 +57,7 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
 from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words
-from retuner.adaptive.trial.phase import TO_BE_SEEN, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
@@ -238,12 +238,12 @@ class Retuner:
         stored = self.table.stored_for(region, gains, *at)
         if stored is None:
             return self._decision(region, StageResult("edit_not_taken", NOT_TAKEN))
+        on_trial = self.trials.phase(region) in UNDECIDED
         self._change(region, stored)
         self.trials.edited(region, stored, ours, self._now_s)
         trial = self.trials.of(region)
-        words = edit_words(ours, stored, self._still_allowed(region), trial.until_s - self._now_s)
-        made = self._decision(region, StageResult("edited", words))
-        return replace(made, gains_before=ours, gains_after=None)
+        words = edit_words(ours, stored, self._still_allowed(region), trial.until_s - self._now_s, on_trial=on_trial)
+        return replace(self._decision(region, StageResult("edited", words)), gains_before=ours, gains_after=None)
 
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions where that was awaited."""
@@ -285,8 +285,7 @@ class Retuner:
 
     def _still_allowed(self, region: int) -> StillAllowed:
         """What is known of a region's process now."""
-        at, now_s = self._finder.scheduled, self._now_s
-        return known_of(self.region_models.get(region), self.table, region, at, now_s, self.settings)
+        return known_of(self.region_models, self.table, region, self._now_s, self.settings)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""
@@ -298,8 +297,9 @@ class Retuner:
             self._change(region, gains)
 
     def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes."""
+        """The one place where the table changes; an oscillation that was explained is to be explained anew."""
         self.table = self.table.with_gains(region, gains)
+        self.standing.pop(region, None)
         self._finder.gains_changed()
 
     def _gains_at(self, region: int, x: float, x2: float) -> PidGains:
@@ -468,8 +468,7 @@ class Retuner:
         accepted: bool,
     ) -> Decision:
         """The record; accepted : gains may be written, as far as proof and trial are concerned."""
-        verdict, learned = outcome.verdict, outcome.learned
-        mode = self.settings.mode_of(region)
+        verdict, learned, mode = outcome.verdict, outcome.learned, self.settings.mode_of(region)
         wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
         region_model = learned.region_model if learned else None
         self._decisions += 1

@@ -25,9 +25,10 @@ def right_words(now: PidGains) -> str:
     return f"the active gains have the configured sign again ({_set(now)}): the hold is over"
 
 
-def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float) -> str:
+def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float, *, on_trial: bool) -> str:
     """A person has set gains where others were in force: recognised, weighed, held."""
     words = f"an operator replaced {_set(ours)} by {_set(now)}"
+    words += "; the trial of these gains is over without a verdict" if on_trial else ""
     ms = known.ms(now)
     if ms:
         found = Robustness.of(ms)

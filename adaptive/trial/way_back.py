@@ -36,19 +36,22 @@ SWINGS_ON = 0.9
 class StillAllowed(NamedTuple):
     """What is known of a region's process.
 
-    processes : the models that are still allowed, as a sampled controller sees them; empty where nothing is known.
-    in_force : from a set that the region stores to what then runs (a mean, in an interpolated table).
+    processes : the models that are still allowed where the region's own set runs alone, as a sampled controller sees
+        them; empty where nothing is known.
     filter_s : filter time of the controller's derivative, s.
+    between : of an interpolated table, processes between this knot and others, each with what runs there for a set
+        that the region stores.
     """
 
     processes: tuple[LinearProcess, ...] = ()
-    in_force: Callable[[PidGains], PidGains] = lambda stored: stored
     filter_s: float = 0.0
+    between: tuple[tuple[LinearProcess, Callable[[PidGains], PidGains]], ...] = ()
 
     def ms(self, stored: PidGains) -> tuple[float, ...]:
         """Ms on each model, infinite where unstable."""
-        gains = self.in_force(stored)
-        return tuple(sensitivity_peak(process, gains, self.filter_s) for process in self.processes)
+        alone = [sensitivity_peak(process, stored, self.filter_s) for process in self.processes]
+        mixed = [sensitivity_peak(process, runs(stored), self.filter_s) for process, runs in self.between]
+        return (*alone, *mixed)
 
 
 NOTHING_KNOWN = StillAllowed()

@@ -13,7 +13,7 @@ from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.schedule.gains import PidGains
 from retuner.schedule.pid import LIMITED, PidState, change, law, start, step
 from retuner.schedule.regions import RegionState, choose, enter
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 LOST = 1e4
 """A loop whose pv is further from rest than this many setpoint steps has been lost."""
@@ -106,7 +106,7 @@ class WatchedLoop:
         trace, loads = [], [load] * len(noise) if isinstance(load, (int, float)) else load
         dt_s, plant, valve, sensor, supervisor = self.dt_s, self.plant, self.valve, self.sensor, self.supervisor
         sp0, rest, lost, watched = self.sp0, self._rest, self.lost, not self.hidden
-        by_pv = self.table.regions.variable == "pv"
+        by_pv, blended = self.table.regions.variable == "pv", self.table.lookup is Lookup.INTERPOLATED
         for more, upset in zip(noise, loads, strict=True):
             self.i += 1
             t_s = self.i * dt_s
@@ -116,9 +116,11 @@ class WatchedLoop:
             x = pv if by_pv else sp
             now = choose(self._regions, self.region, x, t_s)
             if now is not self.region:
-                if now.region != self.region.region:
+                if now.region != self.region.region and not blended:
                     self._adopt(self.table.gains_of(now.region), sp, self._state[1])
                 self.region = now
+            if blended:
+                self._adopt(self.table.at(now.region, x), sp, self._state[1])
             self._state, co = step(self._law, self._state, sp, pv, dt_s)
             self.co = co
             self.y = y = plant.move((valve(co) if valve else co) - rest + upset)
@@ -138,7 +140,7 @@ class WatchedLoop:
         self.table = self.table.with_gains(region, gains)
         self.changes += 1
         self.revision += 1
-        if region == self.region.region:
+        if region == self.region.region and self.table.lookup is Lookup.HARD:  # a mean comes with the next sample
             self._adopt(gains, sp, pv)
         self.supervisor.written(region, gains)
 

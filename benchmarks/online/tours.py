@@ -9,14 +9,17 @@ quarter   a quarter of all gains that SIMC with perfect knowledge of each region
 own       the gains of the demo (oven only)
 
 Counted are responses, and those of them that taught; regions whose set is in spec on the process linearised at their
-centre from their first, second, third, fourth visit on, of those that were visited so often; places in spec and IAE
-(noise aside) from the second third on, beside a table of SIMC with perfect knowledge of each centre; changes that made
-Ms too large, or a region unstable, at its centre.
+centre from their first, second, third, fourth visit on, of those that were visited so often. Some have no such set
+that the guard may let through: SIMC with perfect knowledge of their centre has Ms over 2.1 at their own border; those
+that have are counted apart. Then places in spec and IAE (noise aside) from the second third on, beside a table of SIMC
+with perfect knowledge of each centre; changes that made Ms too large, or a region unstable, at its centre; and the
+largest Ms of what runs at any of PROBES places in the end, beside that of the perfect table.
 """
 
 import math
 import statistics
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +31,7 @@ from online.counting import counted
 from online.judge import Judge, effect
 from online.loop import FixedGains, LostLoop, Supervisor, WatchedLoop
 from online.supervisors import Watching, settings
+from retuner.adaptive.guard import GuardSettings
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
@@ -42,6 +46,7 @@ HOLD_THETA, MOST_SAMPLES = 80.0, 2500
 NEAREST, FARTHEST = 0.04, 0.3
 """Of a step, in shares of the range."""
 VISITS = 4
+PROBES = 17
 OVEN_BOUNDS, OVEN_GAINS = (90.0, 150.0), ((0.22, 260.0), (4.2, 70.0), (0.85, 330.0))
 """As in examples/oven.toml: Kc and tau_I."""
 
@@ -163,6 +168,8 @@ def run(task: Task) -> Row:
         "lookup": task.lookup,
         "opened": task.opened,
         "who": found,
+        "bearable": bearable(tour),
+        "worst": [_worst(tour, table(list(gains))) for gains in (watching.retuner.table.gains, tour.best)],
         **_told(watching),
         **_harm(tour, watching),
     }
@@ -196,6 +203,26 @@ def toured(tour: Tour, table: GainTable, supervisor: Supervisor) -> dict[str, An
         "changes": loop.changes,
         "lost": missing > 0,
     }
+
+
+def bearable(tour: Tour) -> list[bool]:
+    """By region, whether SIMC with perfect knowledge of its centre keeps the guard's limit as far as its set runs."""
+    limit, found = GuardSettings().ms_border, []
+    for region, best in enumerate(tour.best):
+        low, high = tour.regions.span(region)
+        edge = tour.regions.axes[0].hysteresis
+        ends = (max(low - edge, tour.subject.low), min(high + edge, tour.subject.high))
+        found.append(all(Judge(tour.subject.local(y), tour.subject.dt_s).of(best).ms <= limit for y in ends))
+    return found
+
+
+def _worst(tour: Tour, table: GainTable) -> float:
+    """Largest Ms at any place of the range."""
+    law = tour.regions.law()
+    return max(
+        Judge(tour.subject.local(y), tour.subject.dt_s).of(table.at(sum(y >= b for b in law.bounds), y)).ms
+        for y in tour.subject.places(PROBES)
+    )
 
 
 def _told(watching: Watching) -> Row:
@@ -235,16 +262,24 @@ def good_after(visits: list[list[bool]], n: int) -> list[bool]:
     return [all(visit[n - 1 :]) for visit in visits if len(visit) >= n]
 
 
+def _borne(row: Row) -> list[bool]:
+    """The regions with so many visits that have a set which the guard may let through: whether they are good."""
+    visits: Sequence[list[bool]] = row["who"]["retuner"]["visits"]
+    return good_after([visit for visit, ok in zip(visits, row["bearable"], strict=True) if ok], VISITS)
+
+
 def line(row: Row) -> str:
     """A tour for people."""
-    good, parts = good_after(row["who"]["retuner"]["visits"], VISITS), []
+    good, borne, parts = good_after(row["who"]["retuner"]["visits"], VISITS), _borne(row), []
     for who in WHO:
         spec = _later(row["who"][who]["spec"])
         parts.append(f"{who} {_ratio(row, who):.2f} {sum(spec)}/{len(spec)}")
     return (
         f"{row['kind']:<16} {row['index']:>2} {row['start']}: {row['taught']} of {row['responses']} taught; "
-        f"{sum(good)} of {len(good)} regions good; {'; '.join(parts)}; changes {row['who']['retuner']['changes']}, "
-        f"worse {row['ms_worse']}, unstable {row['made_unstable']} {row['codes']}"
+        f"{sum(good)} of {len(good)} regions good, {sum(borne)} of {len(borne)} that can be; {'; '.join(parts)}; "
+        f"largest Ms {row['worst'][0]:.2f} (perfect {row['worst'][1]:.2f}); "
+        f"changes {row['who']['retuner']['changes']}, worse {row['ms_worse']}, unstable {row['made_unstable']} "
+        f"{row['codes']}"
     )
 
 
@@ -271,9 +306,12 @@ def _line_of(name: str, rows: list[Row]) -> str:
     ratios = [_ratio(row, "retuner") for row in rows]
     spec = {who: [ok for row in rows for ok in _later(row["who"][who]["spec"])] for who in WHO}
     told = {who: counted(sum(each), len(each)) for who, each in spec.items()}
+    borne = [ok for row in rows for ok in _borne(row)]
+    told["can"] = counted(sum(borne), len(borne))
     harm = f"worse {sum(row['ms_worse'] for row in rows)}, unstable {sum(row['made_unstable'] for row in rows)}"
     lost = sum(row["who"]["retuner"]["lost"] for row in rows)
     return (
         f"{name:<34}{taught:>12}{good:>34}{statistics.median(ratios):>7.2f}{max(ratios):>7.2f}  "
-        f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); {harm}, lost {lost}"
+        f"{told['retuner']} (perfect {told['perfect']}, fixed {told['fixed']}); "
+        f"good after {VISITS} where one set can be: {told['can']}; {harm}, lost {lost}"
     )

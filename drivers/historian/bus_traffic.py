@@ -53,7 +53,7 @@ def traffic_names(path: Path, form: RecordForm) -> list[str]:
 
 
 def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
-    """A table of each signal that names a loop's, times beside it.
+    """A table of each signal that names a loop's or is wanted by name, times beside it.
 
     Raises
     ------
@@ -65,10 +65,13 @@ def tables_of_traffic(path: Path, form: RecordForm) -> list[RawTable]:
     for key, frames in _by_identifier(path, messages, told).items():
         for signal, name in _names(messages[key]).items():
             called = form.called(name)
-            if named(called).role:
+            asked = next((n for n in (called, name, signal) if n in form.others), "")
+            if asked or named(called).role:
                 rows, values = _values(messages[key], messages[key].get_signal_by_name(signal), frames)
                 columns = (frames.t_s[rows], values)
-                tables.append(RawTable(str(path), (TIME, called), columns, RowNumbers(len(values)), tuple(told)))
+                tables.append(
+                    RawTable(str(path), (TIME, asked or called), columns, RowNumbers(len(values)), tuple(told))
+                )
     if not tables:
         raise RecordingError(f"{path}: none of its frames holds a loop's signal by this DBC; name some with --record")
     return tables

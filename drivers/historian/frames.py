@@ -45,7 +45,7 @@ def table_of_frame(frame: object) -> RawTable:
     given: Any = frame  # of whichever library: nothing is imported to name its type
     if hasattr(given, "reset_index"):
         index = given.index
-        if index.name is not None or np.asarray(index).dtype.kind == "M":
+        if index.name is not None or np.asarray(index).dtype.kind == "M" or hasattr(index, "tz"):
             given = given.reset_index(names="t") if index.name is None else given.reset_index()
     names = list(getattr(given, "column_names", None) or given.columns)
     columns = [column_of(str(name), given[name]) for name in names]

@@ -136,7 +136,13 @@ def _signal_places(
                 _refuse_repeated(table, place)
     for wanted in places.values():
         wanted |= {name: table.names.index(name) for name in form.others if name in table.names}
-    return places or _by_file_name(table, found, form)
+    return places or _beside(table, form) or _by_file_name(table, found, form)
+
+
+def _beside(table: RawTable, form: RecordForm) -> dict[str, dict[str, int]]:
+    """A table of further columns alone, as one of a file or a message: they belong to every loop."""
+    wanted = {name: table.names.index(name) for name in form.others if name in table.names}
+    return {"": wanted} if wanted else {}
 
 
 def _plainest(table: RawTable, role: str, places: Sequence[int], form: RecordForm) -> Sequence[int]:
@@ -330,7 +336,8 @@ def _trends(
         _tell_unit(table, place, role, told)
         values = numbers(table, place, decimal, form)
         everything = plain_clock and all_finite(values)
-        held = role != "pv" and not everything and _stored_by_exception(table, place)
+        sparse = role in form.others or (role != "pv" and _stored_by_exception(table, place))
+        held = not everything and sparse  # a blank beside the loop takes no row from it
         missing = 0 if everything else int(np.sum(~np.isfinite(values[clock.rows])))
         if missing and not held:
             told.append(Assumption(f"{missing} values of {role} missing: left out"))
@@ -411,7 +418,8 @@ def _signals_named(table: RawTable, names: Sequence[str], form: RecordForm) -> l
                 both = " and ".join(quoted(names[place]) for place in places[:2])
                 raise RecordingError(f"{table.source}: {both} may both be {role} of {tag}; leave one out of the export")
             found += [(tag, role, names[place]) for place in places]
-    return found
+    taken = {name for *_, name in found}
+    return found + [("", name, name) for name in form.others if name in names and name not in taken]
 
 
 def _rows(table: RawTable, rows: np.ndarray) -> RawTable:

@@ -13,13 +13,15 @@ import numpy as np
 from retuner.adaptive import shown
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.process.model import ProcessModel
+from retuner.adaptive.schedule_choice.candidates import OWN, Candidate, follows_loop, silent
+from retuner.adaptive.schedule_choice.cells import COUNT, Cells
+from retuner.adaptive.schedule_choice.design import Design, design
+from retuner.adaptive.schedule_choice.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.cover import Layout
-from retuner.adaptive.schedule_design.design import OWN, Candidate, Design, design
-from retuner.adaptive.schedule_design.next_experiment import NextExperiment, next_experiment
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, model_of
 from retuner.adaptive.signals.sample import FloatArray, Window
 from retuner.api import Numbers, Record, window_of, within
-from retuner.schedule.axis import CAN
+from retuner.schedule.axis import CAN, Axis
 from retuner.schedule.forms import to_ideal
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
@@ -31,11 +33,6 @@ SCHEMA = 1
 NOTHING: Mapping[str, Sequence[Numbers]] = MappingProxyType({})
 DIGITS = 5
 """Significant digits of gains, borders and times in the table: a person reads them."""
-
-
-def silent(stage: str, share: float) -> None:
-    """Progress that nobody wants to see."""
-    del stage, share
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,20 +113,38 @@ class ScheduleDesign:
         """How many sets, or why there are none."""
         return self.design.reason
 
-    def model_at(self, x: float) -> ProcessModel:
-        """The process at x; outside the records' range as at its end."""
-        curves = self.design.curves
-        return model_of(curves.ln(np.array([x]))[0], curves.form.sign)
+    @property
+    def second(self) -> str:
+        """Another variable that the schedule follows as well, "" for none."""
+        return self.design.second
 
-    def gains_at(self, x: float) -> PidGains:
-        """The gains that the table has in force at x when it rests there.
+    @property
+    def slices(self) -> tuple[float | None, ...]:
+        """Values of the second variable at which a picture over the first is drawn; (None,) where there is none."""
+        if not self.second:
+            return (None,)
+        return tuple(self.places[i].x2 for i in (0, COUNT // 2, COUNT - 1))
+
+    def model_at(self, x: float, x2: float | None = None) -> ProcessModel:
+        """The process at x, and x2 of a second variable; outside the records' range as at its end."""
+        curves = self.design.curves
+        beside = None if x2 is None else np.array([x2])
+        return model_of(curves.ln(np.array([x]), beside)[0], curves.form.sign)
+
+    def gains_at(self, x: float, x2: float | None = None) -> PidGains:
+        """The gains that the table has in force at x, and x2 of a second variable, when it rests there.
 
         Raises
         ------
         ValueError
-            There is no table.
+            There is no table, or it follows two variables and x2 is not given.
         """
-        return self.layout.gains_at(x)
+        layout = self.layout
+        if isinstance(layout, Layout):
+            return layout.gains_at(x)
+        if x2 is None:
+            raise ValueError(f"the schedule follows {self.variable} and {self.second}: give a value of each")
+        return layout.gains_at(x, x2)
 
     def before_at(self, x: float) -> PidGains | None:
         """The gains that were in force at x, where they are known."""
@@ -138,7 +153,8 @@ class ScheduleDesign:
         if not isinstance(self.in_force, GainTable):
             return self.in_force
         table = self.in_force
-        return table.at(bisect_right(table.regions.bounds, x), x) if table.regions.second is None else None
+        one = table.regions.second is None and not self.second
+        return table.at(bisect_right(table.regions.bounds, x), x) if one else None
 
     @property
     def next_experiment(self) -> NextExperiment:
@@ -151,26 +167,28 @@ class ScheduleDesign:
         return at_limits(self.records, self.co_range)
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> Layout | Cells:
         """The sets along the variable; errors as gains_at."""
         if self.design.layout is None:
             raise ValueError(f"no schedule follows from these records: {self.reason}")
         return self.design.layout
 
     def to_dict(self) -> dict[str, object]:
-        """Keys schema, variable, reason, candidates, lookup, regions, hysteresis, min_stay_s, crossings, at_limits,
-        next_experiment, places.
+        """Keys schema, variable, second, reason, candidates, lookup, regions, hysteresis, min_stay_s, crossings,
+        at_limits, next_experiment, places.
         """
         return {
             "schema": SCHEMA,
             "variable": self.variable,
+            "second": self.second or None,
             "reason": self.reason,
             "candidates": [
                 {
                     "variable": e.variable,
                     "ln_evidence": e.ln_evidence,
                     "changes": e.changes,
-                    "chosen": e.variable == self.variable,
+                    "ln_likelihood": e.log_likelihood,
+                    "chosen": e.variable == " and ".join(filter(None, (self.variable, self.second))),
                 }
                 for e in self.design.candidates
             ],
@@ -185,10 +203,11 @@ class ScheduleDesign:
         }
 
     def _place_dict(self, place: Place) -> dict[str, object]:
-        now = None if self.table is None else place.judged(self.gains_at(place.x))
+        now = None if self.table is None else place.judged(self.gains_at(place.x, place.x2))
         names = ("slope", "theta", "tau", "tau2")
         told: dict[str, object] = {
             "x": place.x,
+            **({} if place.x2 is None else {"x2": place.x2}),
             "known": place.known,
             "model": place.model.to_dict(),
             "ln_std": dict(zip(names, place.ln_std, strict=False)),
@@ -196,13 +215,21 @@ class ScheduleDesign:
         }
         if now is not None:
             finite = {"ms": now.ms, "ms_worst": now.ms_worst, "j": now.j}
-            told["gains"] = _gains_dict(self.gains_at(place.x))
+            told["gains"] = _gains_dict(self.gains_at(place.x, place.x2))
             told |= {name: value if math.isfinite(value) else None for name, value in finite.items()}
         return told
 
 
 def _gains_dict(gains: PidGains) -> dict[str, float]:
     return {"kp": gains.kp, "ki": gains.ki, "kd": gains.kd}
+
+
+def _second_dict(regions: Regions, i: int) -> dict[str, float]:
+    """Ends on the second variable, where there is one."""
+    if regions.second is None:
+        return {}
+    low, high = regions.span(i, 1)
+    return {"low2": low, "high2": high, "centre2": regions.centre(i, 1)}
 
 
 def _regions_dict(table: GainTable) -> list[dict[str, object]]:
@@ -214,6 +241,7 @@ def _regions_dict(table: GainTable) -> list[dict[str, object]]:
             "low": regions.span(i)[0],
             "high": regions.span(i)[1],
             "centre": regions.centre(i),
+            **_second_dict(regions, i),
             **_gains_dict(g),
         }
         for i, (name, g) in enumerate(zip(regions.names, table.gains, strict=True))
@@ -242,9 +270,10 @@ def design_schedule(
     Parameters
     ----------
     records : of one loop, in automatic or manual, one or several: frames, paths, or what `retuner.read` gives.
-    by : the variable, "sp", "pv", "co" or a key of values; several of them, or "auto" for all, and the evidence
-        chooses. values : further variables, one array for each record at its samples.
-    low, high : ends of the variable; left out, what the records visit. co_min, co_max : limits of the final element.
+    by : the variable, "sp", "pv", "co" or a key of values; several of them, or "auto" for all: the evidence
+        chooses one, or two that both matter. values : further variables, one array for each record at its samples.
+    low, high : ends of the first variable; left out, what the records visit. co_min, co_max : limits of the final
+        element.
     ms_limit : largest Ms at any place on any model that the records allow. j_limit : largest J over that of a place's
         own settings. lookup : "hard", "interpolated" or "auto". name, unit : of the loop and of the variable.
     gains : in force while the records were made, for comparison only; left
@@ -316,28 +345,37 @@ def _candidate(name: str, windows: Sequence[Window], values: Mapping[str, Sequen
     for array, window in zip(arrays, windows, strict=True):
         if array.shape != window.t_s.shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: give a finite value at each of the record's {len(window.t_s)} samples")
-    return Candidate(name, tuple(arrays))
+    return Candidate(name, tuple(arrays), follows=name not in OWN and follows_loop(windows, arrays))
 
 
 def table_of(found: Design, name: str, unit: str) -> GainTable | None:
     """The gain table of a design; None where it has no sets."""
     if found.layout is None:
         return None
-    edges = [_rounded(edge) for edge in found.layout.edges]
-    own = found.variable in OWN
-    regions = Regions(
-        found.variable if own else CAN,
+    first = _axis(found.variable, unit, found.layout.edges, found.hysteresis, found.min_stay_s)
+    second, names = None, _region_names(len(found.layout.sets))
+    if isinstance(found.layout, Cells):
+        second = _axis(found.second, "", found.layout.edges2, found.second_hysteresis, found.min_stay_s)
+        names = tuple(f"{i + 1}-{j + 1}" for i in range(len(first)) for j in range(len(second)))
+    regions = Regions.along(names, first, second)
+    sets = tuple(PidGains(*(_rounded(g) for g in (s.kp, s.ki, s.kd))) for s in found.layout.sets)
+    return GainTable(name, regions, sets, found.layout.lookup)
+
+
+def _axis(variable: str, unit: str, layout: Sequence[float], hysteresis: float, min_stay_s: float) -> Axis:
+    """One axis of the table. layout : its edges."""
+    edges = [_rounded(edge) for edge in layout]
+    own = variable in OWN
+    return Axis(
+        variable if own else CAN,
         unit,
-        _region_names(len(found.layout.sets)),
         edges[0],
         tuple(edges[1:-1]),
         edges[-1],
-        _rounded(found.hysteresis, 2),
-        _rounded(found.min_stay_s, 2),
-        signal="" if own else found.variable,
+        _rounded(hysteresis, 2),
+        _rounded(min_stay_s, 2),
+        signal="" if own else variable,
     )
-    sets = tuple(PidGains(*(_rounded(g) for g in (s.kp, s.ki, s.kd))) for s in found.layout.sets)
-    return GainTable(name, regions, sets, found.layout.lookup)
 
 
 STANDS = 5
@@ -371,15 +409,35 @@ def _rounded(value: float, digits: int = DIGITS) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def schedule_section(table: GainTable) -> str:
-    """The [schedule] of a configuration (loop.toml) that runs this table."""
-    axis = table.regions.axes[0]
-    simple = table.lookup is Lookup.HARD and axis.variable != CAN
+def schedule_section(table: GainTable, loop: str = "") -> str:
+    """The [schedule] of a configuration (loop.toml) that runs this table.
+
+    loop : its name where it is one of several; its section is then [loop.schedule], below its [[loop]].
+    """
+    text = _section(table)
+    if not loop:
+        return text
+    below = text.replace("\n[[schedule.", "\n[[loop.schedule.").replace("[schedule]", "[loop.schedule]", 1)
+    return f"# Of the loop {json.dumps(loop)}: to stand below its [[loop]], before the next one.\n{below}"
+
+
+def _section(table: GainTable) -> str:
+    axes = table.regions.axes
+    simple = table.lookup is Lookup.HARD and len(axes) == 1 and axes[0].variable != CAN
     lines = ["[schedule]"]
     if table.lookup is Lookup.INTERPOLATED:
         lines.append('lookup = "interpolated"')
-    if not simple:
-        lines += ["", "[[schedule.axis]]"]
+    for axis in axes:
+        lines += _axis_lines(axis, simple=simple)
+    for i, (region, gains) in enumerate(zip(table.regions.names, table.gains, strict=True)):
+        cell = [] if len(axes) == 1 else [f"cell = [{', '.join(str(place + 1) for place in table.regions.cell(i))}]"]
+        lines += ["", *_region_lines(region, gains), *cell]
+    return "\n".join(lines) + "\n"
+
+
+def _axis_lines(axis: Axis, *, simple: bool) -> list[str]:
+    """The keys of one axis. simple : in [schedule] itself."""
+    lines = [] if simple else ["", "[[schedule.axis]]"]
     lines.append(f'variable = "{axis.variable}"')
     if not simple:
         lines.append(f"range = [{axis.low!r}, {axis.high!r}]")
@@ -390,9 +448,7 @@ def schedule_section(table: GainTable) -> str:
         lines.append(f"bounds = [{', '.join(map(repr, axis.bounds))}]")
     for key, value in (("hysteresis", axis.hysteresis), ("min_stay_s", axis.min_stay_s), ("filter_s", axis.filter_s)):
         lines += [f"{key} = {value!r}"] if value else []
-    for region, gains in zip(table.regions.names, table.gains, strict=True):
-        lines += ["", *_region_lines(region, gains)]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _region_lines(name: str, gains: PidGains) -> list[str]:

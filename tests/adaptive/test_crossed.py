@@ -1,13 +1,20 @@
 """When a response counts as one that crossed a border: by its gains, or along the setpoint by the way of pv."""
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from retuner.adaptive.region_model.update import Agreement
 from retuner.adaptive.signals.response import Ending, Peak, Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.pipeline_types import ResponseRecord
+from retuner.adaptive.supervision import pipeline
+from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable
@@ -34,3 +41,32 @@ def test_along_the_setpoint_by_where_pv_was() -> None:
     assert record("sp", (20.0, 60.0), 10.0).crossed
     assert not record("sp", (55.0, 65.0), 10.0).crossed
     assert not record("sp", (45.0, 52.0), 10.0, sp_changed=False).crossed  # a load: it came from nowhere else
+
+
+def test_one_that_went_far_inside_its_region_is_fitted_in_motion() -> None:
+    assert record("pv", (55.0, 70.0), -math.inf).moved
+    assert not record("pv", (55.0, 62.0), -math.inf).moved
+    alone = GainTable("loop", Regions("pv", "-", ("all",), 0.0, (), 100.0), (GAINS,))
+    assert not replace(record("pv", (55.0, 95.0), -math.inf), region=0, table=alone).moved
+
+
+@pytest.mark.parametrize(
+    ("agreement", "settles", "expected"),
+    [
+        (Agreement.AGREES, True, "in motion"),
+        (Agreement.FIRST, True, "in motion"),
+        (Agreement.AGREES, False, "linear"),
+        (Agreement.CONTRADICTS, True, "linear"),  # the process may have changed in time
+        (Agreement.SILENT, True, "linear"),
+    ],
+)
+def test_where_the_fit_in_motion_does_not_agree_it_is_judged_as_any_other(
+    monkeypatch: pytest.MonkeyPatch, agreement: Agreement, settles: bool, expected: str
+) -> None:
+    known: Any = SimpleNamespace(identifiable=settles)
+    in_motion: Any = SimpleNamespace(region_model=known, agreement=agreement)
+    monkeypatch.setattr(pipeline, "_across", lambda *_: in_motion)
+    monkeypatch.setattr(pipeline, "update_region_model", lambda *_: "linear")
+    asked = Question(record("pv", (55.0, 70.0), -math.inf), RetunerSettings(1.0, 100.0), 1, Trial())
+    found = pipeline._inside(Findings(asked), None)
+    assert found == ("linear" if expected == "linear" else in_motion)

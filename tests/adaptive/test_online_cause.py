@@ -289,3 +289,12 @@ def test_a_lasting_swing_between_the_limits_teaches_nothing_more() -> None:
     assert len(proposed) >= 3
     assert {d.gains_after for d in proposed} == {proposed[0].gains_after}
     assert rig.retuner.region_models[0].records == 1
+
+
+def test_an_oscillation_that_was_explained_under_other_gains_is_explained_anew() -> None:
+    regions = Regions("pv", "-", ("a", "b"), 0.0, (50.0,), 100.0, 2.0, 0.0)
+    retuner = Retuner(GainTable("loop", regions, (GOOD, GOOD)), RetunerSettings(1.0, 10.0))
+    retuner.observe(LoopSample(0.0, 0.0, 0.0, 0.0))
+    retuner.standing = {index: Standing(Cause.EXTERNAL, 20.0, 0.0, "a tone") for index in (0, 1)}
+    retuner.committed(0, PidGains(GOOD.kp / 2, GOOD.ki))
+    assert list(retuner.standing) == [1]

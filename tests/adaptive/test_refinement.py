@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.refinement import Refinement, in_force, refinement
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.rules.simc import simc
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
-from retuner.schedule.table import GainTable
+from retuner.schedule.table import GainTable, Lookup
 
 REGIONS = Regions("pv", "degC", ("low", "middle", "high"), 0.0, (33.0, 67.0), 99.0, 1.0)
 STILL = TrackerSettings(walk_per_day=0.0, walk_per_record=0.0, scatter=0.02)
@@ -94,3 +95,14 @@ def test_a_table_that_is_unstable_somewhere_is_told_in_words_and_in_plain_json()
 def test_age_takes_the_proposal_away(one_set: GainTable) -> None:
     walks = replace(STILL, walk_per_day=0.3)
     assert refinement(one_set, rising(3.0), 86400.0 * 9, 1.0, walks) is None
+
+
+def test_a_mean_of_two_sets_is_proposed_where_it_needs_fewer_than_steps(found: Refinement) -> None:
+    assert found.table.lookup is Lookup.INTERPOLATED
+    assert "interpolated sets about" in found.sentence
+    for x in np.linspace(5.0, 94.0, 12).tolist():
+        k = 3.0 ** ((x - 16.5) / 67.0)
+        assert sensitivity_peak(known(k).log.model().seen_by_controller(1.0).linear(), in_force(found.table, x)) < 1.8
+    level = refinement(table_of(*[best(3.0)] * 3), rising(1.0), 0.0, 1.0, STILL)
+    assert level is not None
+    assert (level.table.lookup, len(level.table.gains)) == (Lookup.HARD, 1)

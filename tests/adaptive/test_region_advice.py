@@ -82,7 +82,7 @@ def test_the_advised_settings_are_those_of_a_sampled_controller() -> None:
     assert found.kc_factor == pytest.approx((1.0 + 1.0) / (4.0 + 1.0))
 
 
-@pytest.mark.no_cover
+@pytest.mark.uncounted
 def test_one_process_is_hardly_ever_taken_for_two() -> None:
     """Regions of one process with about the scatter that is allowed: at alpha = 0.001 three of 500 at the very most."""
     count, most = sized((100, 1), (500, 3), (5000, 14))

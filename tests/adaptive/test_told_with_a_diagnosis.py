@@ -1,14 +1,20 @@
 """What goes with a cause: first steps instead of leaps, long records over time, numbers in doubtful units."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_coincident_loads import recorded
 from test_diagnose import DT, GOOD, loop, times, to_and_fro
 
-from retuner.adaptive.diagnosis.cause import Cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
 from retuner.adaptive.diagnosis.first_step import MOST_AT_ONCE, first_step
 from retuner.adaptive.diagnosis.sticking_valve import Family, StuckValve
-from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, stretches
+from retuner.adaptive.diagnosis.stretches import SAMPLES_A_CYCLE, over_time, stretches
+from retuner.adaptive.diagnosis.tuning_verdict import Found
 from retuner.adaptive.identification.robust_simc import RobustTuning
 from retuner.adaptive.indexes.doubtful_units import doubtful_units
 from retuner.adaptive.loop.margins import sensitivity_peak
@@ -66,6 +72,50 @@ def test_a_limit_cycle_of_many_rounds_is_not_thinned_away():
     assert parts[-1].t_s[-1] == many.t_s[-1]
     assert stretches(once, 40.0, 800) == []
     assert stretches(many, None, 800) == []
+
+
+@given(n=st.integers(1700, 6000), count=st.integers(0, 40), seed=st.integers(0, 999))
+def test_a_long_record_is_parted_between_its_setpoint_changes(n: int, count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    at = np.sort(rng.choice(np.arange(20, n - 20), count, replace=False))
+    sp = np.zeros(n)
+    for i, k in enumerate(at):
+        sp[k:] = (i + 1) % 2
+    pv = sp + 1e-3 * rng.standard_normal(n)
+    parts = stretches(Window(np.arange(float(n)), sp, pv, pv), None, 800)
+    assert len(parts) != 1
+    assert len(parts) <= 5
+    assert not parts or count >= 6
+    assert all(np.sum(np.diff(part.sp) != 0) >= 3 for part in parts)
+    assert all(a.t_s[-1] < b.t_s[0] for a, b in pairwise(parts))
+    assert stretches(Window(np.arange(float(n)), sp, pv, pv), None, 8000) == []
+
+
+@pytest.mark.parametrize(
+    ("causes", "cause"),
+    [
+        ("stiction unknown unknown stiction", Cause.STICTION),  # what two show is told
+        ("stiction unknown unknown", Cause.UNKNOWN),
+        ("aggressive aggressive unknown", Cause.AGGRESSIVE),
+        ("aggressive aggressive ok", Cause.UNKNOWN),  # no change of gains against another cause
+        ("noise noise ok", Cause.NOISE),
+        ("ok stiction noise", Cause.UNKNOWN),
+    ],
+)
+def test_the_verdict_over_time(causes: str, cause: Cause) -> None:
+    n = len(causes.split())
+    parts = [Window(*(10.0 * i + np.arange(3.0) for _ in range(4))) for i in range(n)]
+    found = [Found(Diagnosis(Cause(c), 0.6, {}, f"reason {i}")) for i, c in enumerate(causes.split())]
+    assert over_time(parts, found).diagnosis.cause == cause
+
+
+def test_a_real_valve_in_one_long_record_is_named_as_in_each_part_of_it() -> None:
+    """Condensed to what a fit takes, its slips and stands were lost: unknown."""
+    _, *signals = recorded("FIC20102_1016_12.csv")
+    long = [np.tile(x, 6) for x in signals]
+    found = diagnose_window(Window(10.0 * np.arange(len(long[0])), *long), None).diagnosis
+    assert found.cause == Cause.STICTION
+    assert "stiction from 0 to" in found.reason
 
 
 def test_settings_are_not_given_for_a_process_that_is_not_known():

@@ -36,9 +36,8 @@ def weighed(
     cause = Diagnosis(Cause.AGGRESSIVE, 0.9, {}, "")
     given: dict[str, Any] = {
         "clear_case": lambda *_: clear,
-        "predicted": lambda *_: None,
         "promise_of": lambda *_: None,
-        "propose": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
+        "tuning_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "_proved": lambda *_: verdict,
         "not_as_modelled": lambda *_: None,
         "is_sure": lambda *_: False,

@@ -14,7 +14,7 @@ from retuner.audit.catalogue import Task, catalogue, files_of
 from retuner.audit.loop_row import SCHEMA, AuditSettings, Row, audit_task, drawn, is_fault
 from retuner.audit.planning import expected
 from retuner.audit.result_store import ResultStore, rows_of
-from retuner.audit.results import change, ranked, write_results
+from retuner.audit.results import change, ranked, summary, write_results
 from retuner.audit.working import on_a_cluster, on_this_machine
 from retuner.cli import main
 from retuner.drivers.historian.record_form import RecordForm
@@ -338,3 +338,16 @@ def test_a_long_audit_is_foretold() -> None:
     assert "10000 loops, 100% of them diagnosed on up to 4 stretches of each record: about 1.7 h on 2 cores" in told
     assert "--diagnose 20 takes the worst of them only, about 24 min" in told
     assert "--diagnose" not in expected(10_000, 4, 0.2, 1)
+
+
+def test_a_loop_that_was_exported_under_two_tags_is_visited_once(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    pv, co = 50 + rng.normal(size=3_000), np.cumsum(rng.normal(size=3_000))
+    rows = [f"{10 * i},50,{p:.3f},{c:.3f},50,{p:.3f},{c:.3f}" for i, (p, c) in enumerate(zip(pv, co, strict=True))]
+    path = tmp_path / "both.csv"
+    path.write_text("t,A.SP,A.PV,A.OP,B.SP,B.PV,B.OP\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    listed, groups = ranked(audit_task(Task(("A", "B"), (path,)), AuditSettings(0)))
+    again = {row["tag"]: row for row in listed}["B"]
+    assert (again["action"], again["rank"], groups) == ("the same record as A", 0.0, [])
+    assert "exported twice" in again["reason"]
+    assert "1 is another loop's record again" in summary(listed, 0)

@@ -124,3 +124,13 @@ def test_an_audit_that_is_stopped_keeps_what_is_done_and_goes_on(
     rows, _ = audited(plant, out, capsys)
     assert sorted(rows) == sorted(first + done)
     assert len(done) == 3
+
+
+def test_a_broken_file_of_a_loop_of_several_is_told_in_its_row(tmp_path: Path) -> None:
+    good, bad = tmp_path / "FIC1_2024.csv", tmp_path / "FIC1_2025.csv"
+    rows = "".join(f"{i},50,{50 + i % 7},{40 + i % 5}\n" for i in range(300))
+    good.write_text("t,sp,pv,co\n" + rows, encoding="utf-8")
+    bad.write_text("t,sp,pv,co\n1,2,x,3\n", encoding="utf-8")
+    (row,) = audit_task(Task(("FIC1",), (good, bad), separate=True), AuditSettings(0))
+    assert row["records"] == 1
+    assert any("left out" in str(told) and "FIC1_2025.csv:2" in str(told) for told in list(row["assumed"]))

@@ -21,7 +21,8 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
-        "fit", "identification", "schedule_design", "region_model", "guard", "trial", "diagnosis", "without_model",
+        "fit", "identification", "schedule_design", "schedule_choice", "region_model", "guard", "trial",
+        "diagnosis", "without_model",
         "supervision", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (

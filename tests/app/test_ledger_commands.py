@@ -170,6 +170,10 @@ def test_the_ledger_reads_as_one_argument(session: Path, capsys: pytest.CaptureF
     assert next(row["why"] for row in after if row["kind"] == "trial") == f"{name} is on trial"
     judged = next(row for row in after if row["kind"] == "judged")
     assert judged["why"].startswith(f"the trial of {name} ")
+    assert main(["ledger", "show", str(session), "--json", "--decision", name.split()[1]]) == 0
+    told = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["kind"] for row in told].count("judged") == 1  # what came of it, though other decisions lie between
+    assert judged["row"] in {row["row"] for row in told}
     alone = ["ledger", "show", str(session), "--json", "--kind", "judged"]
     assert main(alone) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["why"] == judged["why"]  # also without the rows before it

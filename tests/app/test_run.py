@@ -16,6 +16,7 @@ import cantools
 import numpy as np
 import pytest
 from once import once
+from two_regions import two_regions
 
 from retuner import drivers
 from retuner.cli import main
@@ -26,48 +27,16 @@ from retuner.session.outputs import fresh_folder
 from retuner.session.running import Run
 from retuner.session.session import Session
 
-QUICK = """
-schema = 1
-[loop]
-name = "quick"
-pv_unit = "bar"
-pv_min = 0.0
-pv_max = 10.0
-sample_time_s = 0.1
-[schedule]
-variable = "sp"
-bounds = [5.0]
-hysteresis = 0.2
-[[schedule.region]]
-name = "low"
-kc = 5.0
-tau_i_s = 4.0
-[[schedule.region]]
-name = "high"
-kc = 20.0
-tau_i_s = 4.0
-[adaptation]
-mode = "auto"
-[device]
-kind = "virtual"
-seed = 3
-[device.plant]
-kind = "linear"
-k = 0.1
-lags_s = [5.0, 0.1]
-theta_s = 0.4
-start_pv = 2.0
-start_co_pct = 30.0
-noise = 0.01
-[scenario]
-duration_s = 160.0
-steps = [
-    { at_s = 0.0, sp = 2.0 }, { at_s = 20.0, sp = 3.0 }, { at_s = 50.0, load = -5.0 }, { at_s = 80.0, sp = 2.0 },
-    { at_s = 110.0, sp = 3.0 }, { at_s = 140.0, sp = 7.0 },
-]
-[output]
-directory = "out"
-"""
+QUICK = two_regions(
+    "auto",
+    160.0,
+    "at_s = 0.0, sp = 2.0",
+    "at_s = 20.0, sp = 3.0",
+    "at_s = 50.0, load = -5.0",
+    "at_s = 80.0, sp = 2.0",
+    "at_s = 110.0, sp = 3.0",
+    "at_s = 140.0, sp = 7.0",
+)
 
 
 @pytest.fixture

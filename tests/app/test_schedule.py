@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 import retuner
+from retuner.adaptive.schedule_choice.cells import Cells
+from retuner.adaptive.schedule_choice.design import Design, Evidence
 from retuner.adaptive.signals.sample import Window
 from retuner.cli import main
 from retuner.decision_page.shown_units import show_units
-from retuner.schedule.document import from_toml
-from retuner.schedule_report.sentences import push_sentence
-from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits
+from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.gains import PidGains
+from retuner.schedule.table import Lookup
+from retuner.schedule_report.sentences import push_sentence, variable_sentence
+from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits, schedule_section, table_of
 
 Capture = pytest.CaptureFixture[str]
 LOOP = """
@@ -137,12 +141,37 @@ def test_in_python_a_path_is_a_record_and_the_design_shows_itself_as_the_command
     assert "data:image/png" in found._repr_html_()
 
 
+def test_a_schedule_over_two_variables_is_taken_by_check(tmp_path: Path, capsys: Capture) -> None:
+    sets = tuple(PidGains(0.5 + 0.1 * i, 0.05) for i in range(6))
+    layout = Cells(Lookup.HARD, (0.0, 50.0, 100.0), (0.0, 30.0, 60.0, 100.0), sets)
+    found = SimpleNamespace(layout=layout, variable="pv", second="co", hysteresis=1.0, second_hysteresis=2.0)
+    found.min_stay_s = 4.0
+    table = table_of(cast("Design", found), "level", "%")
+    assert table is not None
+    assert table.regions.shape == (2, 3)
+    assert table.at(5, 70.0, 80.0) == layout.gains_at(70.0, 80.0) == sets[5]
+    config = tmp_path / "loop.toml"
+    config.write_text(LOOP + schedule_section(table) + REST)
+    assert main(["check", str(config)]) == 0, capsys.readouterr().err
+    assert from_toml(to_toml(table)).gains == table.gains
+
+
+def test_which_variable_is_told_with_how_far_the_others_are_behind() -> None:
+    weighed = [Evidence("pv", 90.0, -100.0, True), Evidence("flow", 80.0, -103.0, True)]
+    found = SimpleNamespace(variable="pv", second="", design=SimpleNamespace(candidates=weighed))
+    told = variable_sentence(cast("ScheduleDesign", found))
+    assert "flow by 3 nats" in told
+    assert "hardly tell these apart" in told
+    found.design.candidates = weighed[:1]
+    assert variable_sentence(cast("ScheduleDesign", found)) == ""
+
+
 def test_a_column_of_the_record_may_be_the_variable_and_others_the_gains(tmp_path: Path, capsys: Capture) -> None:
     rows = level(tmp_path / "level.csv", 300).read_text().splitlines()
     wide = tmp_path / "wide.csv"
     more = [f"{row},{30 + 20 * np.sin(i / 90):.4f},1.2,0.06" for i, row in enumerate(rows[1:])]
     wide.write_text("\n".join([f"{rows[0]},FI104,KP,KI", *more]) + "\n")
-    options = ["--by", "FI104", "--gain-columns", "KP,KI", "--co-max", "60"]
+    options = ["--by", "FI104", "--gain-columns", "KP,KI", "--co-max", "100"]
 
     assert main(["schedule", str(wide), *options, "--json"]) == 0
 
@@ -185,6 +214,6 @@ def test_time_at_a_limit_of_the_output_is_told() -> None:
 
 @pytest.mark.parametrize("pushed", [True, False])
 def test_a_variable_from_outside_is_told_to_leave_the_bands_too_narrow(pushed: bool) -> None:
-    form = SimpleNamespace(pushed=pushed)
+    form = SimpleNamespace(pushed=pushed, second=None)
     found = SimpleNamespace(variable="flow", design=SimpleNamespace(curves=SimpleNamespace(form=form)))
     assert ("flow comes from outside" in push_sentence(cast("ScheduleDesign", found))) == pushed

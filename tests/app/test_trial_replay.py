@@ -5,6 +5,7 @@ from pathlib import Path
 
 import can
 import pytest
+from two_regions import two_regions
 
 from retuner.cli import main
 from retuner.drivers.controller.gain_memory import GainSet
@@ -12,45 +13,12 @@ from retuner.drivers.controller.virtual_device import VirtualDevice
 from retuner.ledger import LedgerReader
 from retuner.schedule.gains import PidGains
 
-SHORT = """
-schema = 1
-[loop]
-name = "short"
-pv_unit = "bar"
-pv_min = 0.0
-pv_max = 10.0
-sample_time_s = 0.1
-[schedule]
-variable = "sp"
-bounds = [5.0]
-hysteresis = 0.2
-[[schedule.region]]
-name = "low"
-kc = 5.0
-tau_i_s = 4.0
-[[schedule.region]]
-name = "high"
-kc = 20.0
-tau_i_s = 4.0
-[adaptation]
-mode = "auto"
-[device]
-kind = "virtual"
-seed = 3
-[device.plant]
-kind = "linear"
-k = 0.1
-lags_s = [5.0, 0.1]
-theta_s = 0.4
-start_pv = 2.0
-start_co_pct = 30.0
-noise = 0.01
-[scenario]
-duration_s = 50.0
-steps = [{ at_s = 0.0, sp = 2.0 }, { at_s = 20.0, sp = 3.0 }]
-[output]
-directory = "out"
-"""
+SHORT = two_regions(
+    "auto",
+    50.0,
+    "at_s = 0.0, sp = 2.0",
+    "at_s = 20.0, sp = 3.0",
+)
 """A sluggish loop: its first response ends three seconds before the run does."""
 
 

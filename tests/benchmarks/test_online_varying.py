@@ -5,7 +5,12 @@ import pytest
 from cases.plant import HeldPlant
 from online import changes
 from online.judge import Judge
+from online.loop import FixedGains, WatchedLoop
 from online.varying import Changing, Local, Range, VaryingPlant
+
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
 
 RANGE = Range(Local(2.0, 5.0, 1.0, 1.0), (1, -1, 1))
 
@@ -85,3 +90,16 @@ def test_a_loop_that_changes_is_run_and_judged_as_what_it_has_become():
     assert len(row["spec"]) == changes.AFTER
     assert row["records"] >= 3
     assert all(ms >= 1.0 for ms in row["ms"])
+
+
+def test_a_loop_with_an_interpolated_table_runs_the_mean_where_it_is():
+    regions = Regions("pv", "-", ("low", "high"), 0.0, (50.0,), 100.0)
+    table = GainTable("loop", regions, (PidGains(1.0, 0.1), PidGains(3.0, 0.3)), Lookup.INTERPOLATED)
+    loop = WatchedLoop(VaryingPlant(RANGE.at, RANGE.rest, 0.1, 40.0), table, 0.1, FixedGains(), sp0=40.0)
+    trace = loop.run(75.0, 0.0, [0.0] * 3)
+    (last, _) = trace[-1]
+    assert loop.gains == table.at(0, last)
+    loop.write(1, PidGains(5.0, 0.3), 75.0, last)
+    ((now, _),) = loop.run(75.0, 0.0, [0.0])
+    assert loop.gains == loop.table.at(0, now)
+    assert loop.gains.kp > table.at(0, now).kp

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
+from two_regions import two_regions
 
 from retuner.config.loading import load_session
 from retuner.ledger import Ledger
@@ -16,45 +17,14 @@ from retuner.live_view.watching import Watching
 from retuner.schedule.gains import PidGains
 from retuner.session.running import Run
 
-QUICK = """
-schema = 1
-[loop]
-name = "quick"
-pv_unit = "bar"
-pv_min = 0.0
-pv_max = 10.0
-sample_time_s = 0.1
-[schedule]
-variable = "sp"
-bounds = [5.0]
-hysteresis = 0.2
-[[schedule.region]]
-name = "low"
-kc = 5.0
-tau_i_s = 4.0
-[[schedule.region]]
-name = "high"
-kc = 20.0
-tau_i_s = 4.0
-[adaptation]
-mode = "advise"
-[device]
-kind = "virtual"
-seed = 3
-[device.plant]
-kind = "linear"
-k = 0.1
-lags_s = [5.0, 0.1]
-theta_s = 0.4
-start_pv = 2.0
-start_co_pct = 30.0
-noise = 0.01
-[scenario]
-duration_s = 600.0
-steps = [
-    { at_s = 0.0, sp = 2.0 }, { at_s = 20.0, sp = 3.0 }, { at_s = 50.0, sp = 2.0 }, { at_s = 80.0, sp = 3.0 },
-]
-"""
+QUICK = two_regions(
+    "advise",
+    600.0,
+    "at_s = 0.0, sp = 2.0",
+    "at_s = 20.0, sp = 3.0",
+    "at_s = 50.0, sp = 2.0",
+    "at_s = 80.0, sp = 3.0",
+)
 
 
 class Stepped:

@@ -38,17 +38,46 @@ static void at_extreme(Extreme *e, double *run, double held, double error) {
     e->held += held, e->error += error * held, e->size += fabs(error) * held;
 }
 
+/* Least and greatest of x, shape (n,), and the sum of x - zero, each on eight lanes whose order is fixed. */
+WIDE static void range_and_sum(const double *restrict x, Py_ssize_t n, double zero, double *least, double *most,
+                               double *sum) {
+    double low[8], high[8], sums[8] = {0};
+    Py_ssize_t whole = n - n % 8;
+    for (int j = 0; j < 8; j++)
+        low[j] = high[j] = x[0];
+    for (Py_ssize_t i = 0; i < whole; i += 8)
+        for (int j = 0; j < 8; j++) {
+            double at = x[i + j];
+            low[j] = at < low[j] ? at : low[j], high[j] = at > high[j] ? at : high[j], sums[j] += at - zero;
+        }
+    for (Py_ssize_t i = whole; i < n; i++)
+        low[0] = fmin(x[i], low[0]), high[0] = fmax(x[i], high[0]), sums[0] += x[i] - zero;
+    *least = low[0], *most = high[0], *sum = 0;
+    for (int j = 0; j < 8; j++)
+        *least = fmin(low[j], *least), *most = fmax(high[j], *most), *sum += sums[j];
+}
+
 /* Levels and extremes; the mean of pv into *pv_mean. */
-WIDE static void levels(const double *sp, const double *pv, const double *co, Py_ssize_t n, Sums *s, double *pv_mean) {
-    double e0 = sp[0] - pv[0], p0 = pv[0], e = 0, p = 0;
-    s->pv_low = s->pv_high = pv[0], s->co_low = s->co_high = co[0], s->sp_low = s->sp_high = sp[0];
-    for (Py_ssize_t i = 0; i < n; i++) {
-        e += sp[i] - pv[i] - e0, p += pv[i] - p0;
-        s->pv_low = pv[i] < s->pv_low ? pv[i] : s->pv_low, s->pv_high = pv[i] > s->pv_high ? pv[i] : s->pv_high;
-        s->co_low = co[i] < s->co_low ? co[i] : s->co_low, s->co_high = co[i] > s->co_high ? co[i] : s->co_high;
-        s->sp_low = sp[i] < s->sp_low ? sp[i] : s->sp_low, s->sp_high = sp[i] > s->sp_high ? sp[i] : s->sp_high;
-    }
-    s->error_mean = e0 + e / (double)n, *pv_mean = p0 + p / (double)n;
+static void levels(const double *sp, const double *pv, const double *co, Py_ssize_t n, Sums *s, double *pv_mean) {
+    double of_sp, of_pv, of_co;
+    range_and_sum(sp, n, sp[0], &s->sp_low, &s->sp_high, &of_sp);
+    range_and_sum(pv, n, pv[0], &s->pv_low, &s->pv_high, &of_pv);
+    range_and_sum(co, n, co[0], &s->co_low, &s->co_high, &of_co);
+    s->error_mean = sp[0] - pv[0] + (of_sp - of_pv) / (double)n, *pv_mean = pv[0] + of_pv / (double)n;
+}
+
+/* The sum of x - zero, shape (n,), on eight lanes. */
+WIDE static double sum_from(const double *restrict x, Py_ssize_t n, double zero) {
+    double sums[8] = {0}, all = 0;
+    Py_ssize_t whole = n - n % 8;
+    for (Py_ssize_t i = 0; i < whole; i += 8)
+        for (int j = 0; j < 8; j++)
+            sums[j] += x[i + j] - zero;
+    for (Py_ssize_t i = whole; i < n; i++)
+        all += x[i] - zero;
+    for (int j = 0; j < 8; j++)
+        all += sums[j];
+    return all;
 }
 
 /* Standard deviation of the means of `width` samples (one more where that is even) round every width-th one. */
@@ -57,10 +86,7 @@ static double slow_std(const double *x, Py_ssize_t n, Py_ssize_t width) {
     double sum = 0, squares = 0;
     for (Py_ssize_t at = half; at < n; at += width, many++) {
         Py_ssize_t begin = at - half < 0 ? 0 : at - half, end = at + half + 1 > n ? n : at + half + 1;
-        double mean = 0;
-        for (Py_ssize_t i = begin; i < end; i++)
-            mean += x[i] - x[0];
-        mean /= (double)(end - begin);
+        double mean = sum_from(x + begin, end - begin, x[0]) / (double)(end - begin);
         sum += mean, squares += mean * mean;
     }
     double level = many ? sum / (double)many : 0;

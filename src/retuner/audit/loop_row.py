@@ -64,7 +64,10 @@ class AuditSettings:
 def audit_task(task: Task, settings: AuditSettings) -> list[Row]:
     """The rows of the loops of a task."""
     if task.separate:
-        return [_row(task.tags[0], _each_by_itself(task, settings), settings, common_clock=False)]
+        broken: list[RecordingError] = []
+        row = _row(task.tags[0], _each_by_itself(task, settings, broken), settings, common_clock=False)
+        told = [f"left out: {error}" for error in broken]
+        return [row if "failed" in row else row | {"assumed": [*_listed(row["assumed"]), *told]}]
     if task.in_pieces:
         return [_row(tag, loop_in_pieces(task.files, settings.form, tag, MOST_ROWS), settings) for tag in task.tags]
     try:
@@ -82,9 +85,13 @@ def _the_only(read: LoopRecord | RecordingError) -> Iterator[LoopRecord]:
     yield read
 
 
-def _each_by_itself(task: Task, settings: AuditSettings) -> Iterator[LoopRecord]:
-    """The records of a loop whose files have clocks of their own; broken ones are left out, if one is whole."""
-    broken: list[RecordingError] = []
+def _listed(value: object) -> list[object]:
+    """A list of a row."""
+    return value if isinstance(value, list) else []
+
+
+def _each_by_itself(task: Task, settings: AuditSettings, broken: list[RecordingError]) -> Iterator[LoopRecord]:
+    """The records of a loop whose files have clocks of their own; broken ones are put there, if one is whole."""
     for path in task.files:
         try:
             yield read_loop_record([path], settings.form, in_automatic=True)

@@ -16,7 +16,7 @@ from typing import Any
 
 from retuner.adaptive.audit.common_swing import CommonSwing, Swinging, common_swings, grouped, interactions
 from retuner.adaptive.audit.loop_screen import DAY_S
-from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades
+from retuner.adaptive.audit.tracks import SwingTrack, TrendTrack, cascades, twins
 from retuner.adaptive.audit.verdict import FOR_CONDITION, SWINGS, Action
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause
 from retuner.audit.catalogue import Catalogue
@@ -35,6 +35,8 @@ SMALL = 240
 """Points of a small picture."""
 MOST_FIRST = 10
 """Loops that the page tells first, with the reason."""
+AGAIN = "the same record as"
+"""Begin of the action of a loop that was exported twice."""
 WORSE = 1.5
 """Ratio of errors a day from which a loop became worse, or better: loads differ from month to month."""
 
@@ -56,16 +58,14 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
         listed.append({k: v for k, v in row.items() if k not in NOT_LISTED})
         swinging += [swing] if swing is not None else []
         trends |= {str(row["tag"]): trend} if trend is not None else {}
-    groups, masters = [*interactions(damped), *common_swings(swinging)], cascades(trends)
+    again = _exported_twice(listed, twins(trends))
+    damped, swinging = ([one for one in some if one.tag not in again] for some in (damped, swinging))
+    groups = [*interactions(damped), *common_swings(swinging)]
+    masters = cascades({tag: trend for tag, trend in trends.items() if tag not in again})
     group_of = grouped(groups)
     earlier = {str(row["tag"]): row for row in before}
     for row in listed:
-        group = group_of.get(str(row["tag"]))
-        row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
-        row["root"] = group.root if group else None
-        row["interaction"] = group.interaction if group else False
-        row["master"] = masters.get(str(row["tag"]))
-        row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
+        _put_beside(row, group_of.get(str(row["tag"])), masters)
         if before:
             row["change"] = change(row, earlier.get(str(row["tag"])))
     _from_the_root(listed, group_of)
@@ -74,6 +74,26 @@ def ranked(rows: Iterable[Row], before: Sequence[Row] = ()) -> tuple[list[Row], 
     for place, row in enumerate(listed, start=1):
         row["place"] = place
     return listed, groups
+
+
+def _put_beside(row: Row, group: CommonSwing | None, masters: Mapping[str, str]) -> None:
+    """What other loops have to do with one: its group, its cascade."""
+    row["swings_with"] = [tag for tag in group.tags if tag != row["tag"]] if group else []
+    row["root"] = group.root if group else None
+    row["interaction"] = group.interaction if group else False
+    row["master"] = masters.get(str(row["tag"]))
+    row["slaves"] = sorted(slave for slave, master in masters.items() if master == row["tag"])
+
+
+def _exported_twice(rows: Sequence[Row], found: Mapping[str, str]) -> set[str]:
+    """Loops that are others' records under another tag: they are told once, and are in no group."""
+    by_tag = {str(row["tag"]): row for row in rows}
+    again = {tag for tag, other in found.items() if mean_error(by_tag[tag]) == mean_error(by_tag[other])}
+    for tag in again:
+        row = by_tag[tag]
+        row["action"], row["rank"], row["settings"] = f"{AGAIN} {found[tag]}", 0.0, None
+        row["reason"] = f"{found[tag]} has the same values at the same times: exported twice"
+    return again
 
 
 def _tracks(row: Row) -> tuple[Swinging | None, TrendTrack | None]:
@@ -195,12 +215,15 @@ def summary(rows: Sequence[Row], refused: int) -> str:
     worth, quiet = sum(visits.values()), sum(row["cause"] in calm for row in rows)
     broken = sum("failed" in row for row in rows)
     screened = sum(row["action"] == str(Action.SCREENED) for row in rows)
-    untold = len(rows) - worth - quiet - broken - screened
+    again = sum(str(row["action"]).startswith(AGAIN) for row in rows)
+    quiet -= sum(row["cause"] in calm and str(row["action"]).startswith(AGAIN) for row in rows)
+    untold = len(rows) - worth - quiet - broken - screened - again
     kinds = ", ".join(f"{count} {kind}" for kind, count in visits.most_common())
     told = [f"{worth} of {len(rows)} loops deserve a visit{': ' * bool(kinds)}{kinds}"]
     told += [f"{quiet} {'is' if quiet == 1 else 'are'} in order"] * bool(quiet)
     told += [f"{untold} {'shows' if untold == 1 else 'show'} too little to tell; each says what would"] * bool(untold)
     told += [f"{screened} {'was' if screened == 1 else 'were'} screened only; nothing stands out"] * bool(screened)
+    told += [f"{again} {'is' if again == 1 else 'are'} another loop's record again"] * bool(again)
     told += [f"{broken} could not be judged"] * bool(broken)
     told += [f"{refused} {'file is' if refused == 1 else 'files are'} no record"] * bool(refused)
     return ". ".join(told) + "."

@@ -1,1 +1,1 @@
-"""The work behind the commands of cli.py, one a file, imported when called."""
+"""The commands of cli.py with their options, one a file; what they do is in work and recorded, loaded when called."""

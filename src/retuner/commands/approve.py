@@ -1,5 +1,6 @@
 """retuner approve: approve a proposal of a session, or list what is open."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,11 +21,17 @@ def approve(
     note: Note = "",
     unlock: Annotated[str | None, typer.Option(metavar="REGION", help="Unlock a region.")] = None,
     every: Annotated[bool, typer.Option("--all", help="List superseded proposals, too.")] = False,
+    into: Annotated[
+        Path | None, typer.Option(metavar="CONFIG", help="Configuration that gets a proposed schedule.")
+    ] = None,
     loop: Loop = None,
     as_json: Json = False,
 ) -> int:
-    """Approve a proposal, named by its hash, or list the open ones, the newest of each region."""
+    """Approve a proposal, named by its hash, or list the open ones, the newest of each region.
+
+    A proposed schedule is written into a configuration (--into); its next run uses it.
+    """
     from retuner.commands.work import approve as work
 
-    asked = work.Asked(digest, unlock, every, loop)
+    asked = work.Asked(digest, unlock, every, loop, into)
     return work.approve(session, asked, work.Person(by, note), as_json=as_json)

@@ -263,6 +263,13 @@ class ScheduleConfig(Section):
         default="hard",
         source="the simplest to judge",
     )
+    proposal: str = setting(
+        "Hash of the proposal from which `retuner approve --into` took this schedule; the ledger of a run tells it",
+        unit="-",
+        text=(0, 64),
+        default="",
+        source="retuner",
+    )
     axis: Many[AxisConfig] = setting(
         "One or two [[schedule.axis]] in place of the keys above", unit="-", text=(0, 2), default=(), source="the user"
     )

@@ -52,6 +52,10 @@ def what_next(
     for region in locked:
         why = f"{of}{region}: locked after repeated rollbacks"
         told.append(Next(why, f"retuner approve {place} --unlock {shlex.quote(region)}"))
+    for digest in found.schedules:
+        where = shlex.quote(str(changed.config)) if changed is not None else "CONFIG"
+        why = f"{of}to take up the schedule that the records ask for:"
+        told.append(Next(why, f"retuner approve {place} {digest[:SHORT]} --into {where}"))
     if changed is not None:
         gains, config = (shlex.quote(str(path)) for path in changed)
         told.append(

@@ -18,6 +18,7 @@ from retuner.adaptive.fit.engine import engine_name
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Decision
 from retuner.adaptive.supervision.pipeline import decide
+from retuner.decisions.proposed_schedule import ROW, refined, same_proposal
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.bus.link_faults import LinkFault
 from retuner.drivers.recorded.bus_log_samples import Overhearing
@@ -222,6 +223,8 @@ class Replay:
         """One row: a decision to compare, or something that the retuner was told."""
         if row.kind == "decision":
             self._compare(row)
+        elif row.kind == ROW:
+            self._schedule(row)
         elif row.kind == "link" and row.body["state"] != "up":
             self._heard.contact_lost()
         else:
@@ -246,6 +249,13 @@ class Replay:
         else:
             key, then, now = first_difference(recorded, again)
         self._result.difference = Difference(made.number, row.seq, key, then, now)
+
+    def _schedule(self, row: Row) -> None:
+        """A schedule that was proposed, with the one that the records ask for now."""
+        found = refined(self._retuner)
+        if not same_proposal(row.body, found, rounded=self._result.engines is not None):
+            now = MISSING if found is None else found.sentence
+            self._result.difference = Difference(0, row.seq, ROW, row.body["reason"], now)
 
     def _log_trouble(self) -> str:
         """What the ledger says of trouble with the log."""

@@ -28,7 +28,7 @@ from retuner.ledger.decided import digest_of, without_place
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
     "decision": RETUNER, "dropped": RETUNER, "trial": RETUNER, "judged": RETUNER, "restore": RETUNER,
-    "lockout": RETUNER, "nudge": RETUNER,
+    "lockout": RETUNER, "nudge": RETUNER, "schedule": RETUNER,
     "session": PROGRAM, "end": PROGRAM, "abort": PROGRAM, "unrestored": PROGRAM, "bus": BUS,
     "link": BUS, "lost": BUS, "variable": BUS, "absent": BUS, "restored": CONTROLLER, "unknown": CONTROLLER,
     "restart": CONTROLLER,
@@ -139,7 +139,8 @@ def _decision(body: Document) -> Words:
     concerns = words(body, "on_trial") if words(body, "code").startswith(ABOUT_A_TRIAL) else ""
     done = "kept" if stays(body) else ACTIONS.get(action, action)
     reason = words(body, "reason")
-    said = reason if action == "none" and reason.startswith(OWN_WORDS) else f"{done}: {reason}"
+    own = f"{done}: " in reason or reason.startswith((done, *OWN_WORDS))
+    said = reason if own else f"{done}: {reason}"
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
     seen = (response_text(body), _explained(body), _known(body))
     return (
@@ -147,14 +148,14 @@ def _decision(body: Document) -> Words:
         _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
         " | ".join(text for text in seen if text),
-        _proved(part(body, "verdict"), reason),
+        "" if action == "restore" else _proved(part(body, "verdict"), reason),
     )
 
 
 ABOUT_A_TRIAL = ("undo_", "kept_")
 """Beginnings of the codes of decisions on what becomes of a change on trial."""
-OWN_WORDS = ("no change", "refused", "the trial gains stay", "rollback refused")
-"""Beginnings of reasons that say by themselves that nothing changes."""
+OWN_WORDS = ("refused", "the trial gains stay", "rollback refused", "an operator replaced")
+"""Beginnings of reasons that say by themselves what is done."""
 STOOD = {
     "agrees": "this record agrees",
     "odd": "this record contradicts it, and is kept as an alternative",
@@ -273,7 +274,18 @@ def _session(body: Document) -> Words:
     made_with = ", ".join(f"{name} {version}" for name, version in part(body, "versions").items())
     config = part(body, "config")
     loops = [words(part(one, "loop"), "name") for one in (parts(config, "loops") or [config])]
-    return f"begins: {', '.join(loops)}", "", "", made_with, ""
+    return f"begins: {', '.join(loops)}", "", "", made_with, "; ".join(map(_taken_up, parts(body, "schedules")))
+
+
+def _taken_up(schedule: Document) -> str:
+    """A schedule that a session proposed, and this one runs."""
+    standing = "as proposed" if schedule.get("as_proposed") is True else "edited since"
+    return f"{words(schedule, 'loop')}: schedule of proposal {words(schedule, 'hash')[:8]}, {standing}"
+
+
+def _schedule(body: Document) -> Words:
+    """Another schedule that the records ask for."""
+    return words(body, "reason"), "", "", f"proposal {words(body, 'hash')[:8]}", "proposed"
 
 
 def _other(body: Document) -> Words:
@@ -294,6 +306,7 @@ WORDS: dict[str, Callable[[Document], Words]] = {
     "trial": _trial,
     "judged": _judged,
     "restore": _restore,
+    "schedule": _schedule,
 }
 
 

@@ -28,7 +28,8 @@ CURVES = (("k", "process gain k"), ("tau", "lag [s]"), ("theta", "dead time [s]"
 def schedule_png(found: ScheduleDesign, windows: Sequence[Window]) -> bytes:
     """Draw it as PNG."""
     figure = Figure(figsize=(14, 11))
-    figure.suptitle(f"{found.variable}: {found.reason}", x=0.06, ha="left", fontsize=14, weight="bold")
+    along = " and ".join(filter(None, (found.variable, found.second)))
+    figure.suptitle(f"{along}: {found.reason}", x=0.06, ha="left", fontsize=14, weight="bold")
     grid = figure.add_gridspec(
         4, 2, height_ratios=(1.15, 1, 1, 1), hspace=0.28, wspace=0.14, left=0.06, right=0.955, top=0.94, bottom=0.05
     )
@@ -53,14 +54,17 @@ def schedule_png(found: ScheduleDesign, windows: Sequence[Window]) -> bytes:
 
 def _axis_label(found: ScheduleDesign) -> str:
     unit = found.table.regions.unit if found.table is not None else ""
-    return f"{found.variable} [{unit}]" if unit else found.variable
+    named = f"{found.variable} [{unit}]" if unit else found.variable
+    middle = found.slices[len(found.slices) // 2]
+    return named if middle is None else f"{named}; on the right at {_at(found, middle)}"
 
 
 def _dress(axes: "Axes", found: ScheduleDesign) -> None:
     """Grid, ranges, borders or knots."""
     axes.grid(alpha=0.3)
     axes.set_xlim(found.places[0].x, found.places[-1].x)
-    for a, b in pairwise(found.places):
+    middle = found.slices[len(found.slices) // 2]
+    for a, b in pairwise([place for place in found.places if place.x2 == middle]):
         if not (a.known and b.known):
             axes.axvspan(a.x, b.x, color="#eeeeee", lw=0, zorder=0)
     if found.table is None:
@@ -98,10 +102,14 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
 def _curve(axes: "Axes", found: ScheduleDesign, name: str, label: str) -> None:
     """One parameter with its band of two standard deviations."""
     x = found.design.curves.form.axis.grid(FINE)
-    value, std = _parameter(found, name, x)
-    axes.fill_between(x, value * np.exp(-OUT * std), value * np.exp(OUT * std), color=PV, alpha=0.2, lw=0)
-    axes.plot(x, value, color=PV, lw=1.6)
-    top = max(float(np.max(value)), 1e-300)
+    top = 1e-300
+    for x2, style in zip(found.slices, STYLES, strict=False):
+        value, std = _parameter(found, name, x, x2)
+        axes.fill_between(x, value * np.exp(-OUT * std), value * np.exp(OUT * std), color=PV, alpha=0.2, lw=0)
+        axes.plot(x, value, color=PV, lw=1.6, ls=style, label=_at(found, x2))
+        top = max(float(np.max(value)), top)
+    if found.second:
+        axes.legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
     axes.set_ylim(0, 1.35 * top)
     axes.set_ylabel(label)
     _visited(axes, found)
@@ -109,9 +117,18 @@ def _curve(axes: "Axes", found: ScheduleDesign, name: str, label: str) -> None:
         axes.set_ylabel("lag [s], cut where it\nacts as an integrator", fontsize=9)
 
 
-def _parameter(found: ScheduleDesign, name: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+STYLES = ("-", "--", ":")
+"""Of lines at the low end, the middle and the high end of a second variable."""
+
+
+def _at(found: ScheduleDesign, x2: float | None) -> str:
+    """Where the second variable stands; empty where there is none."""
+    return "" if x2 is None else f"{found.second} {x2:.4g}"
+
+
+def _parameter(found: ScheduleDesign, name: str, x: FloatArray, x2: float | None) -> tuple[FloatArray, FloatArray]:
     """Values and standard deviations of their logarithm."""
-    models = [found.model_at(float(v)) for v in x]
+    models = [found.model_at(float(v), x2) for v in x]
     values = {
         "k": [abs(m.k) for m in models],
         "tau": [m.tau1_s + m.tau2_s for m in models],
@@ -119,7 +136,7 @@ def _parameter(found: ScheduleDesign, name: str, x: FloatArray) -> tuple[FloatAr
     }[name]
     row = {"theta": (0, 1, 0), "tau": (0, 0, 1), "k": (1, 0, 1)}[name]
     way = np.array([*row, *[0] * (len(found.places[0].ln_std) - 3)], dtype=np.float64)
-    std = [float(np.sqrt(way @ found.design.curves.ln_covariance(float(v)) @ way)) for v in x]
+    std = [float(np.sqrt(way @ found.design.curves.ln_covariance(float(v), x2) @ way)) for v in x]
     return np.array(values), np.array(std)
 
 
@@ -132,10 +149,14 @@ def _visited(axes: "Axes", found: ScheduleDesign) -> None:
 def _gains(axes: "Axes", found: ScheduleDesign) -> None:
     """Kc and tau_I over the variable: the table's, every place's own, and those in force before."""
     x = found.design.curves.form.axis.grid(FINE)
-    known = [place for place in found.places if place.known]
+    middle = found.slices[len(found.slices) // 2]
+    known = [place for place in found.places if place.known and place.x2 == middle]
     axes.plot([p.x for p in known], [p.own.kp for p in known], color=SP, lw=0.9, ls=":", label="Kc, best at each place")
     if found.table is not None:
-        sets = [found.gains_at(float(v)) for v in x]
+        for x2, style in zip(found.slices, STYLES, strict=False):
+            if x2 != middle:
+                axes.plot(x, [found.gains_at(float(v), x2).kp for v in x], color=PV, lw=1.0, ls=style)
+        sets = [found.gains_at(float(v), middle) for v in x]
         axes.plot(x, [g.kp for g in sets], color=PV, lw=1.8, label="Kc of the schedule")
         twin = axes.twinx()
         twin.plot(x, [g.kp / g.ki for g in sets], color=MARK, lw=1.2, label="tau_I of the schedule [s]")
@@ -152,11 +173,12 @@ def _gains(axes: "Axes", found: ScheduleDesign) -> None:
 
 def _judged(axes: "Axes", found: ScheduleDesign, what: str) -> None:
     """Ms or J along the variable, before and after."""
-    known = [place for place in found.places if place.known]
+    middle = found.slices[len(found.slices) // 2]
+    known = [place for place in found.places if place.known and place.x2 == middle]
     x = [place.x for place in known]
     most = SHOWN_MS if what == "ms" else SHOWN_J
     if found.table is not None:
-        after = [place.judged(found.gains_at(place.x)) for place in known]
+        after = [place.judged(found.gains_at(place.x, place.x2)) for place in known]
         axes.plot(x, [min(getattr(a, what), most) for a in after], color=PV, lw=1.8, label="with the schedule")
         if what == "ms":
             worst = [min(a.ms_worst, most) for a in after]

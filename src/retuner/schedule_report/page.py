@@ -14,6 +14,7 @@ from retuner.schedule_report.sentences import (
     limit_sentence,
     motion_sentences,
     push_sentence,
+    variable_sentence,
     why_sentence,
 )
 from retuner.scheduling import ScheduleDesign, schedule_section
@@ -21,8 +22,9 @@ from retuner.scheduling import ScheduleDesign, schedule_section
 
 def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
     """The page as text."""
+    along = " and ".join(filter(None, (found.variable, found.second)))
     body = [
-        f"<h1>{escaped(name)}: gain schedule over {escaped(found.variable)}</h1>",
+        f"<h1>{escaped(name)}: gain schedule over {escaped(along)}</h1>",
         paragraph(why_sentence(found), "lead"),
         image(schedule_png(found, windows), "records, process, gains, Ms and J over the variable"),
         paragraph(
@@ -37,6 +39,7 @@ def page(found: ScheduleDesign, windows: Sequence[Window], name: str) -> str:
         "<h2>What to record next</h2>",
         paragraph(experiment_sentence(found)),
         "<h2>Which variable</h2>",
+        *(paragraph(told) for told in (variable_sentence(found),) if told),
         text_table(
             ("variable", "evidence over a constant process [nats]", "changes with it", "ln likelihood"),
             [

@@ -2,6 +2,9 @@
 
 import math
 
+import numpy as np
+
+from retuner.adaptive.schedule_choice.crossing import Crossing
 from retuner.adaptive.schedule_design.shapes import Shape
 from retuner.scheduling import ScheduleDesign
 
@@ -10,20 +13,53 @@ PARAMETERS = ("slope gain k/tau", "dead time", "lag", "second lag")
 
 def why_sentence(found: ScheduleDesign) -> str:
     """What changes along the variable, and how many sets follow."""
-    form, places = found.design.curves.form, found.places
-    changing = [
-        f"{name} (from {math.exp(a):.3g} to {math.exp(b):.3g})"
-        for name, shape, a, b in zip(
-            PARAMETERS, form.shapes, *found.design.curves.ln(form.axis.grid(2)).tolist(), strict=False
-        )
-        if shape > Shape.CONSTANT
-    ]
+    places = found.places
     known = sum(place.known for place in places)
-    what = f"With {found.variable} change: {', '.join(changing)}." if changing else "Nothing changes with it."
+    told = [(found.variable, changing_with(found)), (found.second, changing_with(found, second=True))]
+    what = " ".join(f"With {name} change: {', '.join(changes)}." for name, changes in told if changes)
+    what = what or "Nothing changes with it."
     where = (
         "" if known == len(places) else f" At {len(places) - known} of {len(places)} places the records say too little."
     )
     return f"{found.reason[0].upper()}{found.reason[1:]}. {what}{where}"
+
+
+def changing_with(found: ScheduleDesign, *, second: bool = False) -> list[str]:
+    """What changes along a variable, from its low to its high end, the other one in its middle."""
+    curves = found.design.curves
+    form, two = curves.form, curves.form.second
+    if two is None:
+        shapes, ends = form.shapes, () if second else curves.ln(form.axis.grid(2)).tolist()
+    elif second:
+        middle = float(form.axis.grid(3)[1])
+        shapes, ends = two.shapes, curves.ln(np.full(2, middle), two.axis.grid(2)).tolist()
+    else:
+        shapes, ends = form.shapes, curves.ln(form.axis.grid(2), np.full(2, two.axis.grid(3)[1])).tolist()
+    return [
+        f"{name} (from {math.exp(a):.3g} to {math.exp(b):.3g})"
+        for name, shape, a, b in zip(PARAMETERS, shapes, *(ends or [()] * 2), strict=False)
+        if shape > Shape.CONSTANT
+    ]
+
+
+HARDLY = 5.0
+"""Nats between two variables below which the records hardly tell them apart."""
+
+
+def variable_sentence(found: ScheduleDesign) -> str:
+    """Which of several variables, and how sure; empty where only one was weighed."""
+    weighed = sorted(found.design.candidates, key=lambda e: -e.log_likelihood)
+    name = " and ".join(filter(None, (found.variable, found.second)))
+    mine = next((e for e in weighed if e.variable == name), None)
+    others = [e for e in weighed if e.variable != name]
+    if mine is None or not others:
+        return ""
+    if not mine.changes:
+        return f"The process changes with none of {', '.join(e.variable for e in weighed)}."
+    behind = [f"{e.variable} by {max(mine.log_likelihood - e.log_likelihood, 0.0):.0f} nats" for e in others]
+    sure = mine.log_likelihood - others[0].log_likelihood > HARDLY
+    told = f"Of what was weighed most speaks for {name}; behind it: {', '.join(behind)}."
+    return told + " The records hardly tell these apart: name the one that is meant." * (not sure)
 
 
 def motion_sentences(found: ScheduleDesign) -> list[str]:
@@ -37,17 +73,30 @@ def motion_sentences(found: ScheduleDesign) -> list[str]:
         told.append(
             f"A setpoint step {way} over {crossing.share:.0%} of the range, gains looked up by {crossing.variable}; "
             f"IAE {ratio} that with each place's own gains, "
-            f"overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})"
-            + (": no worse for moving." if crossing.proper else ": WORSE in motion than at rest; ramp such steps.")
+            f"overshoot {crossing.overshoot:.0%} ({crossing.own_overshoot:.0%})" + _moving_words(crossing)
         )
     return told
+
+
+TOO_LARGE = 0.5
+"""Overshoot with each place's own gains from which a step is too large for any gains."""
+
+
+def _moving_words(crossing: Crossing) -> str:
+    """What follows from a crossing."""
+    if not crossing.proper:
+        return ": WORSE in motion than at rest; ramp such steps."
+    if crossing.own_overshoot > TOO_LARGE:
+        return ": no worse for the schedule, but such a step is too large for any gains here; ramp it."
+    return ": no worse for moving."
 
 
 def experiment_sentence(found: ScheduleDesign) -> str:
     """Where to make which experiment next."""
     wanted = found.next_experiment
+    beside = "" if wanted.x2 is None else f", {found.second} {wanted.x2:.4g}"
     told = (
-        f"Least is known at {found.variable} {wanted.x:.4g} (Kc to {wanted.gain_std:.0%}). There, a step of "
+        f"Least is known at {found.variable} {wanted.x:.4g}{beside} (Kc to {wanted.gain_std:.0%}). There, a step of "
         f"{wanted.co_step:+.3g} in co (manual) or of {wanted.sp_step:+.3g} in the setpoint, "
         f"held {wanted.hold_s:.3g} s, tells most."
     )
@@ -56,11 +105,16 @@ def experiment_sentence(found: ScheduleDesign) -> str:
 
 def push_sentence(found: ScheduleDesign) -> str:
     """That the variable moves pv by itself, which bands do not count; empty where it is a signal of the loop."""
-    if not found.design.curves.form.pushed:
+    form = found.design.curves.form
+    pushing = [found.variable] * form.pushed
+    if form.second is not None and form.second.pushed:
+        pushing.append(found.second)
+    if not pushing:
         return ""
+    verb = "comes" if len(pushing) == 1 else "come"
     return (
-        f"{found.variable} comes from outside and may move pv by itself. How it does so is known only roughly, "
-        "and the bands leave that out. Confirm the gains with a setpoint step at each end."
+        f"{' and '.join(pushing)} {verb} from outside and may move pv by itself. How it does so is known only "
+        "roughly, and the bands leave that out. Confirm the gains with a setpoint step at each end."
     )
 
 

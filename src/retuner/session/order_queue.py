@@ -15,6 +15,7 @@ from retuner.adaptive.supervision.decision import Action, Decision, Mode, gains_
 from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.decisions.proposed_schedule import ROW as SCHEDULE
 from retuner.errors import LedgerError, one_line
 from retuner.ledger import Recorder, Row
 from retuner.ledger.decided import digest_of, without_place
@@ -52,6 +53,7 @@ class Shown:
     tried : region by hash of the decision that changed it. waiting : hash of the change that has passed and waits for
     a person, by region. in_force : gains by region, as far as decisions and writes tell. last_s : time of the last row,
     s. approved, rejected : hashes that were taken already. files : names of order files that it has dealt with.
+    schedules : rows of proposed schedules by hash.
     """
 
     proposals: dict[str, Proposal] = field(default_factory=dict)
@@ -64,6 +66,7 @@ class Shown:
     approved: set[str] = field(default_factory=set)
     rejected: set[str] = field(default_factory=set)
     files: set[str] = field(default_factory=set)
+    schedules: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def standing(self, proposal: Proposal, expires_after_s: float) -> ProposalStanding:
         """Whether a proposal is open, as far as the ledger tells."""
@@ -106,6 +109,8 @@ def shown(rows: Iterable[Row], found: Shown | None = None) -> Shown:
             found.waiting[str(body["region"])] = _last_tried(found, str(body["region"]))
         elif row.kind == "order":
             _order(found, body)
+        elif row.kind == SCHEDULE:
+            found.schedules[str(body["hash"])] = body
     return found
 
 

@@ -128,6 +128,19 @@ def test_a_loop_in_order_is_not_visited_and_an_unknown_swing_is_looked_at() -> N
     assert (swings.action, swings.rank > 0) == (Action.LOOK, True)
 
 
+def test_a_loop_that_waits_for_its_process_is_sluggish_where_nothing_says_otherwise() -> None:
+    waits, noise = replace(CALM, idle=0.45, at_limits=0.0), [seen(Cause.NOISE, 0.8), seen(Cause.UNKNOWN, 0.5)]
+    told = loop_verdict(waits, noise)
+    assert (told.cause, told.action) == (Cause.SLUGGISH, Action.RECORD)  # no settings follow from it
+    assert told.rank > 0
+    assert loop_verdict(replace(waits, idle=0.1), noise).cause != Cause.SLUGGISH
+    assert loop_verdict(replace(waits, idle=None), noise).cause != Cause.SLUGGISH
+    assert loop_verdict(replace(waits, setpoint=False), noise).cause != Cause.SLUGGISH
+    assert loop_verdict(replace(waits, swinging=1.0), noise).cause != Cause.SLUGGISH
+    assert loop_verdict(waits, [*noise, seen(Cause.OK, 0.9)]).cause == Cause.OK
+    assert loop_verdict(waits, [*noise, seen(Cause.STICTION, 0.9)]).cause == Cause.STICTION
+
+
 def test_loops_of_one_period_swing_together_and_the_valve_is_the_root() -> None:
     loops = [Swinging("A", 100.0, 0.1), Swinging("B", 102.0, 0.05, sticks=0.8), Swinging("C", 101.0, 0.02)]
     groups = common_swings([*loops, Swinging("D", 300.0, 0.5)])

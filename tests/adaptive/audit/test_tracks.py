@@ -15,6 +15,7 @@ from retuner.adaptive.audit.tracks import (
     damped_track,
     swing_track,
     trend_track,
+    twins,
 )
 
 T = np.arange(30_000) * 10.0
@@ -129,3 +130,18 @@ def test_two_loops_that_act_on_each_other_ring_together_after_every_upset() -> N
     plain = SwingTrack.of_dict(loops[0].track.to_dict()) if loops[0].track else None
     assert plain is not None
     assert by_chance(plain, damped_track(T[:50], errors[1][:50], 280.0)) == 1.0
+
+
+def test_a_record_that_was_exported_twice_is_told_and_coherence_is_at_most_one() -> None:
+    t_s, rng = np.arange(5_000) * 10.0, np.random.default_rng(8)
+    co, sp = np.cumsum(rng.normal(size=5_000)), np.full(5_000, 50.0)
+    tracks = {tag: trend_track(t_s, sp, co) for tag in ("B", "A")}
+    tracks |= {"C": trend_track(t_s, sp, co + 1e-3), "still": trend_track(t_s, sp, sp), "too": trend_track(t_s, sp, sp)}
+    assert twins(tracks) == {"B": "A"}
+    for seed in range(20):
+        wave = np.random.default_rng(seed).normal(size=5_000)
+        one = swing_track(t_s, wave, 300.0)
+        told = coherence(one, one)
+        assert told is not None
+        assert told[0] <= 1.0
+        assert 0.0 <= by_chance(one, one) < 1e-6

@@ -311,3 +311,25 @@ def test_whatever_happens_only_two_setpoints_are_ever_asked_for_and_the_old_one_
         bench.sp = news.setpoint
     bench.run(60, around(wanted=""))
     assert bench.sp == theirs
+
+
+@pytest.mark.parametrize("to_and_fro", [False, True])
+def test_a_mode_that_forbids_it_ends_a_bump_at_once(to_and_fro: bool) -> None:
+    bench = Bench()
+    bench.wander = 0.3 if to_and_fro else 0.0
+    bench.out()
+    bench.run(1, around(allowed=False))
+    assert bench.causes[-1] is NudgeInput.NOT_ALLOWED
+    assert bench.sp == 50.0
+    bench.run(20, around(allowed=False))
+    assert bench.planner.phase is NudgePhase.WATCHING
+    assert bench.sp == 50.0
+
+
+def test_nor_is_one_sent_that_a_person_has_just_forbidden() -> None:
+    bench = Bench()
+    bench.run(3600 + 62, deaf=True)
+    assert bench.planner.phase is NudgePhase.GOING
+    bench.run(1, around(allowed=False), deaf=True)
+    assert bench.causes[-1] is NudgeInput.NOT_ALLOWED
+    assert bench.news[-1].setpoint == 50.0

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from retuner.adaptive.schedule_design import design
-from retuner.adaptive.schedule_design.design import _at_rest, _differs, _unexplained
+from retuner.adaptive.schedule_choice import design
+from retuner.adaptive.schedule_choice.design import _at_rest, _differs, _unexplained
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
@@ -26,11 +26,16 @@ def test_a_small_dead_time_that_may_be_hours_makes_no_place_known():
 
 
 def test_records_that_need_two_load_steps_a_stretch_are_not_explained():
-    def fitted(rows):
-        return SimpleNamespace(joint=SimpleNamespace(loads=[(1,) * rows] * 10, stretches=[None] * 10))
+    stretch = SimpleNamespace(x=np.zeros(3), x2=None, pv=np.array([0.0, 10.0]))
 
-    assert _unexplained(fitted(2)) == ""
-    assert "20 load steps" in _unexplained(fitted(4))
+    def fitted(rows, size):
+        joint = SimpleNamespace(loads=[(1,) * rows] * 10, stretches=[stretch] * 10)
+        now = SimpleNamespace(sizes=[np.full(rows, size)] * 10)
+        return SimpleNamespace(joint=joint, now=now, ln=lambda *_: np.log([[0.1, 1.0, 10.0]]))
+
+    assert _unexplained(fitted(2, 1.0)) == ""
+    assert "20 load steps" in _unexplained(fitted(4, 1.0))
+    assert _unexplained(fitted(4, 0.1)) == "", "what moves pv by 2 % of its travel mends a form, it is no load"
 
 
 def test_stretches_that_differ_at_one_place_give_no_settings():

@@ -31,7 +31,13 @@ from retuner.errors import UserError, user_input
 from retuner.files import write_whole
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.table import GainTable
-from retuner.schedule_report.sentences import experiment_sentence, limit_sentence, motion_sentences, push_sentence
+from retuner.schedule_report.sentences import (
+    experiment_sentence,
+    limit_sentence,
+    motion_sentences,
+    push_sentence,
+    variable_sentence,
+)
 from retuner.scheduling import AUTO, OWN, RecordedGains, ScheduleDesign, design_schedule, schedule_section
 from retuner.verbosity import quiet
 
@@ -51,10 +57,12 @@ class ScheduleOptions(FormOptions):
     ]
     by: Annotated[
         list[str] | None,
-        typer.Option("--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses."),
+        typer.Option(
+            "--by", metavar="VARIABLE", help="sp, pv, co or any column; several: the evidence chooses 1 or 2."
+        ),
     ] = None
-    low: Annotated[float | None, typer.Option(help="Lower end of the variable; default: what was visited.")] = None
-    high: Annotated[float | None, typer.Option(help="Upper end of the variable.")] = None
+    low: Annotated[float | None, typer.Option(help="Lower end of the first variable; default: as visited.")] = None
+    high: Annotated[float | None, typer.Option(help="Upper end of the first variable.")] = None
     co_min: Annotated[float | None, typer.Option(help="Lower limit of co, in its own unit.")] = None
     co_max: Annotated[float | None, typer.Option(help="Upper limit of co.")] = None
     ms: Annotated[float, typer.Option(help="Largest Ms anywhere, over the plausible models; 1.5 to 2.5.")] = 1.8
@@ -223,7 +231,8 @@ def _tell(
 
 def described(found: ScheduleDesign) -> list[str]:
     """A design in lines."""
-    lines = [f"{found.variable}: {found.reason}", *_place_lines(found)]
+    along = " and ".join(filter(None, (found.variable, found.second)))
+    lines = [f"{along}: {found.reason}", *(told for told in (variable_sentence(found),) if told), *_place_lines(found)]
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
     doubts = [told for told in (push_sentence(found), limit_sentence(found)) if told]
@@ -235,13 +244,16 @@ def _place_lines(found: ScheduleDesign) -> list[str]:
     units = chosen_units()
     heads = (("Kc", 10), ("tau_I", 8)) if units is None else ((units.heads, max(len(units.heads), 19)),)
     columns = (("k", 9), ("tau", 8), ("theta", 8), ("+- Kc", 8), *heads, ("Ms", 7), ("J", 5))
-    lines = [f"  {found.variable:>8}  " + " ".join(f"{name:>{width}}" for name, width in columns)]
-    for place in found.places[::3]:
+    second = f"{found.second:>8}  " if found.second else ""
+    lines = [f"  {found.variable:>8}  {second}" + " ".join(f"{name:>{width}}" for name, width in columns)]
+    for place in found.places[:: 2 if found.second else 3]:
         model = place.model
         lag = model.tau1_s + model.tau2_s
-        row = f"  {place.x:8.4g}  {model.k:9.4g} {lag:8.4g} {model.theta_s:8.4g}   {place.gain_std:6.0%}"
+        beside = "" if place.x2 is None else f"{place.x2:8.4g}  "
+        row = f"  {place.x:8.4g}  {beside}{model.k:9.4g} {lag:8.4g} {model.theta_s:8.4g}   {place.gain_std:6.0%}"
         if found.table is not None and place.known:
-            gains, judged = found.gains_at(place.x), place.judged(found.gains_at(place.x))
+            gains = found.gains_at(place.x, place.x2)
+            judged = place.judged(gains)
             if units is None:
                 row += f"   {gains.kp:8.4g} {gains.kp / gains.ki:8.4g}   {judged.ms:5.2f} {judged.j:5.2f}"
             else:

@@ -15,7 +15,10 @@ from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.decision_page.explain import settings_text
 from retuner.decision_page.shown_units import show_units_of
-from retuner.errors import LedgerError, UserError, user_input
+from retuner.decisions.proposed_schedule import table_in
+from retuner.errors import LedgerError, UserError, one_line, user_input
+from retuner.files import write_whole
+from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
@@ -121,13 +124,15 @@ class LoopPlace:
 class Asked:
     """What is asked of a session: to approve what a hash names, to unlock a region, or, with neither, to list.
 
-    every : superseded proposals are listed, too. loop : the name of the loop, None for all.
+    every : superseded proposals are listed, too. loop : the name of the loop, None for all. into : the configuration
+    that gets a proposed schedule.
     """
 
     digest: str | None
     unlock: str | None
     every: bool
     loop: str | None
+    into: Path | None = None
 
 
 def approve(session: Path, asked: Asked, person: Person, *, as_json: bool) -> int:
@@ -144,9 +149,20 @@ def approve(session: Path, asked: Asked, person: Person, *, as_json: bool) -> in
         raise UserError("--all: lists proposals; leave it out to approve or unlock one")
     if unlock is not None:
         return _unlock(only_place(session, asked.loop), unlock, digest, person, as_json=as_json)
+    if digest is None and asked.into is not None:
+        raise UserError(f"--into: give the hash of the schedule as well; `retuner approve {session}` lists them")
     if digest is None:
         return _list(found, every=asked.every, as_json=as_json)
     place, full = _full_hash(found, digest)
+    if full in place.shown.schedules:
+        return _take_up(place, full, asked.into, person, as_json=as_json)
+    if asked.into is not None:
+        raise UserError(f"--into: is for a proposed schedule; {full[:SHORTEST]} is a change of gains")
+    return _order_approval(place, full, person, as_json=as_json)
+
+
+def _order_approval(place: LoopPlace, full: str, person: Person, *, as_json: bool) -> int:
+    """Put the approval of a change into the session's folder; the exit status, 1 where it is not approved."""
     reason = _closed(place, full)
     document: dict[str, object] = {
         "session": str(place.session),
@@ -159,6 +175,28 @@ def approve(session: Path, asked: Asked, person: Person, *, as_json: bool) -> in
     text = f"{full[:SHORTEST]} is not approved: {reason}" if reason else f"{full[:SHORTEST]}: {place.who_acts()}"
     _tell(document, text, as_json=as_json)
     return 1 if reason else 0
+
+
+def _take_up(place: LoopPlace, full: str, into: Path | None, person: Person, *, as_json: bool) -> int:
+    """Write a proposed schedule into a configuration; the exit status, 0.
+
+    Raises
+    ------
+    UserError
+        No configuration is named, or it cannot have this schedule; nothing was changed then.
+    """
+    if into is None:
+        raise UserError(f"{full[:SHORTEST]}: is a schedule; name the configuration that gets it with --into")
+    with user_input(f"proposal {full[:SHORTEST]}"):
+        table = table_in(place.shown.schedules[full])
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    why = f": {person.note}" if person.note else ""
+    note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {person.name()} on {today}{why}")
+    write_whole(into, schedule_into(into, table, note))
+    document = {"session": str(place.session), "approved": full, "schedule": str(into)}
+    parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
+    _tell(document, f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it", as_json=as_json)
+    return 0
 
 
 def _closed(place: LoopPlace, full: str) -> str:
@@ -219,7 +257,9 @@ def _unlock(place: LoopPlace, region: str, digest: str | None, person: Person, *
 def _full_hash(found: Sequence[LoopPlace], digest: str) -> tuple[LoopPlace, str]:
     """The hash that a person means by its beginning, and the loop that it is of."""
     session = found[0].session
-    known = [(place, one) for place in found for one in (*place.shown.proposals, *place.shown.tried)]
+    known = [
+        (place, one) for place in found for one in (*place.shown.proposals, *place.shown.tried, *place.shown.schedules)
+    ]
     if len(digest) < SHORTEST or set(digest) - set("0123456789abcdef"):
         raise UserError(
             f"HASH {digest}: give at least {SHORTEST} hexadecimal digits of a proposal's hash; "
@@ -259,11 +299,16 @@ def _of_loop(place: LoopPlace, *, every: bool) -> tuple[dict[str, object], list[
         "waiting": waiting,
         "superseded": older,
         "proposals": [_listed(place, one) for one in (able if every else proposals)],
+        "schedules": [{"hash": one, **body["proposal"]} for one, body in place.shown.schedules.items()],
     }
     lines = [_line(place, one, able) for one in (able if every else proposals)]
     lines += [
         f"{one['hash'][:SHORTEST]}  {one['region']}: trial passed, as predicted; approve it to continue in this region"
         for one in waiting
+    ]
+    lines += [
+        f"{one[:SHORTEST]}  schedule: {body['reason']} Approve it with --into CONFIG"
+        for one, body in place.shown.schedules.items()
     ]
     hidden = f" (and {older} superseded; --all lists them)" if older and not every else ""
     lines.append(

@@ -21,7 +21,7 @@ from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
-from retuner.report.ledger_words import Told, told
+from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, told
 from retuner.session.recorded_session import ledger_path
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
@@ -113,16 +113,27 @@ class Selection:
         return [row for row in rows if row.body.get("loop", self.loop) == self.loop]
 
     def _about(self, rows: list[Row], number: int) -> Iterator[Row]:
-        """A decision with the rows of its write: from it to the next decision, where they tell of its region."""
-        inside, region = False, None
+        """A decision with the rows of its write: from it to the next decision, where they tell of its region; and what
+        came of its trial.
+        """
+        inside, on_trial, region = False, False, None
         for row in rows:
             if row.kind == "decision":
                 inside = row.body.get("number") == number
                 region = row.body.get("region") if inside else region
-            if inside and (row.kind == "decision" or row.body.get("region", region) == region):
+            if row.body.get("region", region) != region and not (inside and row.kind == "decision"):
+                continue
+            on_trial = inside if row.kind == "trial" else on_trial
+            if inside or (on_trial and _of_the_trial(row)):
                 yield row
         if region is None:
             raise UserError(f"--decision {number}: the ledger has no such decision")
+
+
+def _of_the_trial(row: Row) -> bool:
+    """Whether a row says what came of a change that is on trial."""
+    about = str(row.body.get("code", "")).startswith(ABOUT_A_TRIAL)
+    return row.kind in {"judged", "restore", "restored"} or (row.kind == "decision" and about)
 
 
 def believed(path: Path) -> tuple[list[Row], str]:

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from retuner.adaptive.region_model.refinement import Refinement, refinement
+from retuner.adaptive.region_model.refinement import Refinement
 from retuner.adaptive.region_model.region_advice import AdviceSettings, RegionAdvice, region_advice
 from retuner.adaptive.supervision.decision import Mode, gains_dict
 from retuner.adaptive.trial.phase import TrialPhase
@@ -22,6 +22,7 @@ from retuner.config.loading import load_session
 from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decision_page.shown_units import show_units_of
+from retuner.decisions.proposed_schedule import ROW, refined, row_body, taken_up
 from retuner.drivers.bus.bus_log import log_parts
 from retuner.drivers.device import DeviceError
 from retuner.errors import LedgerError, UserError
@@ -35,7 +36,6 @@ from retuner.report.loops_index import LoopLine, loop_line, render_index
 from retuner.report.report import ReportData, render
 from retuner.report.scores import RegionScore
 from retuner.report.trend import require_writer, write_trend
-from retuner.schedule.axis import CAN
 from retuner.schedule.document import to_toml
 from retuner.scheduling import schedule_section
 from retuner.serve.beside import require_page, served_beside
@@ -171,22 +171,30 @@ def _run(job: _Job, ledger: Ledger, screen: LiveScreen) -> int:
     again = Run(job.config, nothing, mode=Mode.OFF, observer=OnScreen(screen, job.config))
     fixed = _unless_stopped(again, screen) if compare else None
     with unstoppable():
-        _close(job, ledger, session, interrupted=interrupted)
+        proposed = [refined(loop.retuner) if loop.trend.rows else None for loop in session.loops]
+        _close(job, ledger, session, proposed, interrupted=interrupted)
         interrupted |= compare and fixed is None
-        _leave(job, ledger, session, fixed, screen, interrupted=interrupted)
+        _leave(job, ledger, session, fixed, proposed, screen, interrupted=interrupted)
     wrong = session.frozen or session.left_open
     if wrong:
         raise UserError(f"{wrong}; the run was ended, and {job.folder / REPORT} says what the controller runs")
     return 130 if interrupted else 0
 
 
-def _close(job: _Job, ledger: Ledger, session: Session, *, interrupted: bool) -> None:
-    """The rows that end the session, and before them those that end its loops where there are several."""
-    if job.config.several:
-        for loop in session.loops:
-            loop.tell_over()
-    samples = sum(loop.samples for loop in session.loops)
+def _close(
+    job: _Job, ledger: Ledger, session: Session, proposed: Sequence[Refinement | None], *, interrupted: bool
+) -> None:
+    """The rows that end the session; before them another schedule for each loop whose records ask for one, and those
+    that end its loops where there are several.
+    """
+    several, samples = job.config.several, sum(loop.samples for loop in session.loops)
     try:
+        for loop, other in zip(session.loops, proposed, strict=True):
+            if other is not None:
+                ledger.append(ROW, row_body(other, loop.samples, loop.name if several else ""), loop.writer.t_s)
+        if several:
+            for loop in session.loops:
+                loop.tell_over()
         ledger.append("end", {"interrupted": interrupted, **_traffic(job), "samples": samples}, session.t_s)
     except LedgerError as error:
         session.freeze(str(error))
@@ -217,7 +225,9 @@ def _open_session(job: _Job, ledger: Ledger) -> None:
     }
     changes = {place: value for place, value in named.items() if value is not None}
     text, identity = session_identity(job.config, job.text, changes)
+    schedules = taken_up(job.config.loops)
     body = {"config": job.config.summary(), "retuner": version("retuner"), **identity, "samples": 0}
+    body |= {"schedules": schedules} if schedules else {}
     try:
         write_whole(job.folder / CONFIG, text)
         ledger.append("session", body, 0.0)
@@ -287,11 +297,18 @@ def _unless_stopped(comparison: Run, screen: LiveScreen) -> Session | None:
 
 
 def _leave(
-    job: _Job, ledger: Ledger, session: Session, fixed: Session | None, screen: LiveScreen, *, interrupted: bool
+    job: _Job,
+    ledger: Ledger,
+    session: Session,
+    fixed: Session | None,
+    proposed: Sequence[Refinement | None],
+    screen: LiveScreen,
+    *,
+    interrupted: bool,
 ) -> None:
-    """Write everything that the run leaves, and show the result."""
+    """Write everything that the run leaves, and show the result. proposed : another schedule, by loop."""
     left = [
-        _leave_loop(job, ledger, session, i, fixed.loops[i] if fixed else None)
+        _leave_loop(job, ledger, session, i, fixed.loops[i] if fixed else None, proposed[i])
         for i, loop in enumerate(session.loops)
         if loop.trend.rows
     ]
@@ -310,8 +327,10 @@ class _Left(NamedTuple):
     advice: Sequence[RegionAdvice | Refinement]
 
 
-def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: LoopSession | None) -> _Left:
-    """What the run leaves of one loop, in the folder of the loop."""
+def _leave_loop(
+    job: _Job, ledger: Ledger, session: Session, i: int, fixed: LoopSession | None, other: Refinement | None
+) -> _Left:
+    """What the run leaves of one loop, in the folder of the loop. other : the schedule that its records ask for."""
     config, loop = job.config.loops[i], session.loops[i]
     folder = loop_folder(job.folder, loop.name if job.config.several else "")
     columns = loop.trend.columns()
@@ -319,8 +338,8 @@ def _leave_loop(job: _Job, ledger: Ledger, session: Session, i: int, fixed: Loop
     scores = scores_of(config, loop.table, loop.commits, columns, fixed_columns)
     trend = write_trend(folder / TREND, loop.trend, config.output.trend)
     write_whole(folder / GAINS, to_toml(loop.table))
-    advice = advice_of(loop)
-    _write_refined(advice, folder)
+    advice = advice_of(loop, other)
+    _write_refined(other, folder, loop.name if job.config.several else "")
     data = ReportData(
         loop=config.loop.name,
         unit=config.loop.pv_unit,
@@ -401,31 +420,19 @@ def _tell_what_next(job: _Job, ledger: Ledger, left: Sequence[_Left], screen: Li
                 screen.command(f"  {told.command}")
 
 
-def advice_of(loop: LoopSession) -> tuple[RegionAdvice | Refinement, ...]:
+def advice_of(loop: LoopSession, other: Refinement | None) -> tuple[RegionAdvice | Refinement, ...]:
     """Whether regions should be split or merged, or the schedule be another, by what their records say."""
     retuner = loop.retuner
     regions, models, dt_s = retuner.table.regions, retuner.region_models, retuner.settings.sample_time_s
     advice = region_advice(regions, models, dt_s, AdviceSettings())
-    other = refined(loop)
     return (*advice, other) if other is not None else advice
 
 
-def refined(loop: LoopSession) -> Refinement | None:
-    """The schedule that the records ask for, at the time of the newest of them; None where the present one does."""
-    retuner = loop.retuner
-    held = (*retuner.settings.region_modes, *retuner.settings.region_locks)
-    if any(axis.variable == CAN for axis in retuner.table.regions.axes) or any(one is not None for one in held):
-        return None  # a region that somebody holds stays as it is; a signal's message stands in the configuration alone
-    models, now_s = retuner.region_models, max((one.t_s for one in retuner.region_models.values()), default=0.0)
-    return refinement(retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker)
-
-
-def _write_refined(advice: Sequence[RegionAdvice | Refinement], folder: Path) -> None:
-    """The proposed schedule as files that a person may take up."""
-    for other in advice:
-        if isinstance(other, Refinement):
-            write_whole(folder / REFINED, to_toml(other.table))
-            write_whole(folder / REFINED_SCHEDULE, schedule_section(other.table))
+def _write_refined(other: Refinement | None, folder: Path, loop: str) -> None:
+    """The proposed schedule as files that a person may take up. loop : its name where it is one of several."""
+    if other is not None:
+        write_whole(folder / REFINED, to_toml(other.table))
+        write_whole(folder / REFINED_SCHEDULE, schedule_section(other.table, loop))
 
 
 def _facts(job: _Job, ledger: Ledger, trend: str, i: int | None = None) -> dict[str, str]:

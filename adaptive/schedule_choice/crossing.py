@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retuner.adaptive.schedule_design.cover import Layout, mean_of
+from retuner.adaptive.schedule_design.cover import mean_of
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import Place
 from retuner.adaptive.signals.sample import FloatArray
@@ -64,15 +64,23 @@ class Crossing:
 
 
 def crossings(
-    curves: Curves, places: Sequence[Place], layout: Layout, variables: Sequence[str], largest: float
+    curves: Curves,
+    places: Sequence[Place],
+    gains_at: Callable[[float], PidGains],
+    variables: Sequence[str],
+    largest: float,
+    x2: float | None = None,
 ) -> list[Crossing]:
-    """Both ways, for each lookup variable of "sp" and "pv". largest : step of the setpoint in the records."""
+    """Both ways, for each lookup variable of "sp" and "pv".
+
+    gains_at : of the schedule. largest : step of the setpoint in the records. x2 : where a second variable stands.
+    """
     known = [place for place in places if place.known]
-    low, high = known[0].x, known[-1].x
-    if not high > low:
+    if len(known) < 2:
         return []
+    low, high = known[0].x, known[-1].x
     share = min(max(largest / (high - low), LEAST_SHARE), MOST_SHARE)
-    process = _Process.of(curves, known)
+    process = _Process.of(curves, known, x2)
     own = _own(known)
     found = []
     size = share * (high - low)
@@ -81,7 +89,7 @@ def crossings(
         ways = edges if up else [(end, start) for start, end in edges]
         best = [_run(process, start, end, lambda _, pv: own(pv)) for start, end in ways]
         for variable in variables:
-            runs = [_run(process, start, end, _lookup(layout, variable)) for start, end in ways]
+            runs = [_run(process, start, end, _lookup(gains_at, variable)) for start, end in ways]
             each = [
                 Crossing(variable, up, share, run[0] / ideal[0], run[1], ideal[1])
                 for run, ideal in zip(runs, best, strict=True)
@@ -90,11 +98,11 @@ def crossings(
     return found
 
 
-def _lookup(layout: Layout, variable: str) -> Lookup:
+def _lookup(gains_at: Callable[[float], PidGains], variable: str) -> Lookup:
     """The table along sp or pv."""
     if variable == "sp":
-        return lambda sp, _: layout.gains_at(sp)
-    return lambda _, pv: layout.gains_at(pv)
+        return lambda sp, _: gains_at(sp)
+    return lambda _, pv: gains_at(pv)
 
 
 def _own(places: Sequence[Place]) -> Callable[[float], PidGains]:
@@ -120,9 +128,9 @@ class _Process:
     steps: int
 
     @classmethod
-    def of(cls, curves: Curves, places: Sequence[Place]) -> "_Process":
+    def of(cls, curves: Curves, places: Sequence[Place], x2: float | None) -> "_Process":
         grid = np.linspace(places[0].x, places[-1].x, GRID)
-        ln = curves.ln(grid)
+        ln = curves.ln(grid, None if x2 is None else np.full(GRID, x2))
         values = np.exp(ln)
         values[:, 0] *= curves.form.sign
         if values.shape[1] == 3:

@@ -30,7 +30,7 @@ class NextExperiment:
     """A step of the controller output in manual, or of the setpoint in automatic, at a place of the variable.
 
     x : where. co_step : in units of co. sp_step : in units of pv. hold_s : how long. gain_std : of ln Kc there now.
-    held : whether the output's limits hold the step below what would be seen well.
+    x2 : of a second variable. held : whether the output's limits hold the step below what would be seen well.
     """
 
     x: float
@@ -39,11 +39,13 @@ class NextExperiment:
     hold_s: float
     gain_std: float
     held: bool = False
+    x2: float | None = None
 
-    def to_dict(self) -> dict[str, float | bool]:
-        """Keys x, co_step, sp_step, hold_s, gain_std, held."""
+    def to_dict(self) -> dict[str, float | bool | None]:
+        """Keys x, x2 (null for one variable), co_step, sp_step, hold_s, gain_std, held."""
         return {
             "x": self.x,
+            "x2": self.x2,
             "co_step": self.co_step,
             "sp_step": self.sp_step,
             "hold_s": self.hold_s,
@@ -65,7 +67,7 @@ def next_experiment(curves: Curves, places: Sequence[Place], co: Range = (None, 
     reached = model.k * min(1.0, (hold - model.theta_s) / lag)
     wanted = answer / abs(reached)
     step = _within(wanted, float(curves.rest.co(np.array([least.x]))[0]), co, inwards=_inwards(least, places, reached))
-    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted)
+    return NextExperiment(least.x, step, step * reached, hold, least.gain_std, abs(step) < 0.999 * wanted, least.x2)
 
 
 def _inwards(least: Place, places: Sequence[Place], gain: float) -> float:

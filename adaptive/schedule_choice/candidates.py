@@ -1,0 +1,170 @@
+"""Variables that gains may follow, at the samples of the records, and the curves along one or two of them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from retuner.adaptive.controller_settings.read_off import settings_in_force
+from retuner.adaptive.schedule_design.curves import Curves, Progress, curves
+from retuner.adaptive.schedule_design.motion import recursion
+from retuner.adaptive.schedule_design.shapes import Axis, Second, Shape
+from retuner.adaptive.schedule_design.stretches import Stretch, cut, moving, signals_of, without_gaps
+from retuner.adaptive.schedule_design.weighing import SIMPLER
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import FloatArray, Window
+
+ROWS = 400
+"""Rows wanted in a typical stretch."""
+OWN = ("sp", "pv", "co")
+"""Signals of the loop itself; another variable may move pv on its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A variable at the samples of every record. follows : it goes after a signal of the loop, as a filtered pv."""
+
+    name: str
+    values: tuple[FloatArray, ...]
+    follows: bool = False
+
+    @property
+    def outside(self) -> bool:
+        """Whether it is no signal of the loop itself, and so may move pv on its own."""
+        return self.name not in OWN and not self.follows
+
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest value visited, noise apart."""
+        low = min(float(np.quantile(v, 0.001)) for v in self.values)
+        high = max(float(np.quantile(v, 0.999)) for v in self.values)
+        return low, high
+
+    def noise(self) -> float:
+        """Standard deviation of its noise."""
+        return max(noise_sigma(v) for v in self.values)
+
+
+FOLLOWS = 0.95
+"""Share of a variable's variance that a lag of sp, pv or co explains where it follows the loop."""
+LAGS = 12
+"""Lags that are tried, from a sample to a tenth of the record."""
+
+
+def follows_loop(windows: Sequence[Window], values: Sequence[FloatArray]) -> bool:
+    """Whether a variable is a signal of the loop behind a lag: it cannot move pv on its own then.
+
+    A filtered pv, a temperature beside the one that is controlled, a valve's position. Taken for a variable from
+    outside, its push would explain what the process does.
+    """
+    varied = max(float(np.var(np.concatenate(list(values)))), 1e-300)
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    longest = max(0.1 * float(windows[0].t_s[-1] - windows[0].t_s[0]), 2 * dt)
+    for lag in (0.0, *np.geomspace(dt, longest, LAGS).tolist()):
+        for name in OWN:
+            behind = np.concatenate([_behind(getattr(w, name), math.exp(-dt / lag) if lag else 0.0) for w in windows])
+            if float(np.ptp(behind)) and _left(behind, np.concatenate(list(values))) < (1 - FOLLOWS) * varied:
+                return True
+    return False
+
+
+def _behind(x: FloatArray, decay: float) -> FloatArray:
+    """A signal behind a first-order lag, at rest at first."""
+    return recursion(np.full(len(x) - 1, decay), (1 - decay) * x[1:], x[0])
+
+
+def _left(x: FloatArray, y: FloatArray) -> float:
+    """Variance of y round a straight line in x."""
+    slope, level = np.polyfit(x - float(np.mean(x)), y, 1)
+    return float(np.var(y - level - slope * (x - float(np.mean(x)))))
+
+
+def axis_of(candidate: Candidate, span: tuple[float | None, float | None]) -> Axis:
+    """From end to end of a schedule, those that are given and those that the records visit."""
+    own = candidate.span()
+    low, high = (given if given is not None else seen for given, seen in zip(span, own, strict=True))
+    if not max(low, own[0]) < min(high, own[1]):
+        raise ValueError(
+            f"{candidate.name}: the records visit {own[0]:.4g} to {own[1]:.4g}, and nothing of low = {low:g} to "
+            f"high = {high:g}; give ends that take in some of it"
+        )
+    return Axis(low, high)
+
+
+LEAST_RATIO = 2.0
+"""High over low of a variable from outside from which its ratios are tried as its steps."""
+
+
+def curves_along(windows: Sequence[Window], candidate: Candidate, axis: Axis, told: Progress) -> Curves:
+    """Over the variable, or over its ratios where these say more."""
+    axes = [axis]
+    if candidate.outside and axis.low > 0 and axis.high / axis.low >= LEAST_RATIO:
+        axes.append(replace(axis, by_ratio=True))
+    found = []
+    for i, one in enumerate(axes):
+
+        def shared(stage: str, share: float, i: int = i) -> None:
+            told(stage, (i + share) / len(axes))
+
+        found.append(
+            curves(stretches_of(windows, candidate), one, direction(windows), shared, pushed=candidate.outside)
+        )
+    return max(found, key=lambda c: c.log_likelihood - SIMPLER * c.form.size)
+
+
+def silent(stage: str, share: float) -> None:
+    """Progress that nobody wants to see."""
+    del stage, share
+
+
+def curves_over_both(windows: Sequence[Window], both: tuple[Candidate, Candidate], alone: Sequence[Curves]) -> Curves:
+    """Over two variables at once: every parameter a product of a curve over each. alone : along either by itself."""
+    one, two = both
+    axes = [found.form.axis for found in alone]
+    second = Second(axes[1], (Shape.CONSTANT,) * 3, two.outside)
+    richest = max((found.rich for found in alone), key=lambda form: (len(form.shapes), form.felt is not None))
+    some = stretches_of(windows, one, two)
+    return curves(some, axes[0], direction(windows), silent, pushed=one.outside, second=second, known=richest)
+
+
+SEEN = 5
+"""Setpoint changes that must agree on the direction in which the controller acts, on balance, weighed by their size."""
+
+
+def direction(windows: Sequence[Window]) -> int | None:
+    """Sign of the process gain as the controller's answers to setpoint changes show it; None where there are too few.
+
+    In a loop that is closed and works, co goes the process' way when the setpoint moves. Where it never does, the
+    controller is read off the record.
+    """
+    votes = []
+    for window in windows:
+        moved = np.diff(window.sp)
+        large = np.flatnonzero(np.abs(moved) > 0.1 * max(float(np.ptp(window.sp)), 1e-300))
+        for row in large[(large > SEEN) & (large < len(moved) - SEEN)].tolist():
+            kick = float(np.mean(window.co[row + 1 : row + 1 + SEEN]) - np.mean(window.co[row - SEEN + 1 : row + 1]))
+            votes.append(math.copysign(1.0, moved[row]) * kick)
+    total = sum(votes)
+    against = sum(abs(v) for v in votes if v * total < 0)
+    if votes and against <= abs(total):
+        return int(math.copysign(1, total))
+    read_off = (settings_in_force(window).direction for window in windows)
+    return next((way for way in read_off if way is not None), None)
+
+
+def stretches_of(windows: Sequence[Window], one: Candidate, two: Candidate | None = None) -> list[Stretch]:
+    """All stretches of all records, with one variable or two."""
+    found: list[Stretch] = []
+    for i, window in enumerate(windows):
+        every = _every(window)
+        values = np.stack([c.values[i] for c in (one, two) if c is not None], axis=1)
+        for piece, there in without_gaps(window, values):
+            found += moving(cut(signals_of(piece, there[:, 0], every, there[:, 1] if two is not None else None)))
+    return found
+
+
+def _every(window: Window) -> int:
+    """Samples in an interval: a typical time between setpoint changes has ROWS."""
+    n = len(window.t_s)
+    changes = int(np.count_nonzero(np.abs(np.diff(window.sp)) > 0.01 * np.ptp(window.sp))) if np.ptp(window.sp) else 0
+    return max(1, round(n / (changes + 1) / ROWS)) if changes < n / 20 else max(1, n // 40 // ROWS)

@@ -1,0 +1,361 @@
+"""The whole way: records and a variable in, curves, places and the fewest sets out."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from retuner.adaptive.schedule_choice.candidates import (
+    Candidate,
+    axis_of,
+    curves_along,
+    curves_over_both,
+)
+from retuner.adaptive.schedule_choice.cells import COUNT, Cells, cells
+from retuner.adaptive.schedule_choice.crossing import Crossing, crossings
+from retuner.adaptive.schedule_design.cover import Layout, knots, steps
+from retuner.adaptive.schedule_design.curves import Curves
+from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
+from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.schedule_design.stretches import tells
+from retuner.adaptive.signals.noise import noise_sigma
+from retuner.adaptive.signals.sample import Window
+from retuner.schedule.table import Lookup
+
+PLACES = 25
+"""Places along the variable that are looked at."""
+MOST_SETS = 16
+SLOWER = (1.4, 1.6, 2.0)
+"""Limits of J that are tried in turn where more than MOST_SETS would be needed."""
+LOADS_A_STRETCH = 1.5
+"""Load steps that a stretch may have in the mean; right fits of benchmarks/schedules need up to 0.8, wrong ones 2."""
+BEYOND = 0.1
+"""Share of what the records visit by which a place may lie outside of it and still count as known."""
+LEAST_TRAVEL = 10.0
+"""A variable that moves by no more than so many standard deviations of its noise is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """A candidate variable and what speaks for it. ln_evidence : over a process that is the same everywhere."""
+
+    variable: str
+    ln_evidence: float
+    log_likelihood: float
+    changes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A schedule and what it rests on.
+
+    variable : that it follows. places : along it. layout : the sets; None where nothing is known well enough.
+    hysteresis, min_stay_s, filter_s : of the lookup. candidates : the variables that were weighed. reason : in words.
+    crossings : steps over the range in motion. second : a second variable that it follows, "" for none.
+    """
+
+    variable: str
+    curves: Curves
+    places: tuple[Place, ...]
+    layout: Layout | Cells | None
+    hysteresis: float
+    min_stay_s: float
+    candidates: tuple[Evidence, ...]
+    reason: str
+    crossings: tuple[Crossing, ...] = ()
+    second: str = ""
+    second_hysteresis: float = 0.0
+
+
+def design(
+    windows: Sequence[Window],
+    candidates: Sequence[Candidate],
+    limits: DesignLimits,
+    lookup: str,
+    span: tuple[float | None, float | None],
+    progress: Callable[[str, float], None],
+) -> Design:
+    """A schedule along the candidate for which most speaks.
+
+    Parameters
+    ----------
+    windows : the records. candidates : variables that the gains may follow. lookup : "hard", "interpolated", "auto".
+    span : ends of the variable where they are given.
+
+    Raises
+    ------
+    ValueError
+        Nothing moves in the records, or no candidate does.
+    """
+    able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
+    if not able:
+        named = ", ".join(c.name for c in candidates)
+        raise ValueError(f"{named}: does not move in the records beyond its noise; nothing can be told over it")
+    ends = {able[0].name: span}
+    found: dict[str, Curves] = {}
+    stages = len(able) + 0.3 + (len(able) > 1)
+    for i, candidate in enumerate(able):
+
+        def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
+            progress(f"{name}: {stage}", (i + share) / stages)
+
+        axis = axis_of(candidate, ends.get(candidate.name, (None, None)))
+        found[candidate.name] = curves_along(windows, candidate, axis, told)
+    evidence = [_evidence(name, c) for name, c in found.items()]
+    best = max(evidence, key=lambda e: e.log_likelihood)
+    chosen = _Chosen(next(c for c in able if c.name == best.variable), None, found[best.variable])
+    moving = [c for c in able if any(e.variable == c.name and e.changes for e in evidence)]
+    for both in _pairs(chosen.one, moving):
+        progress(f"{both[0].name} and {both[1].name}", len(able) / stages)
+        pair = _Chosen(*both, curves_over_both(windows, both, [found[c.name] for c in both]))
+        evidence.append(_evidence(pair.name, pair.curves))
+        if pair.both_matter and pair.curves.log_likelihood > chosen.curves.log_likelihood:
+            chosen = pair
+    progress("the fewest sets", (stages - 0.3) / stages)
+    return _designed(chosen, windows, limits, lookup, tuple(evidence))
+
+
+MOST_PAIRS = 3
+"""Variables that are tried beside the one for which most speaks."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """One variable or two, and the curves along them."""
+
+    one: Candidate
+    two: Candidate | None
+    curves: Curves
+
+    @property
+    def name(self) -> str:
+        """Of both."""
+        return self.one.name if self.two is None else f"{self.one.name} and {self.two.name}"
+
+    @property
+    def both_matter(self) -> bool:
+        """Whether the process changes with each of two variables."""
+        form = self.curves.form
+        one, two = (any(shape > Shape.CONSTANT for shape in s) for s in (form.shapes, form.second_shapes))
+        return one and two and self.curves.second_evidence > 0
+
+
+def _pairs(best: Candidate, able: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
+    """The best beside others, signals of the loop first; two of these go together in a loop, so they are no pair.
+
+    able : those along which something changes.
+    """
+    if best not in able:
+        return []
+    others = [c for c in able if c is not best and (c.outside or best.outside)][:MOST_PAIRS]
+    return [(best, c) if not best.outside or c.outside else (c, best) for c in others]
+
+
+def _evidence(name: str, found: Curves) -> Evidence:
+    changes = any(shape > 1 for shape in (*found.form.shapes, *found.form.second_shapes))
+    return Evidence(name, found.evidence, found.log_likelihood, changes)
+
+
+def _designed(
+    chosen: _Chosen,
+    windows: Sequence[Window],
+    limits: DesignLimits,
+    lookup: str,
+    evidence: tuple[Evidence, ...],
+) -> Design:
+    """Places, sets and the numbers of the lookup."""
+    found = chosen.curves
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    if chosen.two is None:
+        some = [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)]
+        places = _visited(chosen.one, some)
+    else:
+        places = places_over_both(found, dt, limits)
+    second = "" if chosen.two is None else chosen.two.name
+    none = Design(chosen.one.name, found, places, None, 0.0, 0.0, evidence, "", second=second)
+    reason = _at_rest(found) or _unexplained(found) or _differs(found) or _nowhere_known(places)
+    if reason:
+        return replace(none, reason=reason)
+    layout, j_limit = _affordable(places, limits, lookup)
+    if layout is None:
+        return replace(none, reason=f"more than {MOST_SETS} sets would be needed")
+    sets = len(layout.sets)
+    return replace(
+        none,
+        layout=layout,
+        hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
+        min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
+        reason=_counted(sets, str(layout.lookup), limits.j, j_limit),
+        crossings=_crossings(chosen, places, layout, windows) if sets > 1 else (),
+        second_hysteresis=_second_hysteresis(chosen.two, layout),
+    )
+
+
+def _counted(sets: int, lookup: str, wanted: float, affordable: float) -> str:
+    """How many sets, in words."""
+    how = "one set serves every place" if sets == 1 else f"{sets} sets, {lookup}"
+    slower = f"; within J {wanted:g} it would need more than {MOST_SETS}, within {affordable:g} not"
+    return how + slower * (affordable > wanted)
+
+
+def _crossings(
+    chosen: _Chosen, places: Sequence[Place], layout: Layout | Cells, windows: Sequence[Window]
+) -> tuple[Crossing, ...]:
+    """The loop in motion along the first variable; in the middle of a second one."""
+    if chosen.one.name not in {"sp", "pv"}:
+        return ()
+    largest = max(float(np.max(np.abs(np.diff(window.sp)))) for window in windows)
+    if isinstance(layout, Layout):
+        return tuple(crossings(chosen.curves, places, layout.gains_at, (chosen.one.name,), largest))
+    axis = chosen.curves.form.second
+    middle = places[COUNT // 2].x2
+    assert axis is not None
+    assert middle is not None
+    row = [place for place in places if place.x2 == middle]
+    return tuple(
+        crossings(chosen.curves, row, lambda x: layout.gains_at(x, middle), (chosen.one.name,), largest, middle)
+    )
+
+
+def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
+    """Of the borders on a second variable."""
+    if two is None or not isinstance(layout, Cells):
+        return 0.0
+    return _hysteresis(two, layout.lookup, layout.edges2)
+
+
+NEAR = 0.25
+"""Distance from where the records have been, in ranges of each variable, within which a place may count as known."""
+
+
+def places_over_both(found: Curves, dt: float, limits: DesignLimits) -> tuple[Place, ...]:
+    """COUNT x COUNT places; those far from where the records have been are not known, whatever the product says."""
+    one, two = found.form.axis, found.form.second
+    assert two is not None
+    been = [
+        np.stack([(s.x - one.low) / (one.high - one.low), (s.x2 - two.axis.low) / (two.axis.high - two.axis.low)])
+        for s in found.joint.stretches
+        if s.x2 is not None
+    ]
+    visited = np.concatenate(been, axis=1)
+    places = []
+    for i, x in enumerate(one.grid(COUNT).tolist()):
+        for j, x2 in enumerate(two.axis.grid(COUNT).tolist()):
+            place = place_at(found, x, dt, limits, x2)
+            here = np.array([[i / (COUNT - 1)], [j / (COUNT - 1)]])
+            near = float(np.min(np.linalg.norm(visited - here, axis=0))) <= NEAR
+            places.append(place if near else replace(place, known=False))
+    return tuple(places)
+
+
+def _visited(chosen: Candidate, places: Sequence[Place]) -> tuple[Place, ...]:
+    """The places; those further from what the records visit than a curve may be drawn on are not known."""
+    low, high = chosen.span()
+    beyond = BEYOND * (high - low)
+    return tuple(p if low - beyond <= p.x <= high + beyond else replace(p, known=False) for p in places)
+
+
+def _at_rest(found: Curves) -> str:
+    """Why the records tell nothing at all; empty where pv moves in them."""
+    stretches = found.joint.stretches
+    if any(map(tells, stretches)):
+        return ""
+    noise = max(noise_sigma(s.pv) for s in stretches)
+    return (
+        f"these records tell nothing: pv does not move beyond its noise ({noise:.3g}); "
+        "give records in which the setpoint changes"
+    )
+
+
+def _unexplained(found: Curves) -> str:
+    """Why the curves explain the records only with the help of loads that no plant has; empty where they do."""
+    loads, stretches = _loads_that_count(found), len(found.joint.stretches)
+    if loads <= LOADS_A_STRETCH * stretches:
+        return ""
+    return (
+        f"not explained: {loads} load steps would have to have happened in {stretches} stretches of the records; "
+        "something else moves pv"
+    )
+
+
+SMALL_LOAD = 0.03
+"""Share of a stretch's travel by which a load must move pv at rest to count: less mends what a form leaves."""
+
+
+def _loads_that_count(found: Curves) -> int:
+    """Load steps that move pv by more than a form leaves unexplained."""
+    counted = 0
+    for stretch, rows, sizes in zip(found.joint.stretches, found.joint.loads, found.now.sizes, strict=True):
+        x2 = None if stretch.x2 is None else np.array([float(np.mean(stretch.x2))])
+        ln = found.ln(np.array([float(np.mean(stretch.x))]), x2)[0]
+        gain = math.exp(ln[0] + ln[2])
+        nets = np.asarray(sizes[: len(rows)]).reshape(-1, 2).sum(axis=1)  # each enters between two rows
+        counted += int(np.sum(np.abs(nets) * gain > SMALL_LOAD * float(np.ptp(stretch.pv))))
+    return counted
+
+
+DIFFERS = 0.5
+"""Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
+TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
+
+
+def _differs(found: Curves) -> str:
+    """Why the stretches are of several processes at one and the same place; empty where they agree."""
+    apart = [(v, name) for v, name in zip(found.differences, TOLD_OF, strict=False) if v >= DIFFERS]
+    if not apart:
+        return ""
+    most, name = max(apart)
+    return (
+        f"something else changes the process: its {name} differs by a factor of {math.exp(most):.1f} from stretch to "
+        "stretch at the same place; name what changes with it as the variable"
+    )
+
+
+def _nowhere_known(places: Sequence[Place]) -> str:
+    """Why no place is known well enough; empty where one is."""
+    if any(place.known for place in places):
+        return ""
+    factor = math.exp(min(place.gain_std for place in places))
+    return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
+
+
+def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | Cells | None, float]:
+    """The fewest sets, at most MOST_SETS, for the smallest limit of J with which that is possible, and that limit.
+
+    The limit of Ms is never given up.
+    """
+    for j in (limits.j, *(j for j in SLOWER if j > limits.j)):
+        layout = _layout(places, replace(limits, j=j), lookup)
+        if layout is not None:
+            return layout, j
+    return None, limits.j
+
+
+def _layout(places: Sequence[Place], limits: DesignLimits, lookup: str) -> Layout | Cells | None:
+    """The fewest sets; where steps and interpolation need as many, the one with the smaller J in the mean."""
+    if places[0].x2 is not None:
+        return cells(places, limits, lookup, MOST_SETS)
+    options = [] if lookup == Lookup.INTERPOLATED else [steps(places, limits, MOST_SETS)]
+    if lookup != Lookup.HARD:
+        options.append(knots(places, limits, MOST_SETS))
+    able = [layout for layout in options if layout is not None]
+    return min(able, key=lambda one: (len(one.sets), _mean_j(places, one)), default=None)
+
+
+def _mean_j(places: Sequence[Place], layout: Layout) -> float:
+    return float(np.mean([p.judged(layout.gains_at(p.x)).j for p in places if p.known]))
+
+
+def _hysteresis(chosen: Candidate, lookup: Lookup, edges: Sequence[float]) -> float:
+    """Three standard deviations of the variable's noise, and a hundredth of the range; within what the sets allow."""
+    if lookup is not Lookup.HARD or len(edges) <= 2:
+        return 0.0
+    low, high = chosen.span()
+    narrowest = min(b - a for a, b in pairwise(edges))
+    wanted = max(3 * chosen.noise(), 0.01 * (high - low))
+    return min(wanted, 0.4 * narrowest)
+
+
+__all__ = ["Candidate", "Design", "Evidence", "design"]

@@ -1,0 +1,84 @@
+"""Another schedule that a session's own records ask for: what it is, its hash, and the row of the ledger that keeps it.
+
+The row stands where the session ends. A replay works the proposal out again from what it has learned by then, so the
+row says no more than the frames do. A person takes it up by `retuner approve`, which writes it into a configuration
+under its hash. A run of that configuration says in its first row where its schedule came from.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from retuner.adaptive.region_model.refinement import Refinement, refinement
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.config.model import Config
+from retuner.schedule.axis import CAN
+from retuner.schedule.document import from_toml, to_toml
+from retuner.schedule.table import GainTable
+from retuner.scheduling import schedule_section
+
+ROW = "schedule"
+"""Kind of the row."""
+
+
+def refined(retuner: Retuner) -> Refinement | None:
+    """The schedule that the records ask for, at the time of the newest of them; None where the present one does."""
+    held = (*retuner.settings.region_modes, *retuner.settings.region_locks)
+    if any(axis.variable == CAN for axis in retuner.table.regions.axes) or any(one is not None for one in held):
+        return None  # a region that somebody holds stays as it is; a signal's message stands in the configuration alone
+    models, now_s = retuner.region_models, max((one.t_s for one in retuner.region_models.values()), default=0.0)
+    return refinement(retuner.table, models, now_s, retuner.settings.sample_time_s, retuner.settings.tracker)
+
+
+def digest_of(table: GainTable) -> str:
+    """The hash of a schedule: SHA-256 of the section that runs it, in hexadecimal digits."""
+    return hashlib.sha256(schedule_section(table).encode()).hexdigest()
+
+
+def row_body(found: Refinement, samples: int, loop: str = "") -> dict[str, object]:
+    """What the row says.
+
+    samples : that the session had seen of the loop. loop : its name where there are several.
+    """
+    named = {"loop": loop} if loop else {}
+    proposed = {"hash": digest_of(found.table), "table": to_toml(found.table)}
+    return {**named, **proposed, "reason": found.sentence, "proposal": found.to_dict(), "samples": samples}
+
+
+def same_proposal(body: Mapping[str, Any], found: Refinement | None, *, rounded: bool) -> bool:
+    """Whether a row is what these records ask for.
+
+    rounded : another engine has worked it out, which is equal to rounding only; then the sets are counted.
+    """
+    if found is None:
+        return False
+    if rounded:
+        return bool(len(body["proposal"]["gains"]) == len(found.table.gains))
+    again = {"hash": digest_of(found.table), "proposal": json.loads(json.dumps(found.to_dict()))}
+    return again == {name: body[name] for name in again}
+
+
+def table_in(body: Mapping[str, Any]) -> GainTable:
+    """The schedule of a row.
+
+    Raises
+    ------
+    KeyError, ValueError
+        The row is not what a session writes.
+    """
+    return from_toml(str(body["table"]))
+
+
+def taken_up(loops: Iterable[Config]) -> list[dict[str, object]]:
+    """Which loops run a schedule that a session proposed: its hash, and whether it stands as it was proposed."""
+    return [
+        {"loop": one.loop.name, "hash": one.schedule.proposal, "as_proposed": stands(one)}
+        for one in loops
+        if one.schedule.proposal
+    ]
+
+
+def stands(config: Config) -> bool:
+    """Whether the schedule is the one whose hash it carries."""
+    return digest_of(config.gain_table()) == config.schedule.proposal

@@ -1,0 +1,145 @@
+"""A schedule that a session's records ask for: a row of its ledger, decided again by a replay, taken up by a person."""
+
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from retuner.adaptive.region_model.refinement import Refinement
+from retuner.adaptive.schedule_design.places import DesignLimits
+from retuner.cli import main
+from retuner.config.loading import load_session
+from retuner.decisions import proposed_schedule
+from retuner.decisions.proposed_schedule import digest_of, taken_up
+from retuner.errors import UserError
+from retuner.gain_export.schedule_into import schedule_into
+from retuner.ledger import Row
+from retuner.report.ledger_words import told
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable
+from retuner.scheduling import schedule_section
+
+sys.path.append(str(Path(__file__).parent))
+
+from recorded import bodies, rewritten, run_short
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+REGIONS = Regions("sp", "bar", ("part 1", "part 2"), 1.0, (2.5,), 9.0, 0.1)
+OTHER = GainTable("short", REGIONS, (PidGains(4.0, 1.0), PidGains(3.123456789, 0.8)), revision=1)
+
+
+def proposal(table: GainTable = OTHER) -> Refinement:
+    return Refinement(table, 10, 6, 10, 2.2, 1.7, DesignLimits())
+
+
+def asking_for(patch: pytest.MonkeyPatch, found: Refinement | None) -> None:
+    """What the records of every session ask for."""
+    patch.setattr(proposed_schedule, "refinement", lambda *_: found)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run whose records ask for another schedule."""
+    with pytest.MonkeyPatch.context() as patch:
+        asking_for(patch, proposal())
+        return run_short(tmp_path_factory.mktemp("proposing"))
+
+
+def test_it_is_a_row_before_the_end_and_files_beside_the_report(session: Path) -> None:
+    (row,) = bodies(session, "schedule")
+    assert row["hash"] == digest_of(OTHER)
+    assert "Another schedule serves more places" in row["reason"]
+    assert row["proposal"]["bounds"] == [2.5]
+    assert (session / "refined-schedule.toml").read_text() == schedule_section(OTHER)
+    summary = json.loads((session / "summary.json").read_text())
+    assert any(one["kind"] == "refine" for one in summary["advice"])
+    (line,) = told([Row(7, 1.0, "schedule", json.dumps(row), "", "")])
+    assert (line.who, line.verdict) == ("retuner", "proposed")
+
+
+def test_a_replay_asks_again(
+    session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asking_for(monkeypatch, proposal())
+    assert main(["replay", str(session)]) == 0
+    assert "identical" in capsys.readouterr().out
+    asking_for(monkeypatch, proposal(OTHER.with_gains(1, PidGains(3.2, 0.8))))
+    assert main(["replay", str(session)]) == 1
+    assert "different" in capsys.readouterr().out
+    asking_for(monkeypatch, None)
+    assert main(["replay", str(session)]) == 1
+
+
+def test_a_person_takes_it_up_and_the_next_run_says_so(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    digest, config = digest_of(OTHER)[:8], tmp_path / "short.toml"
+    shutil.copy(session.parent / "short.toml", config)
+    assert main(["approve", str(session)]) == 0
+    assert digest in capsys.readouterr().out
+    assert main(["approve", str(session), digest]) == 2
+    assert "--into" in capsys.readouterr().err
+    before = config.read_text()
+    assert main(["approve", str(session), digest, "--into", str(config), "--by", "Ada", "--note", "so be\nit"]) == 0
+    text = config.read_text()
+    assert "approved by Ada" in text
+    assert "# the command line may say more" in text  # what else stands there stays
+    found = load_session(config)[0].loops[0]
+    assert found.gain_table().regions.bounds == (2.5,)
+    assert taken_up([found]) == [{"loop": "short", "hash": digest_of(OTHER), "as_proposed": True}]
+    edited = tmp_path / "edited.toml"
+    edited.write_text(text.replace("bounds = [2.5]", "bounds = [2.6]"))
+    assert not taken_up(load_session(edited)[0].loops)[0]["as_proposed"]
+    config.write_text(before)
+    assert taken_up(load_session(config)[0].loops) == []
+
+
+def test_a_run_of_it_begins_its_ledger_with_that(session: Path, tmp_path: Path) -> None:
+    config = tmp_path / "short.toml"
+    shutil.copy(session.parent / "short.toml", config)
+    config.write_text(schedule_into(config, OTHER, "as proposed").replace("duration_s = 80.0", "duration_s = 50.0"))
+    assert main(["run", str(config), "--out", str(tmp_path / "next"), "--no-compare", "--mode", "off"]) == 0
+    (begun,) = bodies(tmp_path / "next", "session")
+    assert begun["schedules"] == [{"loop": "short", "hash": digest_of(OTHER), "as_proposed": True}]
+    (line,) = told([Row(1, 0.0, "session", json.dumps(begun), "", "")])
+    assert "as proposed" in line.verdict
+
+
+def test_what_is_not_a_proposed_schedule_is_not_taken_up(session: Path, tmp_path: Path) -> None:
+    def forged(row: Any) -> dict[str, Any] | None:
+        body: dict[str, Any] = json.loads(row.text)
+        return {**body, "table": "schema = 9"} if row.kind == "schedule" else body
+
+    broken = rewritten(session, tmp_path / "broken", forged)
+    config = tmp_path / "short.toml"
+    shutil.copy(session.parent / "short.toml", config)
+    before = config.read_text()
+    assert main(["approve", str(broken), digest_of(OTHER)[:8], "--into", str(config)]) == 2
+    assert main(["approve", str(session), "--into", str(config)]) == 2
+    assert config.read_text() == before
+
+
+def test_the_section_of_one_of_several_loops_is_its_own(tmp_path: Path) -> None:
+    config = tmp_path / "boiler_house.toml"
+    shutil.copy(EXAMPLES / "boiler_house.toml", config)
+    loops = load_session(config)[0].loops
+    own = loops[1].gain_table()
+    axis = own.regions.axes[0]
+    half = (axis.low + axis.high) / 2
+    regions = Regions("sp", axis.unit, ("part 1", "part 2"), axis.low, (half,), axis.high)
+    table = GainTable(own.loop, regions, (own.gains[0],) * 2, revision=1)
+    config.write_text(schedule_into(config, table, "as proposed"))
+    after = load_session(config)[0].loops
+    assert after[1].gain_table().regions.bounds == (half,)
+    assert [one.gain_table() for one in (after[0], after[2])] == [one.gain_table() for one in (loops[0], loops[2])]
+    section = schedule_section(table, own.loop)
+    assert section.splitlines()[1] == "[loop.schedule]"
+    assert "[[loop.schedule.region]]" in section
+    assert "\n[[schedule." not in section
+    with pytest.raises(UserError, match="has the loops"):
+        schedule_into(config, replace(table, loop="another"), "")
