@@ -200,7 +200,13 @@ def _with_settings(loop: Loop, found: Found, asked: bool) -> Found:
         unsure = TWO_WAYS.format(factor_text(between))
         if not asked:
             return _torn(loop, found, other.log.model(), unsure)
-    return _open(found, unsure) if unsure else _first_step(loop, found)
+    if not unsure:
+        return _first_step(loop, found)
+    # by a model that is not known, a loop is not called slow that overshoots: the loads that explain it are a cover
+    covered = _overshoots(found.diagnosis.evidence, loop.settings) if found.diagnosis.cause is Cause.SLUGGISH else ""
+    if covered and found.diagnosis.evidence["loads"]:
+        return _torn(loop, found, other.log.model(), f"perhaps sluggish, by a model that needs load steps{covered}")
+    return _open(found, unsure)
 
 
 def _torn(loop: Loop, found: Found, other: ProcessModel, why: str) -> Found:
