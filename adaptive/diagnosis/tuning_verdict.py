@@ -86,7 +86,8 @@ def linear_verdict(
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
     loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external"))
-    told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
+    reason = estimate.reason + _not_brought_back(window)
+    told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
 
@@ -412,8 +413,8 @@ def weighed(
     if any(without_second_lag(p.model).theta_s >= least for p in estimate.plausible):
         return told
     reason = (
-        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much hangs on a dead time that no model of "
-        "the record shows"
+        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much depends on a dead time that no model "
+        "of the record shows"
     )
     known = {name: value for name, value in told.evidence.items() if name not in {"ki_ratio", "kp_ratio"}}
     return replace(told, reason=reason, evidence=known)
