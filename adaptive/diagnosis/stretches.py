@@ -82,7 +82,8 @@ def over_time(parts: list[Window], found: list[Found]) -> Found:
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, found[-1].diagnosis.evidence, reason))
     agreeing = [f for f in found if f.diagnosis.cause == cause]
     best = max(agreeing, key=lambda f: (f.tuning is not None, f.diagnosis.confidence))
-    verdict = replace(best.diagnosis, reason=f"{best.diagnosis.reason} ({told})")
+    nothing_new = set(causes) == {Cause.UNKNOWN}
+    verdict = best.diagnosis if nothing_new else replace(best.diagnosis, reason=f"{best.diagnosis.reason} ({told})")
     return replace(best, diagnosis=verdict, fits={})
 
 

@@ -86,7 +86,8 @@ def linear_verdict(
         reason = "the loop alone explains the record; give the active settings for a verdict on the tuning"
         return Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate, fits=fits)
     loop = Loop(window, gains, found, Fits(window, (gains.direction,), FitSettings()), settings, fits.get("external"))
-    told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, estimate.reason), estimate), oscillates)
+    reason = estimate.reason + _not_brought_back(window)
+    told = _by_margins(loop, Found(Diagnosis(Cause.UNKNOWN, 0.5, evidence, reason), estimate), oscillates)
     told = replace(told, fits=fits)
     return told if oscillates or told.diagnosis.cause is not Cause.UNKNOWN else _in_order(loop, told)
 
