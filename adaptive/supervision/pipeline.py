@@ -13,7 +13,6 @@ import numpy as np
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
-from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -50,7 +49,7 @@ from retuner.adaptive.supervision.proposal_from_model import (
     half_seen,
     no_gain,
     over_limit,
-    worst_ms,
+    too_bold,
 )
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
@@ -59,7 +58,6 @@ from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
-from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
 
 NOT_KNOWN = "not_identifiable"
@@ -257,26 +255,13 @@ def without_a_model(found: Findings) -> None:
     if stored is None:
         found.stop(NOT_KNOWN, f"{reason}; beside its neighbours' no gains of this region give that")
         return
-    bold = _too_bold(found, learned, stored)
+    after = record.table.with_gains(record.region, stored).at(record.region, *record.at)
+    bold = too_bold((found.in_use or learned.estimate).plausible, record.in_force, after, found.settings)
     if bold:
         found.stop(NOT_KNOWN, f"{reason}; not done: {bold}")
         return
     found.proposal = replace(proposed.tuning, gains=stored)
     _small_step(found, proposed, learned, reason)
-
-
-def _too_bold(found: Findings, learned: Learned, stored: PidGains) -> str:
-    """That a step to more action would be over its Ms limit on a model that the records allow; empty where it is not.
-
-    What does not carry settings may still say how far not to go.
-    """
-    record, settings = found.record, found.settings
-    after = record.table.with_gains(record.region, stored).at(record.region, *record.at)
-    if less_of_everything(record.in_force, after):
-        return ""
-    allowed = (found.in_use or learned.estimate).plausible
-    ms = worst_ms(allowed, after, settings.sample_time_s, settings.robust.believed)
-    return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
 
 
 def _own_fault(found: Findings) -> Diagnosis | None:
@@ -376,12 +361,14 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
 
     A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
     """
+    if verdict.urgent:
+        return ""
     record, settings = found.record, found.settings
     seen, limit = decay_seen(record.response), settings.cause.ms_high
     calmed = _wanted(found).diagnosis.cause is Cause.AGGRESSIVE and verdict.ms_before <= limit
     swings = seen is not None and seen > (settings.swing.damping if calmed else settings.trial.harmless_decay)
     little = cost < settings.worth_iae and not calmed
-    if swings or verdict.urgent or little or verdict.ms_before > settings.guard.ms_worst:
+    if swings or little or verdict.ms_before > settings.guard.ms_worst:
         return ""
     own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
     if own and verdict.ms_before > limit and cost <= settings.own_iae:

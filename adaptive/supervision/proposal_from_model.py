@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
 from retuner.adaptive.guard import Verdict
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.identification.robust_simc import believed, robust_simc_on
@@ -99,10 +100,16 @@ def over_limit(
     return bool(models) and all(sensitivity_peak(m.linear(), in_force) > limit for m in models)
 
 
-def worst_ms(allowed: Sequence[Plausible], gains: PidGains, sample_time_s: float, excess: float) -> float:
-    """Largest Ms over the models that are believed to within an excess; 0 where there are none."""
-    models = [p.model.seen_by_controller(sample_time_s).linear() for p in believed(allowed, excess)]
-    return max((sensitivity_peak(model, gains) for model in models), default=0.0)
+def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, settings: RetunerSettings) -> str:
+    """That a step to more action would be over its Ms limit on a model that the records allow; empty where it is not.
+
+    What does not carry settings may still say how far not to go.
+    """
+    if less_of_everything(in_force, after):
+        return ""
+    models = [p.model.seen_by_controller(settings.sample_time_s) for p in believed(allowed, settings.robust.believed)]
+    ms = max((sensitivity_peak(model.linear(), after) for model in models), default=0.0)
+    return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
 
 
 def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
