@@ -412,8 +412,8 @@ def weighed(
     if any(without_second_lag(p.model).theta_s >= least for p in estimate.plausible):
         return told
     reason = (
-        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much hangs on a dead time that no model of "
-        "the record shows"
+        f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much depends on a dead time that no model "
+        "of the record shows"
     )
     known = {name: value for name, value in told.evidence.items() if name not in {"ki_ratio", "kp_ratio"}}
     return replace(told, reason=reason, evidence=known)

@@ -41,8 +41,8 @@ class Candidate:
         return low, high
 
     def noise(self) -> float:
-        """Standard deviation of its noise."""
-        return max(noise_sigma(v) for v in self.values)
+        """Standard deviation of its noise; none where it stands still most of the time, and steps."""
+        return max(0.0 if np.mean(np.diff(v) == 0) > 0.5 else noise_sigma(v) for v in self.values)
 
 
 FOLLOWS = 0.95

@@ -33,7 +33,7 @@ from retuner.adaptive.diagnosis.swing_checks import (
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.region_model import RegionModel
-from retuner.adaptive.region_model.update import Agreement, Learned
+from retuner.adaptive.region_model.update import ANEW, Agreement, Learned
 from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
@@ -51,6 +51,7 @@ __all__ = [
     "joining",
     "looked_at_lately",
     "not_as_modelled",
+    "rested_on",
     "swings_between_limits",
     "wrong_way",
 ]
@@ -233,3 +234,10 @@ def doubt_of(found: Findings, wanted_for: Cause | None = None) -> tuple[Diagnosi
         settings.diagnosis,
         wanted_for,
     )
+
+
+def rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
+    """What the model rested on before this response."""
+    if agreement == Agreement.CHANGED:
+        return record.excitation.of_alternative()
+    return Excitation() if agreement in ANEW else record.excitation

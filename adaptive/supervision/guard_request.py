@@ -31,6 +31,7 @@ from retuner.adaptive.supervision.proposal_from_model import RobustProposal, pro
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise, decay_seen, promise, promise_without_model
 from retuner.adaptive.trial.judge import JudgedResponse
+from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
@@ -225,6 +226,12 @@ def still_allowed(region_model: RegionModel, t_s: float, settings: RetunerSettin
 OUTSIDE = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE})
 """Causes behind a response for which the gains on trial are not to blame."""
 NOT_ADMITTED = frozenset(ground.name.lower() for ground in Ground if ground not in {Ground.ADMITTED, Ground.SATURATED})
+
+
+def may_follow(trial: Trial, settings: RetunerSettings) -> bool:
+    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
+    last_one = trial.kept + 1 >= settings.trial.responses
+    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
 def promise_of(

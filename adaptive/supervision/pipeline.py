@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict, prove
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
@@ -31,12 +30,14 @@ from retuner.adaptive.supervision.causes import (
     joining,
     looked_at_lately,
     not_as_modelled,
+    rested_on,
     swings_between_limits,
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.guard_request import (
     change_request,
+    may_follow,
     posterior_of,
     promise_of,
     tuning_of,
@@ -56,7 +57,6 @@ from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import promised_cost
-from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import Lookup
 
@@ -195,7 +195,7 @@ def region_model(found: Findings) -> None:
         return
     limit_swing = None if record.crossed else _known_of_limit_swing(record, settings)
     found.in_use = found.region_model = limit_swing or learned.region_model
-    found.rested_on = _rested_on(record, learned.agreement)
+    found.rested_on = rested_on(record, learned.agreement)
     found.clear = _clear_crossing(found, learned) if record.crossed else clear_case(found, learned)
     now = found.rested_on.with_response(record.response, clear=found.clear)
     if learned.agreement == Agreement.CONTRADICTS:
@@ -207,13 +207,6 @@ def region_model(found: Findings) -> None:
 def _clear_crossing(found: Findings, learned: Learned) -> bool:
     """The same of a response that crossed a border: a setpoint step that the process in motion explains by itself."""
     return found.record.response.sp_changed and learned.agreement in {Agreement.FIRST, Agreement.AGREES}
-
-
-def _rested_on(record: ResponseRecord, agreement: Agreement) -> Excitation:
-    """What the model rested on before this response."""
-    if agreement == Agreement.CHANGED:
-        return record.excitation.of_alternative()
-    return Excitation() if agreement in ANEW else record.excitation
 
 
 def _known_of_limit_swing(record: ResponseRecord, settings: RetunerSettings) -> RegionModel | None:
@@ -432,15 +425,9 @@ def expectation(found: Findings) -> None:
         found.promise is None
         and verdict is not None
         and verdict.accepted
-        and _may_follow(found.question.trial, settings)
+        and may_follow(found.question.trial, settings)
     ):
         found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
-
-
-def _may_follow(trial: Trial, settings: RetunerSettings) -> bool:
-    """Whether a change may follow this response: of a region that rests or cools down, or whose trial it may end."""
-    last_one = trial.kept + 1 >= settings.trial.responses
-    return trial.phase in {TrialPhase.IDLE, TrialPhase.COOLING} or (trial.phase is TrialPhase.TRIAL and last_one)
 
 
 def check_after_trial(found: Findings) -> None:

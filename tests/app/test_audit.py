@@ -351,3 +351,15 @@ def test_a_loop_that_was_exported_under_two_tags_is_visited_once(tmp_path: Path)
     assert (again["action"], again["rank"], groups) == ("the same record as A", 0.0, [])
     assert "exported twice" in again["reason"]
     assert "1 is another loop's record again" in summary(listed, 0)
+
+
+def test_the_list_as_a_table_has_a_row_a_loop_whatever_each_knows(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = [row("A", 0.5, screen={"harris": 0.3}), row("B", 0.2, reason="none"), row("C", 0.1, screen={"gaps": 2})]
+    write_results(tmp_path, rows, [], [])
+    table_of = parquet.read_table(tmp_path / "audit.parquet").to_pydict()
+
+    assert table_of["tag"] == ["A", "B", "C"]
+    assert table_of["screen_harris"] == [0.3, None, None]
+    assert table_of["screen_gaps"] == [None, None, 2]
+    assert table_of["reason"] == [None, "none", None]

@@ -128,6 +128,6 @@ def test_an_audit_takes_logs_and_tables_of_one_folder(
     assert form_from_toml(tmp_path / "record.toml").dbc == form.dbc
     arguments = ["audit", str(folder), "--out", str(out), "--jobs", "1", "--stretches", "1"]
     assert main([*arguments, "--dbc", form.dbc[0]]) == 0
-    assert "FIC101                repair the valve" in capsys.readouterr().out
+    assert "FIC101: repair the valve" in capsys.readouterr().out
     assert main([*arguments]) == 0
     assert "give the file with --dbc" in capsys.readouterr().err

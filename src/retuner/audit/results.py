@@ -357,10 +357,14 @@ def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
         import pyarrow.parquet as pq  # noqa: PLC0415
     except ImportError:
         return
-    flat = []
-    for row in rows:
+    columns: dict[str, list[object]] = {}
+    for place, row in enumerate(rows):
         screen = row.get("screen")
-        plain = {k: v for k, v in row.items() if not isinstance(v, (Mapping, list))}
-        flat.append(plain | ({f"screen_{k}": v for k, v in screen.items()} if isinstance(screen, Mapping) else {}))
-    names = dict.fromkeys(name for row in flat for name in row)
-    pq.write_table(pa.table({name: [row.get(name) for row in flat] for name in names}), path)
+        told = {f"screen_{k}": v for k, v in screen.items()} if isinstance(screen, Mapping) else {}
+        told |= {k: v for k, v in row.items() if not isinstance(v, (Mapping, list))}
+        for name in told.keys() - columns.keys():
+            columns[name] = [None] * place
+        for name, values in columns.items():
+            values.append(told.get(name))
+    first = [name for name in rows[0] if name in columns] if rows else []
+    pq.write_table(pa.table({name: columns[name] for name in dict.fromkeys([*first, *sorted(columns)])}), path)

@@ -68,7 +68,7 @@ def test_a_load_step_is_found_and_not_taken_for_the_process() -> None:
 def test_the_variable_that_matters_is_chosen_among_others() -> None:
     window = record()
     n = len(window.t_s)
-    design = retuner.design_schedule(window, ["room", "pv"], values={"room": [slow_sine(n)]})
+    design = retuner.design_schedule(window, ["room", "pv"], values={"room": [100 + slow_sine(n)]})
     assert design.variable == "pv"
     assert [e.variable for e in design.design.candidates][:2] == ["room", "pv"]
     assert not design.second

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.schedule_design.curves import Curves, curves
+from retuner.adaptive.schedule_design.motion import Batch, Local, drifted, push_ways
 from retuner.adaptive.schedule_design.shapes import Axis
 from retuner.adaptive.schedule_design.stretches import cut, signals_of
 from retuner.adaptive.signals.sample import FloatArray, Window
@@ -50,3 +51,29 @@ def test_its_push_is_not_taken_for_the_process() -> None:
 def test_left_out_of_the_model_it_becomes_loads_that_no_plant_has() -> None:
     with_push, without = (sum(map(len, found(pushed=pushed).joint.loads)) for pushed in (True, False))
     assert without > with_push
+
+
+def test_a_ramp_of_the_flow_moves_pv_as_its_balance_says() -> None:
+    """At constant co, from rest: what the flow does is a push of one size, and what pv's own way away adds to it."""
+    n, fine, size = 300, 50, -(60.0 - COLD) / HEAT
+    t = np.arange(float(n))
+    flow = np.interp(t, [0.0, 20.0, 60.0], [10.0, 10.0, 25.0])
+    co, y = 10.0 * (60.0 - COLD) / HEAT, np.full(n, 60.0)
+    for i in range(n - 1):
+        y[i + 1] = y[i]
+        for j in range(fine):
+            w = flow[i] + (flow[i + 1] - flow[i]) * (j + 0.5) / fine
+            y[i + 1] += (w * (COLD - y[i + 1]) + HEAT * co) / HOLD_UP / fine
+    window = Window(t, np.zeros(n), y, np.where(t < 5, co, co + 1e-9))
+    batch = Batch.of(cut(signals_of(window, flow, 1)))
+    shape = (len(batch.pv), 1, 1)
+    lag = np.log(HOLD_UP / batch.x)[..., None]
+    local = Local(np.full(shape, np.log(HEAT / HOLD_UP)), np.zeros(shape), lag, None)
+    drift = drifted(batch, local, local.b + lag)
+    # `away` is counted from the stretch's mean: from 60 it is, with the push, the same
+    mean = float(np.mean(batch.pv))
+    pushed = (size + (60.0 - mean) / HEAT) * push_ways(batch, local, [batch.x])[0]
+    told = 60.0 + (pushed + drift)[:, 0, 0]
+    assert np.ptp(y) > 20
+    assert np.max(np.abs(told[:n] - y)) < 0.02 * np.ptp(y)
+    assert np.max(np.abs(60.0 + pushed[:n, 0, 0] - y)) > 0.05 * np.ptp(y), "the drift is needed"
