@@ -348,6 +348,8 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
 
     A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
     """
+    if verdict.urgent:
+        return ""
     record, settings = found.record, found.settings
     if MS_BETWEEN in _wanted(found).diagnosis.evidence:  # what is over its limit is not the middle
         return ""
@@ -355,7 +357,7 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     calmed = _wanted(found).diagnosis.cause is Cause.AGGRESSIVE and verdict.ms_before <= limit
     swings = seen is not None and seen > (settings.swing.damping if calmed else settings.trial.harmless_decay)
     little = cost < settings.worth_iae and not calmed
-    if swings or verdict.urgent or little or verdict.ms_before > settings.guard.ms_worst:
+    if swings or little or verdict.ms_before > settings.guard.ms_worst:
         return ""
     own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
     if own and verdict.ms_before > limit and cost <= settings.own_iae:
