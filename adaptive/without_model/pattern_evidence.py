@@ -6,7 +6,8 @@ one of its extremes: integral action moves it there, unless a limit holds it.
 
 Of a load response: rise_s, until the error is largest; tail_s, from there until it stays inside the noise band;
 rebound, how far it grows again on its way back, as a share of its largest value (a swing that rides on a slow return);
-co_way, how far co ended from where it began, as a share of its travel; and co_overshoot. A load d at the process input
+left_bands, how far pv was from its setpoint just before: a tail of the last response is part of this one; co_way, how
+far co ended from where it began, as a share of its travel; and co_overshoot. A load d at the process input
 is answered by co = co_0 - T d, so co shows the overshoot that a setpoint step of the same loop would show, also where
 the error never changes sign.
 
@@ -55,6 +56,7 @@ class LoadNumbers(Numbers):
     rise_s: float
     tail_s: float
     rebound: float
+    left_bands: float
     co_way: float
     co_overshoot: float | None = None
 
@@ -139,7 +141,10 @@ def _of_load(response: Response, window: Window) -> LoadNumbers | None:
         return None
     top = int(np.argmax(np.abs(error)))
     rise_s, tail_s = float(t_s[top]), float(t_s[outside[-1]] - t_s[top])
-    return LoadNumbers(rise_s, tail_s, _rebound(_smooth(error), response.band), *_of_co(window.co, during))
+    before = (window.sp - window.pv)[window.t_s < response.t_start_s][-SMOOTHED:]
+    left_bands = abs(float(np.mean(before))) / response.band if before.size else 0.0
+    rebound = _rebound(_smooth(error), response.band)
+    return LoadNumbers(rise_s, tail_s, rebound, left_bands, *_of_co(window.co, during))
 
 
 def _rebound(error: FloatArray, band: float) -> float:

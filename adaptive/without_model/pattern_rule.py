@@ -56,6 +56,8 @@ class PatternSettings:
     uneven : ratio of the times between the peaks of a load response above which they are two upsets; default 2.5.
     limited : largest share of the upset with co at a limit; 0.01 to 0.5, default 0.1.
     pulse : share of its own travel that co must end away from where it began after a load; default 0.4.
+    rested_bands : noise bands that pv may have been off before a load, for a response without a second peak to be
+        called slow; default 1.5.
     undying : damping above which a swing may be a valve's or another loop's; default 0.85.
     alone : nothing else looks for such causes: act on an undying swing, too; default no. For comparisons.
 
@@ -126,6 +128,7 @@ class PatternSettings:
     uneven: float = 2.5
     limited: float = 0.1
     pulse: float = 0.4
+    rested_bands: float = 1.5
     undying: float = 0.85
     alone: bool = False
 
@@ -163,6 +166,7 @@ class PatternReading(StrEnum):
     WEAK = "the response is {height_bands:.1f} noise bands high: too small for a response pattern"
     LIMITED = "co was at a limit for {limited_share:.0%} of the response: its pattern does not reflect the tuning"
     PULSE = "co returned to its start: the load was a pulse, which causes overshoot by itself"
+    UNRESTED = "no second peak, and the response before it had not come to rest: too little for more action"
     UNDYING = "lasting oscillation (half-cycle decay ratio {damping:.2f}): stiction or another loop is not ruled out"
 
 
@@ -335,6 +339,8 @@ def _without_second_peak(
     rebound = shown.after_load.rebound if shown.after_load else 0.0
     if m < -settings.dead_zone and rebound > settings.damping_target:
         return PatternReading.LIVELY, _calmer(m, 0.0, 0.0, settings)
+    if shown.after_load and shown.after_load.left_bands > settings.rested_bands:
+        return PatternReading.UNRESTED, Move()
     if gains.ki and _is_long(shown, settings):
         return PatternReading.OVERDAMPED, Move(tau_i=1 / settings.least_up)
     if room <= settings.overshoot_target - settings.co_enough:

@@ -117,6 +117,14 @@ T = np.arange(N - BEFORE) * 2 * math.pi / 200
 KICKED = np.exp(-0.3 * T) * (np.cos(T) - 0.7 * np.sin(T))
 UNEVEN = Response(50.0, 400.0, (Peak(60.0, 1.0), Peak(75.0, -0.4), Peak(160.0, 0.2)), Ending.COMPLETE, False, 0.01)
 LOAD = made(load_decay(0.4), setpoint=False)
+SLOW_LOAD = made(np.exp(-np.arange(N - BEFORE) / 80), setpoint=False)
+
+
+def on_a_tail(window: Window) -> Window:
+    """The same upset while pv is on its way back from the one before it."""
+    return replace(window, pv=window.pv - np.where(window.t_s < BEFORE, 0.2, 0.0))
+
+
 CASES: dict[PatternReading, PatternAdvice] = {
     PatternReading.LIVELY: advised(made(decay(0.5))),
     PatternReading.CALM: advised(made(decay(0.06))),
@@ -133,6 +141,7 @@ CASES: dict[PatternReading, PatternAdvice] = {
     PatternReading.WEAK: advised(made(decay(0.5)), response=seen(made(decay(0.5)), band=0.2)),
     PatternReading.LIMITED: advised(replace(LOAD, co=np.minimum(LOAD.co, 0.8))),
     PatternReading.PULSE: advised(replace(LOAD, co=np.where(LOAD.t_s > 70, 1e-6 * LOAD.t_s, LOAD.co))),
+    PatternReading.UNRESTED: advised(on_a_tail(SLOW_LOAD)),
     PatternReading.UNDYING: advised(made(decay(0.95))),
 }
 
@@ -146,6 +155,11 @@ def test_every_reading_is_reached_and_says_why(reading: PatternReading) -> None:
     if advice.tuning:
         assert "pattern" in advice.sentence
         assert advice.tuning.rule == "pattern"
+
+
+def test_a_load_on_the_tail_of_another_asks_for_no_more_action() -> None:
+    assert advised(SLOW_LOAD).reading is PatternReading.OVERDAMPED
+    assert advised(on_a_tail(SLOW_LOAD)).tuning is None
 
 
 @pytest.mark.parametrize("cause", Cause)
