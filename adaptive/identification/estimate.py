@@ -186,11 +186,13 @@ class RivalModel:
 
 MOST_LOG = math.log(1000)
 """Factors above a thousand are not told apart."""
+FULL_LOG = math.log(10)
+"""Factors from ten on are told in whole numbers."""
 
 
 def factor_text(log: float) -> str:
-    """A logarithm as the factor people think in."""
-    return f"{math.exp(log):.2f}" if log < MOST_LOG else "over 1000"
+    """A logarithm as the factor people think in; a large one without the decimals that nobody knows."""
+    return f"{math.exp(log):.{2 if log < FULL_LOG else 0}f}" if log < MOST_LOG else "over 1000"
 
 
 MOST_DIGITS = 6
