@@ -27,8 +27,8 @@ from retuner.schedule.gains import PidGains
 class SwingSettings:
     """Settings.
 
-    damping : (E3 - E2)/(E1 - E2) from which a load response of three peaks swings on; 0.3 to 0.9, default 0.5 (a
-        quarter of the amplitude after a period; what is left of a well-tuned loop is far less).
+    damping : (E3 - E2)/(E1 - E2) from which a load response of three peaks swings on, or the overshoot of one of two;
+        0.3 to 0.9, default 0.5 (a quarter of the amplitude after a period; a well-tuned loop leaves far less).
     cycles : cycles of a swing that are waited for before anything is said; 3 to 10, default 4.
     most_cycles : cycles of the stretch that are looked at; 5 to 30, default 12.
     alike : periods within this factor are the same oscillation; 1.05 to 1.5, default 1.5.
@@ -97,9 +97,12 @@ class Standing:
 
 
 def swings(response: Response, settings: SwingSettings) -> bool:
-    """Whether a response that no setpoint step began hardly decays."""
-    damping = response.damping
-    return not response.sp_changed and damping is not None and damping > settings.damping
+    """Whether a response that no setpoint step began hardly decays; of two peaks, the second is as large as the first.
+
+    Of a clean decay overshoot and damping are equal; a tone that is slower than was waited has no third peak yet.
+    """
+    decay = response.overshoot if response.damping is None else response.damping
+    return not response.sp_changed and decay is not None and decay > settings.damping
 
 
 def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = True) -> list[LoopSample]:

@@ -57,7 +57,8 @@ def samples(errors: Iterable[float], *, limited: int = 0, revision: int = 0) -> 
         (response(1.0, -0.9, 0.8), True),
         (response(1.0, -0.9, 0.8, sp_changed=True), False),
         (response(1.0, -0.2, 0.04), False),
-        (response(1.0, -0.9), False),
+        (response(1.0, -0.9), True),
+        (response(1.0, -0.2), False),
         (response(1.0), False),
     ],
 )
