@@ -165,6 +165,7 @@ def ran(session: Path) -> Config:
         ("sample_time_s = 0.1", "sample_time_s = 0.2", "loop.sample_time_s is 0.2"),
         ('name = "all"', 'name = "one"', "has the regions one, the session ran all"),
         ('variable = "sp"', 'variable = "pv"', "its regions are of another variable"),
+        ("kc = 5.0", "kc = 2.0", "the gains of region 'all' are neither those at the start"),
         ('variable = "sp"', 'lookup = "interpolated"', "schedule.lookup is interpolated"),
     ],
     ids=lambda it: it[:20],
@@ -174,6 +175,13 @@ def test_it_goes_only_where_its_records_came_from(tmp_path: Path, ran: Config, w
     config.write_text(SHORT.replace(was, now))
     with pytest.raises(UserError, match=re.escape(told)):
         schedule_into(config, OTHER, ran, "")
+
+
+def test_gains_that_the_session_left_are_its_own(tmp_path: Path, ran: Config) -> None:
+    config = tmp_path / "short.toml"
+    config.write_text(SHORT.replace("kc = 5.0", "kc = 2.0"))
+    left = load_session(config)[0].loops[0].gain_table()
+    assert schedule_into(config, OTHER, ran, "", left).text
 
 
 def test_what_was_taken_up_is_not_taken_up_again(tmp_path: Path, ran: Config) -> None:

@@ -20,6 +20,7 @@ from retuner.config.model import Config
 from retuner.config.session_config import SessionConfig
 from retuner.decisions.proposed_schedule import digest_of, stands
 from retuner.errors import UserError
+from retuner.gain_export.into_config import sameness
 from retuner.schedule.table import GainTable
 from retuner.scheduling import schedule_section
 
@@ -36,10 +37,11 @@ class Written(NamedTuple):
     comments: int
 
 
-def schedule_into(path: Path, table: GainTable, ran: Config, note: str) -> Written:
+def schedule_into(path: Path, table: GainTable, ran: Config, note: str, ended: GainTable | None = None) -> Written:
     """The configuration with this schedule in place of its own.
 
-    table : as proposed. ran : the loop as the session ran it. note : a comment above the section.
+    table : as proposed. ran : the loop as the session ran it. note : a comment above the section. ended : the gains at
+    the session's end, where they are known; the configuration may have them by now.
 
     Raises
     ------
@@ -52,7 +54,7 @@ def schedule_into(path: Path, table: GainTable, ran: Config, note: str) -> Writt
     own = session.loops[place]
     if own.schedule.proposal == digest_of(table) and stands(own):
         raise UserError(f"{path}: has this schedule already; nothing is left to do")
-    differences = [*_differences(own, ran)]
+    differences = [*_differences(own, ran), *_edited(own, ran.gain_table(), ended)]
     if differences:
         raise UserError(f"{path}: {differences[0]}; a schedule goes only where its records came from")
     _require_free(path, own)
@@ -99,14 +101,23 @@ def _differences(config: Config, ran: Config) -> Iterator[str]:
         yield f"schedule.lookup is {here.lookup}, the session ran with {there.lookup}"
 
 
+def _edited(config: Config, began: GainTable, ended: GainTable | None) -> Iterator[str]:
+    """Regions whose gains somebody has changed since: they would go without a word."""
+    same = sameness(config)
+    for i, (name, gains) in enumerate(zip(began.regions.names, config.gains(), strict=False)):
+        known = [one.gains[i] for one in (began, ended) if one is not None and one.regions == began.regions]
+        if not any(same(gains, one) for one in known):
+            yield f"the gains of region {name!r} are neither those at the start of the session nor those at its end"
+
+
 def _require_free(path: Path, config: Config) -> None:
     """A region that somebody holds would be let go with the section."""
     for region in config.schedule.regions:
         held = [key for key in ("mode", "locked") if getattr(region, key) is not None]
         if held:
             raise UserError(
-                f"{path}: region {region.name!r} has its own {' and '.join(held)}, which the proposed schedule would "
-                "undo; take that out of the region first"
+                f"{path}: region {region.name!r} has its own {' and '.join(held)}, which would go with the old "
+                "schedule; take that out of the region first"
             )
 
 

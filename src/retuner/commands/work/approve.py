@@ -20,9 +20,11 @@ from retuner.errors import LedgerError, UserError, one_line, user_input
 from retuner.files import write_whole
 from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
+from retuner.schedule.document import from_toml
+from retuner.schedule.table import GainTable
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
-from retuner.session.outputs import CONFIG, LEDGER, loop_folder
+from retuner.session.outputs import CONFIG, GAINS, LEDGER, loop_folder
 from retuner.session.recorded_session import believed_rows, ledger_path, rows_by_loop
 
 SHORTEST = SHORT
@@ -195,7 +197,7 @@ def _take_up(place: LoopPlace, full: str, into: Path | None, person: Person, *, 
     why = f": {person.note}" if person.note else ""
     note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {person.name()} on {today}{why}")
     _require_no_session(into)
-    written = schedule_into(into, table, place.config, note)
+    written = schedule_into(into, table, place.config, note, _gains_at_end(place))
     write_whole(into, written.text)
     document = {"session": str(place.session), "approved": full, "schedule": str(into), "comments": written.comments}
     parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
@@ -204,6 +206,14 @@ def _take_up(place: LoopPlace, full: str, into: Path | None, person: Person, *, 
         told += f"; comments on {written.comments} lines of the old section went with it"
     _tell(document, told, as_json=as_json)
     return 0
+
+
+def _gains_at_end(place: LoopPlace) -> GainTable | None:
+    """The table that the session left; None where there is none that can be read."""
+    try:
+        return from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 def _require_no_session(into: Path) -> None:
