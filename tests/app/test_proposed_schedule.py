@@ -5,6 +5,7 @@ import re
 import shutil
 import sys
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,10 @@ from recorded import SHORT, bodies, rewritten, run_short
 EXAMPLES = Path(__file__).parents[2] / "examples"
 REGIONS = Regions("sp", "bar", ("part 1", "part 2"), 1.0, (2.5,), 9.0, 0.1)
 OTHER = GainTable("short", REGIONS, (PidGains(4.0, 1.0), PidGains(3.123456789, 0.8)), revision=1)
+
+ONE = GainTable(
+    "short", Regions.along(("all",), replace(REGIONS.axes[0], low=0.0, bounds=(), high=10.0)), OTHER.gains[:1]
+)
 
 
 def proposal(table: GainTable = OTHER) -> Refinement:
@@ -208,6 +213,19 @@ def test_comments_of_the_next_section_stay_and_others_are_counted(tmp_path: Path
     assert "\n\n# What the retuner may do.\n# Ask Ada first.\n[adaptation]" in written.text
     assert "where the proposed" not in written.text
     assert (written.comments, "2019" in written.text) == (2, False)
+
+
+def test_a_loop_without_a_section_of_its_own_gets_one_above_the_comments_of_the_next(tmp_path: Path) -> None:
+    config = tmp_path / "two.toml"
+    top = SHORT[SHORT.index("[schedule]") : SHORT.index("[device]")]
+    loop = SHORT[SHORT.index("name =") : SHORT.index("[schedule]")]
+    second = loop.replace("short", "long") + "[loop.bus]\nnode = 9\n"
+    config.write_text(f"schema = 1\n{top}\n[[loop]]\n{loop}[loop.bus]\nnode = 8\n\n# The long one.\n[[loop]]\n{second}")
+    loops = load_session(config)[0].loops
+    text = schedule_into(config, ONE, loops[0], "").text
+    assert "\n\n# The long one.\n[[loop]]\n" in text
+    assert text.count("# The long one.") == 1
+    assert schedule_into(config, replace(ONE, loop="long"), loops[1], "").text.startswith(config.read_text())
 
 
 def test_line_ends_stay(tmp_path: Path, ran: Config) -> None:

@@ -123,20 +123,30 @@ def _require_free(path: Path, config: Config) -> None:
 
 def _replaced(text: str, loop: int | None, table: GainTable, note: str) -> Written:
     """The text with the new section. What stands below the last key of the old one belongs to the next: it stays."""
-    document = tomlkit.parse(text)
+    crlf = "\n" not in text.replace("\r\n", "")
+    document = tomlkit.parse(text.replace("\r\n", "\n") if crlf else text)
     holder: Any = document if loop is None else document["loop"][loop]
-    old = holder["schedule"].as_string().replace("\r\n", "\n") if "schedule" in holder else ""
-    kept = _below(old)
+    own = "schedule" in holder
+    old = holder["schedule"].as_string() if own else ""
+    kept = _below(old if own else holder.as_string())
+    comments = sum("#" in STRINGS.sub("", line) for line in old.removesuffix(kept).splitlines())
+    comments += own and bool(holder["schedule"].trivia.comment)
     section = _section(table, note)
     last: Any = section["region"]
     last[-1].add(tomlkit.comment(END))
-    head = "schedule" in holder and holder["schedule"].trivia.comment
     holder["schedule"] = section
-    written = re.sub(rf"# {END}\n(\n?)", lambda end: kept or end[1], tomlkit.dumps(document), count=1)
-    if "\n" not in text.replace("\r\n", ""):
-        written = written.replace("\r\n", "\n").replace("\n", "\r\n")
-    inner = old.removesuffix(kept).splitlines()
-    return Written(written, sum("#" in STRINGS.sub("", line) for line in inner) + bool(head))
+    written = tomlkit.dumps(document)
+    if not own:
+        written = _lifted(written, kept, str(section["proposal"]))
+    written = re.sub(rf"# {END}\n(\n?)", lambda end: kept or end[1], written, count=1)
+    return Written(written.replace("\n", "\r\n") if crlf else written, comments)
+
+
+def _lifted(written: str, kept: str, digest: str) -> str:
+    """The text without what stands above a new section at the end of its loop and belongs below it."""
+    start = written.rindex("[loop.schedule]", 0, written.index(digest))
+    above = written[:start].rstrip().removesuffix(kept.strip()).rstrip()
+    return f"{above}\n\n{written[start:]}"
 
 
 def _below(section: str) -> str:
