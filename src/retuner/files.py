@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import stat
 from pathlib import Path
 
 
@@ -11,7 +12,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
     Parameters
     ----------
-    path : where; a symbolic link stays and its target is replaced. content : text is written as UTF-8.
+    path : where; a symbolic link stays and its target is replaced, its permissions are kept. content : text is
+        written as UTF-8.
 
     Raises
     ------
@@ -23,10 +25,15 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise IsADirectoryError(errno.EISDIR, "is a folder; give the name of a file", str(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, f"the folder {path.parent} does not exist; make it first", str(path))
+    old = target.exists()
+    if old and not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "may not be written; give another file or allow it", str(path))
     raw = content.encode("utf-8") if isinstance(content, str) else content
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as stream:
+            if old:
+                temporary.chmod(stat.S_IMODE(target.stat().st_mode))
             stream.write(raw)
             stream.flush()
             os.fsync(stream.fileno())

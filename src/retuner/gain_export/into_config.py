@@ -48,7 +48,7 @@ def into_config(path: Path, table: GainTable) -> tuple[str, list[str]]:
         )
     place = session.place(table.loop if session.several else None)
     config, several = session.loops[place], session.several
-    same = _sameness(config)
+    same = sameness(config)
     names = [region.name for region in config.schedule.regions]
     if sorted(names) != sorted(table.regions.names):
         raise UserError(
@@ -77,7 +77,7 @@ def _require_own_boundaries(path: Path, config: Config, table: GainTable) -> Non
         )
 
 
-def _sameness(config: Config) -> Same:
+def sameness(config: Config) -> Same:
     """Whether two sets are one set on the configured controller."""
     units = vendor_units(config)
     held = to_wire if units is None else units.rounded

@@ -20,9 +20,11 @@ from retuner.errors import LedgerError, UserError, one_line, user_input
 from retuner.files import write_whole
 from retuner.gain_export.schedule_into import schedule_into
 from retuner.ledger.lock import WriterLock
+from retuner.schedule.document import from_toml
+from retuner.schedule.table import GainTable
 from retuner.session.order_queue import SHORT, Shown, shown, superseded
 from retuner.session.orders import Order, OrderKind, put_order
-from retuner.session.outputs import CONFIG, loop_folder
+from retuner.session.outputs import CONFIG, GAINS, LEDGER, loop_folder
 from retuner.session.recorded_session import believed_rows, ledger_path, rows_by_loop
 
 SHORTEST = SHORT
@@ -147,6 +149,8 @@ def approve(session: Path, asked: Asked, person: Person, *, as_json: bool) -> in
     found = places(session, asked.loop)
     if asked.every and (unlock or digest) is not None:
         raise UserError("--all: lists proposals; leave it out to approve or unlock one")
+    if unlock is not None and asked.into is not None:
+        raise UserError("--into: takes up a proposed schedule; leave it out to unlock a region")
     if unlock is not None:
         return _unlock(only_place(session, asked.loop), unlock, digest, person, as_json=as_json)
     if digest is None and asked.into is not None:
@@ -192,11 +196,31 @@ def _take_up(place: LoopPlace, full: str, into: Path | None, person: Person, *, 
     today = dt.datetime.now(dt.UTC).date().isoformat()
     why = f": {person.note}" if person.note else ""
     note = one_line(f"proposal {full[:SHORTEST]} of {place.session}, approved by {person.name()} on {today}{why}")
-    write_whole(into, schedule_into(into, table, note))
-    document = {"session": str(place.session), "approved": full, "schedule": str(into)}
+    _require_no_session(into)
+    written = schedule_into(into, table, place.config, note, _gains_at_end(place))
+    write_whole(into, written.text)
+    document = {"session": str(place.session), "approved": full, "schedule": str(into), "comments": written.comments}
     parts = f"{len(table.gains)} regions along {table.regions.axes[0].label}"
-    _tell(document, f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it", as_json=as_json)
+    told = f"{into}: has the schedule {full[:SHORTEST]} now, {parts}; its next run uses it"
+    if written.comments:
+        told += f"; comments on {written.comments} lines of the old section went with it"
+    _tell(document, told, as_json=as_json)
     return 0
+
+
+def _gains_at_end(place: LoopPlace) -> GainTable | None:
+    """The table that the session left; None where there is none that can be read."""
+    try:
+        return from_toml((place.folder / GAINS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def _require_no_session(into: Path) -> None:
+    """What a session ran is its record: a replay reads it."""
+    folder = into.resolve().parent
+    if (folder / LEDGER).exists():
+        raise UserError(f"--into {into}: belongs to the session recorded there; name the configuration of the next run")
 
 
 def _closed(place: LoopPlace, full: str) -> str:
@@ -268,6 +292,9 @@ def _full_hash(found: Sequence[LoopPlace], digest: str) -> tuple[LoopPlace, str]
     meant = [(place, one) for place, one in known if one.startswith(digest)]
     if len(meant) != 1:
         what = "no proposal begins like this" if not meant else f"{len(meant)} proposals begin like this, give more"
+        if len({one for _, one in meant}) == 1:
+            names = " and ".join(place.name for place, _ in meant)
+            what = f"{names} have this very proposal, name the loop with --loop"
         raise UserError(f"HASH {digest}: {what}; `retuner approve {session}` lists them")
     return meant[0]
 
