@@ -20,6 +20,21 @@ def _bound(what: str) -> Setting:
     return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 
+WHOLE_STEP = {"step_up_max": 100.0, "step_down_max": 100.0} | dict.fromkeys(
+    (
+        "kc_up_max",
+        "kc_down_max",
+        "tau_i_shorter_max",
+        "tau_i_longer_max",
+        "tau_d_up_max",
+        "tau_d_down_max",
+        "integral_up_max",
+        "integral_down_max",
+    )
+)
+"""The limits per change where none holds: the largest that may be set, and none for a single parameter."""
+
+
 @dataclass(frozen=True, slots=True)
 class GuardSettings:
     """Settings. More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
@@ -145,6 +160,11 @@ class GuardSettings:
         for least, most in (("ms_nominal", "ms_worst"), ("kc_min", "kc_max"), ("tau_i_min_s", "tau_i_max_s")):
             if getattr(self, least) > getattr(self, most):
                 raise ValueError(f"guard: {least} = {getattr(self, least):g} is above {most} = {getattr(self, most):g}")
+
+    def whole_step(self) -> "GuardSettings":
+        """The same without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
+        wide = {name: 1.0 if getattr(self, name) == 1.0 else most for name, most in WHOLE_STEP.items()}
+        return replace(self, **wide)
 
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""
