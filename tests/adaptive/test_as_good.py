@@ -67,7 +67,9 @@ def test_a_robust_loop_is_not_moved_for_next_to_nothing(ms: float, iae: float, u
 def test_small_steps_are_weighed_by_the_way_that_they_are_of() -> None:
     """Each of them brings less than a change must; together they bring much."""
     small = replace(USUAL, guard=replace(USUAL.guard, step_up_max=1.1))
-    written = [d for d in Bench(Retuner(table(scaled(0.4, 0.4)), small), seed=2).exercise(4) if d.gains_after is not None]
+    written = [
+        d for d in Bench(Retuner(table(scaled(0.4, 0.4)), small), seed=2).exercise(4) if d.gains_after is not None
+    ]
     assert len(written) >= 2
     assert all(d.gains_after.kp == pytest.approx(1.1 * d.gains_before.kp) for d in written if d.gains_after)
 
