@@ -371,7 +371,8 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     little = cost < settings.worth_iae and not calmed
     if swings or little or verdict.ms_before > settings.guard.ms_worst:
         return ""
-    own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
+    now, tried = record.table.gains_of(record.region), found.question.trial
+    own = now != record.commissioned.gains_of(record.region) and tried.may_be_ours(now)
     if own and verdict.ms_before > limit and cost <= settings.own_iae:
         return ""
     if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):

@@ -41,6 +41,14 @@ def test_what_retuner_wrote_itself_is_corrected_where_that_costs_little() -> Non
         assert ("commit" in actions) is written
 
 
+def test_a_persons_set_is_not_corrected_as_if_retuner_had_written_it() -> None:
+    """The same gains and the same baseline, but a person has set them."""
+    ours, theirs = scaled(0.8, 0.8), scaled(1.1, 1.1)
+    retuner = Retuner(table(theirs), replace(USUAL, own_iae=1.25), commissioned=table(scaled(2.0, 2.0)))
+    retuner.trials.edited(0, theirs, ours, -1e6)  # its hold is long over
+    assert "commit" not in {str(d.action) for d in Bench(retuner, seed=2).exercise()}
+
+
 def test_without_that_it_would_be_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(replace(USUAL, worth_iae=2.0, behaving_records=1), 1.1)}
 
