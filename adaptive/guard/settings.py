@@ -20,19 +20,9 @@ def _bound(what: str) -> Setting:
     return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 
-WHOLE_STEP = {"step_up_max": 100.0, "step_down_max": 100.0} | dict.fromkeys(
-    (
-        "kc_up_max",
-        "kc_down_max",
-        "tau_i_shorter_max",
-        "tau_i_longer_max",
-        "tau_d_up_max",
-        "tau_d_down_max",
-        "integral_up_max",
-        "integral_down_max",
-    )
-)
-"""The limits per change where none holds: the largest that may be set, and none for a single parameter."""
+def _wide(limit: float | None) -> float | None:
+    """A parameter's own limit per change where none holds; factor 1 says that it may not move."""
+    return limit if limit == 1.0 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +153,19 @@ class GuardSettings:
 
     def whole_step(self) -> "GuardSettings":
         """The same without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
-        wide = {name: 1.0 if getattr(self, name) == 1.0 else most for name, most in WHOLE_STEP.items()}
-        return replace(self, **wide)
+        return replace(
+            self,
+            step_up_max=1.0 if self.step_up_max == 1.0 else 100.0,
+            step_down_max=1.0 if self.step_down_max == 1.0 else 100.0,
+            kc_up_max=_wide(self.kc_up_max),
+            kc_down_max=_wide(self.kc_down_max),
+            tau_i_shorter_max=_wide(self.tau_i_shorter_max),
+            tau_i_longer_max=_wide(self.tau_i_longer_max),
+            tau_d_up_max=_wide(self.tau_d_up_max),
+            tau_d_down_max=_wide(self.tau_d_down_max),
+            integral_up_max=_wide(self.integral_up_max),
+            integral_down_max=_wide(self.integral_down_max),
+        )
 
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""
