@@ -9,6 +9,7 @@ gains that suit their knots is (1 + 1/r)/2 of the first. Their product exceeds t
 region answers for its own half of every way to a neighbour. Up to a border of a table of steps it is sqrt(r) whole.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -68,10 +69,16 @@ def eased(
     sample_time_s: float,
     filter_s: float = 0.0,
 ) -> PidGains:
-    """As much of the wanted gains as keeps Ms within a limit on the region's part; other arguments as above."""
+    """As much of the wanted gains as keeps Ms within a limit on the region's part; other arguments as above.
+
+    Where no share does, the one of least Ms: of an integrating process, less gain at the same tau_I may be less robust.
+    """
+    least, easiest = math.inf, wanted
     for share in EASED:
         gains = PidGains(wanted.kp * share, wanted.ki * share, wanted.kd * share)
         found = worst_between(borders, own, gains, sample_time_s, filter_s)
         if found is None or found.ms <= limit:
-            break
-    return gains
+            return gains
+        if found.ms <= least:
+            least, easiest = found.ms, gains
+    return easiest

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from retuner.adaptive.guard.request import Beside, NeighbourBorder
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel, ProcessType
@@ -107,12 +108,17 @@ def at_border(
         asked = [(ms_of(pair, new, share), pair) for pair in pairs]
         for ms, pair in asked:
             worst = max(worst, ms)
-            proper = proper and (ms <= limit or ms <= ms_of(pair, old, share))
+            proper = proper and (ms <= limit or no_worse(ms, ms_of(pair, old, share), old, new))
         if not proper:
             break
         if place == 0 and pairs:
             pairs = [pairs[0], max(asked, key=lambda one: one[0])[1]]
     return (worst if pairs else math.nan), proper
+
+
+def no_worse(after: float, before: float, old: PidGains, new: PidGains) -> bool:
+    """Whether an Ms is no larger than before. Of two unstable loops only less of everything is no worse for certain."""
+    return after <= before and (math.isfinite(after) or less_of_everything(old, new))
 
 
 def _pairs(border: NeighbourBorder, own: Sequence[Plausible]) -> list[tuple[ProcessModel, ProcessModel]]:

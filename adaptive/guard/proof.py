@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
-from retuner.adaptive.guard.border import at_border
+from retuner.adaptive.guard.border import at_border, no_worse
 from retuner.adaptive.guard.checks import (
     evidence_checks,
     evidence_doubt,
@@ -195,8 +195,10 @@ class _Case:
 
     def calmer_between(self, gains: PidGains) -> bool:
         """Whether gains are no more than allowed between the knots, or less than what is in force."""
-        limit = self.settings.ms_border
-        return self.between <= limit or self.most_between(gains) <= max(limit, self.between * CALMED)
+        limit, old = self.settings.ms_border, self.request.in_force
+        if self.between <= limit:
+            return True
+        return no_worse(self.most_between(gains), max(limit, self.between * CALMED), old, gains)
 
     @property
     def urgent(self) -> bool:

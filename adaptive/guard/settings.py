@@ -20,6 +20,11 @@ def _bound(what: str) -> Setting:
     return Setting(f"{what}; absent: no limit", 0.0, unit="s", source="user", absent=True)
 
 
+def _wide(limit: float | None) -> float | None:
+    """A parameter's own limit per change where none holds; factor 1 says that it may not move."""
+    return limit if limit == 1.0 else None
+
+
 @dataclass(frozen=True, slots=True)
 class GuardSettings:
     """Settings. More action is a larger kc, tau_D or kc/tau_I and a shorter tau_I.
@@ -145,6 +150,22 @@ class GuardSettings:
         for least, most in (("ms_nominal", "ms_worst"), ("kc_min", "kc_max"), ("tau_i_min_s", "tau_i_max_s")):
             if getattr(self, least) > getattr(self, most):
                 raise ValueError(f"guard: {least} = {getattr(self, least):g} is above {most} = {getattr(self, most):g}")
+
+    def whole_step(self) -> "GuardSettings":
+        """The same without a limit per change: a whole way at once. What may not move at all (factor 1) stays."""
+        return replace(
+            self,
+            step_up_max=1.0 if self.step_up_max == 1.0 else 100.0,
+            step_down_max=1.0 if self.step_down_max == 1.0 else 100.0,
+            kc_up_max=_wide(self.kc_up_max),
+            kc_down_max=_wide(self.kc_down_max),
+            tau_i_shorter_max=_wide(self.tau_i_shorter_max),
+            tau_i_longer_max=_wide(self.tau_i_longer_max),
+            tau_d_up_max=_wide(self.tau_d_up_max),
+            tau_d_down_max=_wide(self.tau_d_down_max),
+            integral_up_max=_wide(self.integral_up_max),
+            integral_down_max=_wide(self.integral_down_max),
+        )
 
     def opened(self, factor: float) -> "GuardSettings":
         """The same with every limit on the size of a change at one factor, the commissioned set's among them."""

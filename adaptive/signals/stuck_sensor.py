@@ -1,6 +1,6 @@
 """Did the sensor stand still during a record: the same pv to the last digit, sample after sample?
 
-    at least STOOD samples alike, OVER_OTHERS times as many as anywhere else in the record
+    at least STOOD samples alike, OVER_OTHERS times as many as anywhere else in the record (but where it stood again)
     and what else is kept of the loop has noise:  median |second difference| > median |first difference| > 0
 
 A pv in coarse steps, or one without noise, also stands still: at rest, and for a dead time. The last line tells them
@@ -37,7 +37,7 @@ def stood_still(pv: FloatArray, recorded: int) -> StoodStill | None:
     longest = max(runs)
     first = sum(runs[: runs.index(longest)])
     stuck = slice(first, first + longest)
-    others = max((n for i, n in enumerate(runs) if i != runs.index(longest)), default=0)
+    others = max((n for n in runs if n < STOOD), default=0)
     if longest < max(STOOD, OVER_OTHERS * others):
         return None
     rest = (before, pv[: stuck.start], pv[stuck.stop :])

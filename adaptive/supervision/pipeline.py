@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.guard import GuardSettings, Verdict, prove
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -295,8 +295,8 @@ def proof(found: Findings) -> None:
         found.stop(found.verdict.ruling.name.lower(), found.verdict.sentence)
 
 
-def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verdict:
-    """The guard's word on what the rule gives for a model."""
+def _proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
+    """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
     record, now = found.record, float(found.record.window.t_s[-1])
     region_models = {**record.region_models, record.region: model}
     damping = record.pattern.damping if record.pattern is not None else None
@@ -304,7 +304,7 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal) -> Verd
     request = change_request(
         wanted.tuning, record.region, tables, region_models, found.learned, now, found.settings, damping
     )
-    return prove(request, found.settings.guard)
+    return prove(request, guard or found.settings.guard)
 
 
 def refutation(found: Findings) -> None:
@@ -337,10 +337,22 @@ def agreement(found: Findings) -> None:
         code, reason = "as_good", _as_good(found, verdict, cost)
     if not reason and _wanted(found).diagnosis.cause is not Cause.AGGRESSIVE:
         code, reason = "no_gain", no_gain(verdict, cost, settings)
+        if reason and cost < 1.0 and _whole_way_cost(found) < settings.least_gain:
+            reason = ""
     found.promise = promised
     if reason:
         found.verdict = found.basis = found.promise = None
         found.stop(code, reason)
+
+
+def _whole_way_cost(found: Findings) -> float:
+    """IAE after over before, as promised, of the change that the limits per change cut to the present step; 1 where no
+    more is proved. A loop on its way in small steps goes on, though each of them brings little.
+    """
+    record, settings = found.record, found.settings
+    whole = _proved(found, _in_use(found), _wanted(found), settings.guard.whole_step())
+    promised = promise_of(whole, record.table, record.region, record.at, record.pattern, settings)
+    return promised_cost(promised) if promised is not None else 1.0
 
 
 def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
@@ -359,7 +371,8 @@ def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
     little = cost < settings.worth_iae and not calmed
     if swings or little or verdict.ms_before > settings.guard.ms_worst:
         return ""
-    own = record.table.gains_of(record.region) != record.commissioned.gains_of(record.region)
+    now, tried = record.table.gains_of(record.region), found.question.trial
+    own = now != record.commissioned.gains_of(record.region) and tried.may_be_ours(now)
     if own and verdict.ms_before > limit and cost <= settings.own_iae:
         return ""
     if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):

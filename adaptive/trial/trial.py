@@ -60,6 +60,13 @@ class Trial:
         swings = max(said.decay_before(setpoint=True), said.decay_before(setpoint=False)) if said else 0.0
         return SetsThatRan(self.old, self.new if self.ran else None, self.earlier, swung, swings)
 
+    def may_be_ours(self, gains: PidGains) -> bool:
+        """Whether gains in force may be a set that was promised and written: a person's comes without a promise.
+
+        True where nothing was ever changed here: then nobody is known to have set them since.
+        """
+        return self.new is None or (self.promise is not None and self.ran and gains == self.new)
+
     def with_earlier(self, gains: PidGains | None) -> "Trial":
         """The same with one more set that ran here."""
         if gains is None:

@@ -120,6 +120,12 @@ def test_a_signal_without_noise_or_in_coarse_steps_may_stand_still() -> None:
     assert judged(stood(swing(), range(50, 65))).admitted  # for shorter than is told
 
 
+def test_a_sensor_that_stood_still_twice_is_stuck() -> None:
+    """The other time is not what this sensor does by itself."""
+    twice = changed(stood(swing(), range(35, 60)), range(75, 100), pv=0.4)
+    assert judged(twice).ground is Ground.PV_STUCK
+
+
 def test_a_sensor_that_stood_still_to_the_beginning_of_the_record_is_told_by_the_noise_before_it() -> None:
     samples = stood(swing(), range(AT - 10, AT + 40))
     cut = samples[AT - 10 :]

@@ -41,6 +41,14 @@ def test_what_retuner_wrote_itself_is_corrected_where_that_costs_little() -> Non
         assert ("commit" in actions) is written
 
 
+def test_a_persons_set_is_not_corrected_as_if_retuner_had_written_it() -> None:
+    """The same gains and the same baseline, but a person has set them."""
+    ours, theirs = scaled(0.8, 0.8), scaled(1.1, 1.1)
+    retuner = Retuner(table(theirs), replace(USUAL, own_iae=1.25), commissioned=table(scaled(2.0, 2.0)))
+    retuner.trials.edited(0, theirs, ours, -1e6)  # its hold is long over
+    assert "commit" not in {str(d.action) for d in Bench(retuner, seed=2).exercise()}
+
+
 def test_without_that_it_would_be_made_slower() -> None:
     assert "commit" in {str(d.action) for d in decided(replace(USUAL, worth_iae=2.0, behaving_records=1), 1.1)}
 
@@ -62,6 +70,16 @@ def test_a_loop_that_is_over_its_limit_on_every_model_is_made_slower() -> None:
 def test_a_robust_loop_is_not_moved_for_next_to_nothing(ms: float, iae: float, urgent: bool, stays: bool) -> None:
     verdict = Verdict(Ruling.ACCEPTED, scaled(2.0, 2.0), 1.0, 1.6, 1.8, ms, 5.0, urgent=urgent)
     assert bool(no_gain(verdict, iae, USUAL)) is stays
+
+
+def test_small_steps_are_weighed_by_the_way_that_they_are_of() -> None:
+    """Each of them brings less than a change must; together they bring much."""
+    small = replace(USUAL, guard=replace(USUAL.guard, step_up_max=1.1))
+    written = [
+        d for d in Bench(Retuner(table(scaled(0.4, 0.4)), small), seed=2).exercise(4) if d.gains_after is not None
+    ]
+    assert len(written) >= 2
+    assert all(d.gains_after.kp == pytest.approx(1.1 * d.gains_before.kp) for d in written if d.gains_after)
 
 
 @pytest.mark.parametrize(

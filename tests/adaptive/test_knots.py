@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.fit.structure import parameters_of
-from retuner.adaptive.guard import prove
+from retuner.adaptive.guard import NeighbourBorder, prove
+from retuner.adaptive.guard.between import eased
 from retuner.adaptive.guard.border import between_models
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -188,3 +189,14 @@ def test_beyond_the_border_of_a_step_stands_in_what_the_others_lend() -> None:
     assert len(low.models) > 1
     (lent,) = high.models
     assert lent.model.k > 4.4  # the gain that rises goes on, as far as the prior of slopes believes it
+
+
+@pytest.mark.parametrize(("slope", "share"), [(0.0005, 1.0), (0.16, 0.5)])
+def test_where_no_share_is_within_the_limit_the_one_of_least_ms_is_taken(slope: float, share: float) -> None:
+    """An integral that is too strong for its gain swings more with less of both; other loops swing less."""
+    own = ProcessModel(ProcessType.INTEGRATING, 0.01, theta_s=10.0)
+    there = (Plausible(replace(own, k=slope), 0.0),)
+    wanted = PidGains(5.0, 5.0 / 80.0)
+    border = NeighbourBorder("next", wanted, there, 1.0, False)
+    found = eased(wanted, [border], own, 1.2, 1.0)
+    assert found.kp == pytest.approx(share * wanted.kp)

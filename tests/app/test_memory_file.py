@@ -19,7 +19,7 @@ from retuner.session import memory_file
 from retuner.session.assembly import make_retuner, retuner_settings
 from retuner.session.ledger_rows import gains_of
 from retuner.session.loop_session import LoopSession
-from retuner.session.memory_file import MemoryFile, NoMemoryError, recall, started_with
+from retuner.session.memory_file import MemoryFile, NoMemoryError, about, recall, started_with
 from retuner.session.outputs import LEDGER, MEMORY, MEMORY_BEFORE
 from retuner.session.recorded_session import believed_rows
 from retuner.session.running import Run
@@ -194,6 +194,16 @@ def test_another_configuration_begins_without_memory(whole: Life, config: Config
     other = config.model_copy(update={"loop": config.loop.model_copy(update={"tau_f_s": 1.0})})
     with pytest.raises(NoMemoryError, match="another configuration"):
         recalled(whole.folder, other)
+
+
+def test_a_memory_of_an_earlier_release_is_still_of_the_same_configuration(config: Config) -> None:
+    """A new key with a default must not enter the hash: every memory, and every replay from one, would be refused.
+
+    So must not the proposal that a schedule was taken from.
+    """
+    taken = config.model_copy(update={"schedule": config.schedule.model_copy(update={"proposal": "0" * 64})})
+    for same in (config, taken):
+        assert about(same) == "4f89a50b4033fed9703db0cc11e92fb2932ac7c2fb790ac1af37702191a5dddd"
 
 
 def test_the_session_that_goes_on_is_replayed_from_what_it_began_with(

@@ -63,8 +63,12 @@ def digest(text: str) -> str:
 
 
 def about(config: Config) -> str:
-    """A hash of what a memory depends on: loop, schedule, adaptation, and which controller it is."""
-    body = {name: getattr(config, name).model_dump(mode="json") for name in ("loop", "schedule", "adaptation")}
+    """A hash of what a memory depends on: loop, schedule, adaptation, and which controller it is.
+
+    Not on which proposal the schedule was taken from: that is history, and changes nothing of what runs.
+    """
+    sections = ("loop", "schedule", "adaptation")
+    body = {name: getattr(config, name).model_dump(mode="json", exclude={"proposal"}) for name in sections}
     return digest(json.dumps({**body, "node": config.bus.node}, sort_keys=True))
 
 

@@ -181,3 +181,19 @@ def test_the_table_says_how_far_the_gains_reach() -> None:
 def test_a_border_reaches_no_farther_than_the_neighbour() -> None:
     with pytest.raises(ValueError, match="reach"):
         NeighbourBorder("hot", GAINS, (), 1.1)
+
+
+@pytest.mark.parametrize("neighbour", [20.0, 100.0])
+def test_more_action_is_not_proved_where_the_loop_is_unstable_between_the_knots_before_and_after(
+    neighbour: float,
+) -> None:
+    """Infinity is not less than infinity. Less of everything goes the right way for certain."""
+    beside = border(replace(MODEL, k=1.2 * MODEL.k), 1.0, times(neighbour, neighbour), mixed=True)
+    more = replace(request(times(0.5, 0.5)), borders=(beside,))
+    ms, passed = at_border(beside, more.models, GAINS, more.in_force, 2.1, 1.0)
+    assert ms == math.inf
+    assert not passed
+    assert prove(more, SETTINGS).ruling is Ruling.NOT_ROBUST_AT_BORDER
+    less = replace(request(GAINS, replace(BEST, gains=times(0.5, 0.5))), borders=(beside,))
+    assert at_border(beside, less.models, times(0.5, 0.5), GAINS, 2.1, 1.0)[1]
+    assert prove(less, SETTINGS).accepted
