@@ -248,8 +248,9 @@ def _of_idle(screen: LoopScreen, looked_at: int) -> LoopVerdict:
         f"after loads co and pv come back together (idle index {screen.idle:.2f}): the loop waits for the process. "
         "A setpoint step tells the settings"
     )
-    rank = SURE_IT_WAITS * screen.harris / EFFORT[action] ** 0.5
-    return LoopVerdict(Cause.SLUGGISH, SURE_IT_WAITS, action, reason, None, 0, looked_at, screen.harris, rank)
+    sure, avoidable, basis = SURE_IT_WAITS, error_share(screen.harris), Basis.HARRIS
+    rank = sure * max(avoidable, LEAST_BENEFIT) / EFFORT[action]
+    return LoopVerdict(Cause.SLUGGISH, sure, action, reason, None, 0, looked_at, avoidable, rank, basis)
 
 
 def limit_confidence(screen: LoopScreen) -> float:

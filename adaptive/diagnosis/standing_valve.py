@@ -106,13 +106,14 @@ class Standing:
     """What the plateaus of a record show.
 
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
-    slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps that were answered late and then at once.
+    ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps that were answered late and then at once.
     stands, sticks, dead : the verdicts. rows, sigma, criterion : of the steps; see plateaus.py.
     """
 
     legs: tuple[Leg, ...]
     slips_s: tuple[float, ...]
     agreed: int
+    ends_s: tuple[float, ...]
     slip_lag: float
     silent_s: tuple[float, ...]
     stands: bool
@@ -159,8 +160,8 @@ def standing_verdict(found: Standing, evidence: Mapping[str, float]) -> Diagnosi
             f"pv does not respond ({seen}) to nearly the whole range of co: a closed valve or line, a failed sensor"
         )
         return Diagnosis(Cause.UNKNOWN, 0.7, evidence, reason)
-    slips = ", ".join(f"{t:.5g}" for t in found.slips_s[:MOST_TOLD])
-    told = f"pv does not move while co moves ({seen}), then steps towards co (at {slips} s)"
+    slips = ", ".join(f"{t:.5g}" for t in found.ends_s[:MOST_TOLD])
+    told = f"pv does not move while co moves ({seen})" + f", then steps towards co (at {slips} s)" * bool(slips)
     if found.sticks:
         return Diagnosis(Cause.STICTION, 0.8, evidence, f"{told}: a sticking valve, its stiction band varies")
     return Diagnosis(Cause.UNKNOWN, 0.6, evidence, f"{told}: a sticking valve, or a load that drifts with co")
@@ -184,13 +185,14 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
     agreed = _agreed(rows, found, gains.direction, settings)
-    stands = _long_enough(counted, settings) and _agree(agreed, len(slips)) and _explained(rows.pv, steps, settings)
+    stands = _long_enough(counted, settings) and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     return Standing(
         counted,
         tuple(float(rows.t_s[s]) for s in slips),
-        agreed,
+        len(agreed),
+        tuple(_ends(agreed, counted)),
         steps.lag / tau_i,
         silent,
         stands,
@@ -269,16 +271,23 @@ def _legs(
     return found
 
 
-def _agreed(rows: Window, found: Sequence[Plateau], direction: int, settings: StandingSettings) -> int:
-    """How many steps from plateau to plateau go where co has gone before."""
-    least, count, since = settings.slip_travel * float(np.ptp(rows.co)), 0, 0
+def _agreed(rows: Window, found: Sequence[Plateau], direction: int, settings: StandingSettings) -> list[float]:
+    """When pv steps from plateau to plateau the way that co has gone before, s."""
+    least, since = settings.slip_travel * float(np.ptp(rows.co)), 0
+    agreed = []
     for before, after in pairwise(found):
         at = max(before.last, since + 1)
         way = np.sign(after.level - before.level) * direction
         co = way * rows.co[since:at]
-        count += bool(co[-1] - np.min(co) > least)
+        agreed += [float(rows.t_s[after.first])] if co[-1] - np.min(co) > least else []
         since = at
-    return count
+    return agreed
+
+
+def _ends(agreed: Sequence[float], legs: Sequence[Leg]) -> list[float]:
+    """The slips before which pv stood while co travelled, each since the slip before it."""
+    pairs = pairwise([-np.inf, *agreed])
+    return [slip for last, slip in pairs if any(last < leg.end_s <= slip for leg in legs)]
 
 
 def _silent(rows: Window, steps: Steps, tau_i: float, settings: StandingSettings) -> list[float]:

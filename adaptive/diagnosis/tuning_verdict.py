@@ -25,7 +25,7 @@ from retuner.adaptive.identification.robust_simc import RobustTuning, robust_sim
 from retuner.adaptive.indexes.condition import one_sided
 from retuner.adaptive.indexes.harmonics import pure_tone_s
 from retuner.adaptive.indexes.recording_quality import hidden_sigma
-from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.loop.margins import Margins, margins, sensitivity_peak
 from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.rules.simc import without_second_lag
 from retuner.adaptive.signals.noise import noise_sigma
@@ -134,11 +134,22 @@ def _in_order(loop: Loop, found: Found) -> Found:
     told = f"the loop follows its setpoint without much overshoot, Ms {peaks[0]:.2f}"
     open_because = CONTRADICTED if verdict.reason == UNSTABLE else verdict.reason
     room = robust_simc(estimate, dt, settings.robust).tuning.gains.ki / gains.ki if gains.ki else math.inf
+    evidence = _evidence_of(margins(estimate.plausible[0].model.seen_by_controller(dt).linear(), gains), verdict)
     if max(room, verdict.evidence.get("ki_ratio", 0.0)) > settings.cause.slack:
-        slow = replace(verdict, reason=f"{told}, and is perhaps slower than necessary: {open_because}")
-        return replace(found, diagnosis=slow)
+        slow = f"{told}, and is perhaps slower than necessary: {open_because}"
+        return replace(found, diagnosis=replace(verdict, evidence=evidence, reason=slow))
     reason = f"{told}; the record does not show how fast it could be: {open_because}"
-    return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, verdict.evidence | {"ms": peaks[0]}, reason))
+    return replace(found, diagnosis=Diagnosis(Cause.OK, 0.6, evidence, reason))
+
+
+def _evidence_of(found: Margins, verdict: Diagnosis) -> dict[str, float]:
+    """The evidence of a verdict with the margins of the model that its words rest on; how fast it could be is open."""
+    kept = {name: value for name, value in verdict.evidence.items() if name not in RATIOS}
+    return kept | {"ms": found.ms, "gm": found.gm, "pm_deg": found.pm_deg}
+
+
+RATIOS = frozenset({"ki_ratio", "kp_ratio"})
+"""Evidence of how much faster a loop could be."""
 
 
 def _if_agreed(loop: Loop, found: Found, *, asked: bool = False) -> Found:
@@ -422,5 +433,5 @@ def weighed(
         f"the loop could be faster at Ms {told.evidence['ms']:.2f}; by how much depends on a dead time that no model "
         "of the record shows"
     )
-    known = {name: value for name, value in told.evidence.items() if name not in {"ki_ratio", "kp_ratio"}}
+    known = {name: value for name, value in told.evidence.items() if name not in RATIOS}
     return replace(told, reason=reason, evidence=known)

@@ -201,3 +201,12 @@ def test_a_real_servo_that_overshoots_is_said_to():
     found = api.diagnose(*recorded("../servo/pid_step.csv")).diagnosis
     assert found.cause == Cause.UNKNOWN
     assert "Its setpoint responses overshoot by 4" in found.reason
+
+
+def test_margins_beside_a_verdict_are_of_one_model() -> None:
+    """No loop has a gain margin under Ms / (Ms - 1), nor a phase margin under 2 asin(1 / (2 Ms))."""
+    found = api.diagnose(*recorded("FIC46002_1102_1.csv")).diagnosis
+    ms, gm, pm_deg = (found.evidence[name] for name in ("ms", "gm", "pm_deg"))
+    assert f"Ms {ms:.2f}" in found.reason
+    assert gm >= ms / (ms - 1)
+    assert pm_deg >= np.degrees(2 * np.arcsin(1 / (2 * ms)))

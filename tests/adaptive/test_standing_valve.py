@@ -1,5 +1,7 @@
 """pv that stands while co travels: found in a real record and in simulated ones, and not where a loop is healthy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +12,14 @@ from retuner import api
 from retuner.adaptive.controller_settings.read_off import settings_in_force
 from retuner.adaptive.controller_settings.summed_law import summed_law
 from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.standing_valve import StandingSettings, stand_still, standing
+from retuner.adaptive.diagnosis.standing_valve import (
+    Leg,
+    StandingSettings,
+    _ends,
+    stand_still,
+    standing,
+    standing_verdict,
+)
 from retuner.adaptive.indexes.plateaus import _Responses, as_steps, plateaus, rough_sigma
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -105,6 +114,16 @@ def test_a_real_sticking_valve_whose_co_was_stored_in_pieces():
     assert found.cause == Cause.STICTION
     assert not found.retune
     assert settings_in_force(Window(*record)).gains is None
+
+
+def test_only_steps_that_end_a_stand_are_told_after_it():
+    """At 5160 s pv goes a little the other way."""
+    found = stand_still(Window(*recorded("FIC31102_0628_1.csv")), None, SETTINGS)
+    assert found is not None
+    assert len(found.slips_s) == 3
+    assert "then steps towards co (at 5480, 7350 s)" in standing_verdict(found, {}).reason
+    assert _ends([5.0, 30.0, 40.0], [Leg(10.0, 25.0, 0.5, 9.0), Leg(45.0, 60.0, 0.5, 9.0)]) == [30.0]
+    assert "then" not in standing_verdict(replace(found, ends_s=()), {}).reason
 
 
 @given(kp=st.floats(0.1, 5.0), tau_i=st.floats(3.0, 60.0), sign=st.sampled_from([-1.0, 1.0]), seed=st.integers(0, 99))

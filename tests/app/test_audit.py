@@ -165,6 +165,24 @@ def test_what_became_of_a_loop_is_told_by_its_faults_and_its_error() -> None:
     assert change(row("x", 0.4, "stiction", screen={"iae_per_day": None}), then) == "was aggressive"
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"action": "screened only"},
+        {"action": "the same record as y"},
+        {"action": "read the reason", "cause": "failed", "failed": "no such file"},
+    ],
+)
+def test_how_far_an_audit_looked_is_no_change_of_a_loop(other: dict[str, object]) -> None:
+    sick = row("x", 0.5, "stiction", screen={"iae_per_day": 100.0})
+    untold = row("x", 0.0, "unknown", screen={"iae_per_day": 110.0}) | other
+    worse = untold | {"screen": {"iae_per_day": 300.0}}
+
+    assert change(untold, sick) == "not diagnosed now"
+    assert change(sick, untold) == "not diagnosed then"
+    assert change(worse, untold) == "worse: error 2.7 times, not diagnosed then or now"
+
+
 @pytest.mark.parametrize("schema", [1, 2, 3])
 def test_an_audit_of_an_earlier_program_is_compared_and_one_of_a_later_refused(tmp_path: Path, schema: int) -> None:
     then = row("x", 0.5, screen={"iae_per_day": 100.0}) | {"schema": schema, "trend": {}}

@@ -179,18 +179,27 @@ def _number(row: Row, name: str) -> float:
 def change(row: Row, earlier: Row | None) -> str:
     """What became of a loop since an earlier audit, in some words.
 
-    Faults that came or went, and the error on record: both are told alike by all versions of a row.
+    Faults that came or went, and the error on record: both are told alike by all versions of a row. A loop that was not
+    diagnosed both times is compared by its error alone: how far an audit looked is no change of the loop.
     """
     if earlier is None:
         return "new"
+    error, before = mean_error(row), mean_error(earlier)
+    times = error / before if error is not None and before else 1.0
+    moved = f"{'worse' if times > 1 else 'better'}: error {times:.2g} times" * (times > WORSE or times * WORSE < 1)
+    missing = " or ".join(when for one, when in ((earlier, "then"), (row, "now")) if not _diagnosed(one))
+    if missing:
+        return f"{moved}{', ' * bool(moved)}not diagnosed {missing}"
     now, then = is_fault(row), is_fault(earlier)
     if now != then:
         return f"{'worse' if now else 'better'}: was {earlier['cause']}"
-    error, before = mean_error(row), mean_error(earlier)
-    times = error / before if error is not None and before else 1.0
-    if times > WORSE or times * WORSE < 1:
-        return f"{'worse' if times > 1 else 'better'}: error {times:.2g} times"
-    return "same" if row["cause"] == earlier["cause"] else f"was {earlier['cause']}"
+    return moved or ("same" if row["cause"] == earlier["cause"] else f"was {earlier['cause']}")
+
+
+def _diagnosed(row: Row) -> bool:
+    """Whether a row says what a loop is: neither screened only, nor unreadable, nor another loop's record."""
+    action = str(row.get("action", ""))
+    return "failed" not in row and action != str(Action.SCREENED) and not action.startswith(AGAIN)
 
 
 def write_joined(path: Path, found: Catalogue) -> None:

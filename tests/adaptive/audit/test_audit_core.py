@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from retuner.adaptive.audit.common_swing import Swinging, common_swings
 from retuner.adaptive.audit.loop_screen import DAY_S, harris_index, screen_loop
-from retuner.adaptive.audit.verdict import Action, StretchVerdict, joined_confidence, loop_verdict
+from retuner.adaptive.audit.verdict import (
+    EFFORT,
+    Action,
+    Basis,
+    StretchVerdict,
+    error_share,
+    joined_confidence,
+    loop_verdict,
+)
 from retuner.adaptive.audit.windows import stretches_of_interest
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.indexes.condition import Condition
@@ -132,7 +140,9 @@ def test_a_loop_that_waits_for_its_process_is_sluggish_where_nothing_says_otherw
     waits, noise = replace(CALM, idle=0.45, at_limits=0.0), [seen(Cause.NOISE, 0.8), seen(Cause.UNKNOWN, 0.5)]
     told = loop_verdict(waits, noise)
     assert (told.cause, told.action) == (Cause.SLUGGISH, Action.RECORD)  # no settings follow from it
-    assert told.rank > 0
+    share = error_share(waits.harris)  # of the error, not of its variance
+    assert (told.avoidable, told.basis) == (share, Basis.HARRIS)
+    assert told.rank == pytest.approx(told.confidence * share / EFFORT[told.action])
     assert loop_verdict(replace(waits, idle=0.1), noise).cause != Cause.SLUGGISH
     assert loop_verdict(replace(waits, idle=None), noise).cause != Cause.SLUGGISH
     assert loop_verdict(replace(waits, setpoint=False), noise).cause != Cause.SLUGGISH
