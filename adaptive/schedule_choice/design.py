@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -170,12 +170,14 @@ def _designed(
     dt = float(np.median([w.sample_time_s for w in windows]))
     if chosen.two is None:
         some = [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)]
-        places = _visited(chosen.one, some)
+        visited = _visited(chosen.one, [p.x for p in some])
     else:
-        places = places_over_both(found, dt, limits)
+        some = places_over_both(found, dt, limits)
+        visited = _near(found, some)
+    places = tuple(replace(p, known=p.known and there) for p, there in zip(some, visited, strict=True))
     second = "" if chosen.two is None else chosen.two.name
     none = Design(chosen.one.name, found, places, None, 0.0, 0.0, evidence, "", second=second)
-    reason = _at_rest(found) or _unexplained(found) or _differs(found) or _nowhere_known(places)
+    reason = _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, visited)
     if reason:
         return replace(none, reason=reason)
     layout, j_limit = _affordable(places, limits, lookup)
@@ -187,15 +189,19 @@ def _designed(
         layout=layout,
         hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
         min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
-        reason=_counted(sets, str(layout.lookup), limits.j, j_limit),
+        reason=_counted(sets, str(layout.lookup), places, limits.j, j_limit),
         crossings=_crossings(chosen, places, layout, windows) if sets > 1 else (),
         second_hysteresis=_second_hysteresis(chosen.two, layout),
     )
 
 
-def _counted(sets: int, lookup: str, wanted: float, affordable: float) -> str:
-    """How many sets, in words."""
-    how = "one set serves every place" if sets == 1 else f"{sets} sets, {lookup}"
+def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, affordable: float) -> str:
+    """How many sets, in words, and for which places."""
+    known, count = sum(place.known for place in places), len(places)
+    whom = "every place" if known == count else f"the {known} of {count} places that are known"
+    how = f"one set serves {whom}" if sets == 1 else f"{sets} sets, {lookup}"
+    if sets > 1 and known < count:
+        how += f", serve {whom}"
     slower = f"; within J {wanted:g} it would need more than {MOST_SETS}, within {affordable:g} not"
     return how + slower * (affordable > wanted)
 
@@ -231,30 +237,28 @@ NEAR = 0.25
 
 
 def places_over_both(found: Curves, dt: float, limits: DesignLimits) -> tuple[Place, ...]:
-    """COUNT x COUNT places; those far from where the records have been are not known, whatever the product says."""
+    """COUNT x COUNT places, row by row."""
     one, two = found.form.axis, found.form.second
     assert two is not None
-    been = [
-        np.stack([(s.x - one.low) / (one.high - one.low), (s.x2 - two.axis.low) / (two.axis.high - two.axis.low)])
-        for s in found.joint.stretches
-        if s.x2 is not None
-    ]
-    visited = np.concatenate(been, axis=1)
-    places = []
-    for i, x in enumerate(one.grid(COUNT).tolist()):
-        for j, x2 in enumerate(two.axis.grid(COUNT).tolist()):
-            place = place_at(found, x, dt, limits, x2)
-            here = np.array([[i / (COUNT - 1)], [j / (COUNT - 1)]])
-            near = float(np.min(np.linalg.norm(visited - here, axis=0))) <= NEAR
-            places.append(place if near else replace(place, known=False))
-    return tuple(places)
+    across = product(one.grid(COUNT).tolist(), two.axis.grid(COUNT).tolist())
+    return tuple(place_at(found, x, dt, limits, x2) for x, x2 in across)
 
 
-def _visited(chosen: Candidate, places: Sequence[Place]) -> tuple[Place, ...]:
-    """The places; those further from what the records visit than a curve may be drawn on are not known."""
+def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
+    """Which places are near where the records have been with both variables; whatever the product says elsewhere."""
+    one, two = found.form.axis, found.form.second
+    assert two is not None
+    low, high = np.array([[one.low, two.axis.low], [one.high, two.axis.high]])
+    been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in found.joint.stretches if s.x2 is not None])
+    away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
+    return [float(np.min(distance)) <= NEAR for distance in away]
+
+
+def _visited(chosen: Candidate, values: Sequence[float]) -> list[bool]:
+    """Which values are no further from what the records visit than a curve may be drawn on."""
     low, high = chosen.span()
     beyond = BEYOND * (high - low)
-    return tuple(p if low - beyond <= p.x <= high + beyond else replace(p, known=False) for p in places)
+    return [low - beyond <= x <= high + beyond for x in values]
 
 
 def _at_rest(found: Curves) -> str:
@@ -313,12 +317,21 @@ def _differs(found: Curves) -> str:
     )
 
 
-def _nowhere_known(places: Sequence[Place]) -> str:
-    """Why no place is known well enough; empty where one is."""
-    if any(place.known for place in places):
+LEAST_KNOWN = 0.5
+"""Share of the visited places that must be known: fewer say nothing of a schedule over the variable."""
+
+
+def _hardly_known(places: Sequence[Place], visited: Sequence[bool]) -> str:
+    """Why too few places are known well enough; empty where they do."""
+    known, been = sum(place.known for place in places), sum(visited)
+    if known and known >= LEAST_KNOWN * been:
         return ""
-    factor = math.exp(min(place.gain_std for place in places))
-    return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
+    stds = [place.gain_std for place, there in zip(places, visited, strict=True) if there and not place.known]
+    least = min(stds or [place.gain_std for place in places])
+    factor = f"the controller gain is uncertain by a factor of {math.exp(least):.2f} or more"
+    if not known:
+        return f"nowhere accurate enough: {factor}"
+    return f"accurate enough at {known} of the {been} places that the records visit; at the others {factor}"
 
 
 def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | Cells | None, float]:
