@@ -1,7 +1,7 @@
 """The whole way: records and a variable in, curves, places and the fewest sets out."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -18,7 +18,7 @@ from retuner.adaptive.schedule_choice.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.cover import Layout, knots, steps
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
-from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.schedule_design.shapes import Axis, Shape
 from retuner.adaptive.schedule_design.stretches import tells
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
@@ -82,18 +82,15 @@ def design(
     Parameters
     ----------
     windows : the records. candidates : variables that the gains may follow. lookup : "hard", "interpolated", "auto".
-    span : ends of the variable where they are given.
+    span : ends of the first variable's places where they are given; the fit is over all that the records visit.
 
     Raises
     ------
     ValueError
-        Nothing moves in the records, or no candidate does.
+        Nothing moves in the records, no candidate does, or not the one that span is of.
     """
-    able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
-    if not able:
-        named = ", ".join(c.name for c in candidates)
-        raise ValueError(f"{named}: does not move in the records beyond its noise; nothing can be told over it")
-    ends = {able[0].name: span}
+    able = _able(candidates, span)
+    ends = {c.name: axis_of(c, span if c is candidates[0] else (None, None)) for c in able}
     found: dict[str, Curves] = {}
     stages = len(able) + 0.3 + (len(able) > 1)
     for i, candidate in enumerate(able):
@@ -101,8 +98,7 @@ def design(
         def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
             progress(f"{name}: {stage}", (i + share) / stages)
 
-        axis = axis_of(candidate, ends.get(candidate.name, (None, None)))
-        found[candidate.name] = curves_along(windows, candidate, axis, told)
+        found[candidate.name] = curves_along(windows, candidate, axis_of(candidate, (None, None)), told)
     evidence = [_evidence(name, c) for name, c in found.items()]
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = _Chosen(next(c for c in able if c.name == best.variable), None, found[best.variable])
@@ -114,7 +110,21 @@ def design(
         if pair.both_matter and pair.curves.log_likelihood > chosen.curves.log_likelihood:
             chosen = pair
     progress("the fewest sets", (stages - 0.3) / stages)
-    return _designed(chosen, windows, limits, lookup, tuple(evidence))
+    return _designed(chosen, ends, windows, limits, lookup, tuple(evidence))
+
+
+def _able(candidates: Sequence[Candidate], span: tuple[float | None, float | None]) -> list[Candidate]:
+    """The candidates that move; errors as design."""
+    able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
+    still = ", ".join(c.name for c in candidates if c not in able)
+    if not able:
+        raise ValueError(f"{still}: does not move in the records beyond its noise; nothing can be told over it")
+    if candidates[0] not in able and span != (None, None):
+        raise ValueError(
+            f"{candidates[0].name}: does not move in the records beyond its noise, and low and high are its ends; "
+            "name a variable that moves first"
+        )
+    return able
 
 
 MOST_PAIRS = 3
@@ -160,24 +170,21 @@ def _evidence(name: str, found: Curves) -> Evidence:
 
 def _designed(
     chosen: _Chosen,
+    ends: Mapping[str, Axis],
     windows: Sequence[Window],
     limits: DesignLimits,
     lookup: str,
     evidence: tuple[Evidence, ...],
 ) -> Design:
-    """Places, sets and the numbers of the lookup."""
+    """Places, sets and the numbers of the lookup. ends : of each variable's places."""
     found = chosen.curves
     dt = float(np.median([w.sample_time_s for w in windows]))
-    if chosen.two is None:
-        some = [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)]
-        visited = _visited(chosen.one, [p.x for p in some])
-    else:
-        some = places_over_both(found, dt, limits)
-        visited = _near(found, some)
-    places = tuple(replace(p, known=p.known and there) for p, there in zip(some, visited, strict=True))
+    places = _places(chosen, ends, dt, limits)
     second = "" if chosen.two is None else chosen.two.name
     none = Design(chosen.one.name, found, places, None, 0.0, 0.0, evidence, "", second=second)
-    reason = _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, visited)
+    reason = (
+        _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, _visited(chosen, places))
+    )
     if reason:
         return replace(none, reason=reason)
     layout, j_limit = _affordable(places, limits, lookup)
@@ -233,15 +240,36 @@ def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
 
 
 NEAR = 0.25
-"""Distance from where the records have been, in ranges of each variable, within which a place may count as known."""
+"""Distance from where the records have been, in visited ranges of each variable, within which a place may count as known."""
 
 
-def places_over_both(found: Curves, dt: float, limits: DesignLimits) -> tuple[Place, ...]:
-    """COUNT x COUNT places, row by row."""
-    one, two = found.form.axis, found.form.second
-    assert two is not None
-    across = product(one.grid(COUNT).tolist(), two.axis.grid(COUNT).tolist())
-    return tuple(place_at(found, x, dt, limits, x2) for x, x2 in across)
+def _places(chosen: _Chosen, ends: Mapping[str, Axis], dt: float, limits: DesignLimits) -> tuple[Place, ...]:
+    """From end to end of one variable or two, row by row; only what the records visit can be known."""
+    found, two = chosen.curves, chosen.two
+    if two is None:
+        some = [place_at(found, x, dt, limits) for x in ends[chosen.one.name].grid(PLACES).tolist()]
+    else:
+        across = product(*(ends[c.name].grid(COUNT).tolist() for c in (chosen.one, two)))
+        some = [place_at(found, x, dt, limits, x2) for x, x2 in across]
+    visited = _visited(chosen, some)
+    return tuple(replace(p, known=p.known and there) for p, there in zip(some, visited, strict=True))
+
+
+def _visited(chosen: _Chosen, places: Sequence[Place]) -> list[bool]:
+    """Which places are no further from what the records visit than a curve may be drawn on."""
+    inside = [_inside(chosen.one, p.x) for p in places]
+    if chosen.two is None:
+        return inside
+    near = _near(chosen.curves, places)
+    beside = [p.x2 is not None and _inside(chosen.two, p.x2) for p in places]
+    return [all(each) for each in zip(inside, beside, near, strict=True)]
+
+
+def _inside(one: Candidate, x: float) -> bool:
+    """Whether a value lies within what is visited, or a little beyond."""
+    low, high = one.span()
+    beyond = BEYOND * (high - low)
+    return low - beyond <= x <= high + beyond
 
 
 def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
@@ -252,13 +280,6 @@ def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
     been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in found.joint.stretches if s.x2 is not None])
     away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
     return [float(np.min(distance)) <= NEAR for distance in away]
-
-
-def _visited(chosen: Candidate, values: Sequence[float]) -> list[bool]:
-    """Which values are no further from what the records visit than a curve may be drawn on."""
-    low, high = chosen.span()
-    beyond = BEYOND * (high - low)
-    return [low - beyond <= x <= high + beyond for x in values]
 
 
 def _at_rest(found: Curves) -> str:
