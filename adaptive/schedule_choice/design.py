@@ -1,7 +1,7 @@
 """The whole way: records and a variable in, curves, places and the fewest sets out."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -102,8 +102,9 @@ def design(
     evidence = [_evidence(name, c) for name, c in found.items()]
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = _Chosen(next(c for c in able if c.name == best.variable), None, found[best.variable])
-    moving = [c for c in able if any(e.variable == c.name and e.changes for e in evidence)]
-    for both in _pairs(chosen.one, moving):
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    settles = len(able) == 1 or _settles(chosen, _places(chosen, ends, dt, limits))
+    for both in _pairs(chosen.one, able, {e.variable for e in evidence if e.changes}, settles=settles):
         progress(f"{both[0].name} and {both[1].name}", len(able) / stages)
         pair = _Chosen(*both, curves_over_both(windows, both, [found[c.name] for c in both]))
         evidence.append(_evidence(pair.name, pair.curves))
@@ -152,15 +153,22 @@ class _Chosen:
         return one and two and self.curves.second_evidence > 0
 
 
-def _pairs(best: Candidate, able: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
+def _pairs(
+    best: Candidate, able: Sequence[Candidate], changing: Collection[str], *, settles: bool
+) -> list[tuple[Candidate, Candidate]]:
     """The best beside others, signals of the loop first; two of these go together in a loop, so they are no pair.
 
-    able : those along which something changes.
+    changing : variables along which something changes. settles : whether the best one does alone. Where it does not,
+    what shows nothing alone may do so beside another, whose changes hid it.
     """
-    if best not in able:
-        return []
-    others = [c for c in able if c is not best and (c.outside or best.outside)][:MOST_PAIRS]
+    others = [c for c in able if c is not best and (c.outside or best.outside)]
+    others = [c for c in others if not settles or (c.name in changing and best.name in changing)][:MOST_PAIRS]
     return [(best, c) if not best.outside or c.outside else (c, best) for c in others]
+
+
+def _settles(chosen: _Chosen, places: Sequence[Place]) -> bool:
+    """Whether one variable leaves nothing to ask another for: enough is known, and the stretches agree."""
+    return not _refused(chosen, places) and max(chosen.curves.differences, default=0.0) < ASKS
 
 
 def _evidence(name: str, found: Curves) -> Evidence:
@@ -182,9 +190,7 @@ def _designed(
     places = _places(chosen, ends, dt, limits)
     second = "" if chosen.two is None else chosen.two.name
     none = Design(chosen.one.name, found, places, None, 0.0, 0.0, evidence, "", second=second)
-    reason = (
-        _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, _visited(chosen, places))
-    )
+    reason = _refused(chosen, places)
     if reason:
         return replace(none, reason=reason)
     layout, j_limit = _affordable(places, limits, lookup)
@@ -240,7 +246,7 @@ def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
 
 
 NEAR = 0.25
-"""Distance from where the records have been, in visited ranges of each variable, within which a place may count as known."""
+"""Distance from where the records have been, in visited ranges of each variable, within which a place may be known."""
 
 
 def _places(chosen: _Chosen, ends: Mapping[str, Axis], dt: float, limits: DesignLimits) -> tuple[Place, ...]:
@@ -280,6 +286,12 @@ def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
     been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in found.joint.stretches if s.x2 is not None])
     away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
     return [float(np.min(distance)) <= NEAR for distance in away]
+
+
+def _refused(chosen: _Chosen, places: Sequence[Place]) -> str:
+    """Why no sets follow; empty where they may."""
+    found, visited = chosen.curves, _visited(chosen, places)
+    return _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, visited)
 
 
 def _at_rest(found: Curves) -> str:
@@ -323,6 +335,8 @@ def _loads_that_count(found: Curves) -> int:
 
 DIFFERS = 0.5
 """Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
+ASKS = 0.25
+"""And from which another variable is tried beside the one."""
 TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
 
 
