@@ -1,9 +1,9 @@
 """The whole way: records and a variable in, curves, places and the fewest sets out."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from retuner.adaptive.schedule_choice.crossing import Crossing, crossings
 from retuner.adaptive.schedule_design.cover import Layout, knots, steps
 from retuner.adaptive.schedule_design.curves import Curves
 from retuner.adaptive.schedule_design.places import DesignLimits, Place, place_at
-from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.adaptive.schedule_design.shapes import Axis, Shape
 from retuner.adaptive.schedule_design.stretches import tells
 from retuner.adaptive.signals.noise import noise_sigma
 from retuner.adaptive.signals.sample import Window
@@ -82,18 +82,15 @@ def design(
     Parameters
     ----------
     windows : the records. candidates : variables that the gains may follow. lookup : "hard", "interpolated", "auto".
-    span : ends of the variable where they are given.
+    span : ends of the first variable's places where they are given; the fit is over all that the records visit.
 
     Raises
     ------
     ValueError
-        Nothing moves in the records, or no candidate does.
+        Nothing moves in the records, no candidate does, or not the one that span is of.
     """
-    able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
-    if not able:
-        named = ", ".join(c.name for c in candidates)
-        raise ValueError(f"{named}: does not move in the records beyond its noise; nothing can be told over it")
-    ends = {able[0].name: span}
+    able = _able(candidates, span)
+    ends = {c.name: axis_of(c, span if c is candidates[0] else (None, None)) for c in able}
     found: dict[str, Curves] = {}
     stages = len(able) + 0.3 + (len(able) > 1)
     for i, candidate in enumerate(able):
@@ -101,20 +98,34 @@ def design(
         def told(stage: str, share: float, i: int = i, name: str = candidate.name) -> None:
             progress(f"{name}: {stage}", (i + share) / stages)
 
-        axis = axis_of(candidate, ends.get(candidate.name, (None, None)))
-        found[candidate.name] = curves_along(windows, candidate, axis, told)
+        found[candidate.name] = curves_along(windows, candidate, axis_of(candidate, (None, None)), told)
     evidence = [_evidence(name, c) for name, c in found.items()]
     best = max(evidence, key=lambda e: e.log_likelihood)
     chosen = _Chosen(next(c for c in able if c.name == best.variable), None, found[best.variable])
-    moving = [c for c in able if any(e.variable == c.name and e.changes for e in evidence)]
-    for both in _pairs(chosen.one, moving):
+    dt = float(np.median([w.sample_time_s for w in windows]))
+    settles = len(able) == 1 or _settles(chosen, _places(chosen, ends, dt, limits))
+    for both in _pairs(chosen.one, able, {e.variable for e in evidence if e.changes}, settles=settles):
         progress(f"{both[0].name} and {both[1].name}", len(able) / stages)
         pair = _Chosen(*both, curves_over_both(windows, both, [found[c.name] for c in both]))
         evidence.append(_evidence(pair.name, pair.curves))
         if pair.both_matter and pair.curves.log_likelihood > chosen.curves.log_likelihood:
             chosen = pair
     progress("the fewest sets", (stages - 0.3) / stages)
-    return _designed(chosen, windows, limits, lookup, tuple(evidence))
+    return _designed(chosen, ends, windows, limits, lookup, tuple(evidence))
+
+
+def _able(candidates: Sequence[Candidate], span: tuple[float | None, float | None]) -> list[Candidate]:
+    """The candidates that move; errors as design."""
+    able = [c for c in candidates if c.span()[1] - c.span()[0] > LEAST_TRAVEL * c.noise()]
+    still = ", ".join(c.name for c in candidates if c not in able)
+    if not able:
+        raise ValueError(f"{still}: does not move in the records beyond its noise; nothing can be told over it")
+    if candidates[0] not in able and span != (None, None):
+        raise ValueError(
+            f"{candidates[0].name}: does not move in the records beyond its noise, and low and high are its ends; "
+            "name a variable that moves first"
+        )
+    return able
 
 
 MOST_PAIRS = 3
@@ -142,15 +153,22 @@ class _Chosen:
         return one and two and self.curves.second_evidence > 0
 
 
-def _pairs(best: Candidate, able: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
+def _pairs(
+    best: Candidate, able: Sequence[Candidate], changing: Collection[str], *, settles: bool
+) -> list[tuple[Candidate, Candidate]]:
     """The best beside others, signals of the loop first; two of these go together in a loop, so they are no pair.
 
-    able : those along which something changes.
+    changing : variables along which something changes. settles : whether the best one does alone. Where it does not,
+    what shows nothing alone may do so beside another, whose changes hid it.
     """
-    if best not in able:
-        return []
-    others = [c for c in able if c is not best and (c.outside or best.outside)][:MOST_PAIRS]
+    others = [c for c in able if c is not best and (c.outside or best.outside)]
+    others = [c for c in others if not settles or (c.name in changing and best.name in changing)][:MOST_PAIRS]
     return [(best, c) if not best.outside or c.outside else (c, best) for c in others]
+
+
+def _settles(chosen: _Chosen, places: Sequence[Place]) -> bool:
+    """Whether one variable leaves nothing to ask another for: enough is known, and the stretches agree."""
+    return not _refused(chosen, places) and max(chosen.curves.differences, default=0.0) < ASKS
 
 
 def _evidence(name: str, found: Curves) -> Evidence:
@@ -160,22 +178,19 @@ def _evidence(name: str, found: Curves) -> Evidence:
 
 def _designed(
     chosen: _Chosen,
+    ends: Mapping[str, Axis],
     windows: Sequence[Window],
     limits: DesignLimits,
     lookup: str,
     evidence: tuple[Evidence, ...],
 ) -> Design:
-    """Places, sets and the numbers of the lookup."""
+    """Places, sets and the numbers of the lookup. ends : of each variable's places."""
     found = chosen.curves
     dt = float(np.median([w.sample_time_s for w in windows]))
-    if chosen.two is None:
-        some = [place_at(found, float(x), dt, limits) for x in found.form.axis.grid(PLACES)]
-        places = _visited(chosen.one, some)
-    else:
-        places = places_over_both(found, dt, limits)
+    places = _places(chosen, ends, dt, limits)
     second = "" if chosen.two is None else chosen.two.name
     none = Design(chosen.one.name, found, places, None, 0.0, 0.0, evidence, "", second=second)
-    reason = _at_rest(found) or _unexplained(found) or _differs(found) or _nowhere_known(places)
+    reason = _refused(chosen, places)
     if reason:
         return replace(none, reason=reason)
     layout, j_limit = _affordable(places, limits, lookup)
@@ -187,15 +202,19 @@ def _designed(
         layout=layout,
         hysteresis=_hysteresis(chosen.one, layout.lookup, layout.edges),
         min_stay_s=max(p.model.theta_s for p in places if p.known) if sets > 1 else 0.0,
-        reason=_counted(sets, str(layout.lookup), limits.j, j_limit),
+        reason=_counted(sets, str(layout.lookup), places, limits.j, j_limit),
         crossings=_crossings(chosen, places, layout, windows) if sets > 1 else (),
         second_hysteresis=_second_hysteresis(chosen.two, layout),
     )
 
 
-def _counted(sets: int, lookup: str, wanted: float, affordable: float) -> str:
-    """How many sets, in words."""
-    how = "one set serves every place" if sets == 1 else f"{sets} sets, {lookup}"
+def _counted(sets: int, lookup: str, places: Sequence[Place], wanted: float, affordable: float) -> str:
+    """How many sets, in words, and for which places."""
+    known, count = sum(place.known for place in places), len(places)
+    whom = "every place" if known == count else f"the {known} of {count} places that are known"
+    how = f"one set serves {whom}" if sets == 1 else f"{sets} sets, {lookup}"
+    if sets > 1 and known < count:
+        how += f", serve {whom}"
     slower = f"; within J {wanted:g} it would need more than {MOST_SETS}, within {affordable:g} not"
     return how + slower * (affordable > wanted)
 
@@ -227,34 +246,52 @@ def _second_hysteresis(two: Candidate | None, layout: Layout | Cells) -> float:
 
 
 NEAR = 0.25
-"""Distance from where the records have been, in ranges of each variable, within which a place may count as known."""
+"""Distance from where the records have been, in visited ranges of each variable, within which a place may be known."""
 
 
-def places_over_both(found: Curves, dt: float, limits: DesignLimits) -> tuple[Place, ...]:
-    """COUNT x COUNT places; those far from where the records have been are not known, whatever the product says."""
+def _places(chosen: _Chosen, ends: Mapping[str, Axis], dt: float, limits: DesignLimits) -> tuple[Place, ...]:
+    """From end to end of one variable or two, row by row; only what the records visit can be known."""
+    found, two = chosen.curves, chosen.two
+    if two is None:
+        some = [place_at(found, x, dt, limits) for x in ends[chosen.one.name].grid(PLACES).tolist()]
+    else:
+        across = product(*(ends[c.name].grid(COUNT).tolist() for c in (chosen.one, two)))
+        some = [place_at(found, x, dt, limits, x2) for x, x2 in across]
+    visited = _visited(chosen, some)
+    return tuple(replace(p, known=p.known and there) for p, there in zip(some, visited, strict=True))
+
+
+def _visited(chosen: _Chosen, places: Sequence[Place]) -> list[bool]:
+    """Which places are no further from what the records visit than a curve may be drawn on."""
+    inside = [_inside(chosen.one, p.x) for p in places]
+    if chosen.two is None:
+        return inside
+    near = _near(chosen.curves, places)
+    beside = [p.x2 is not None and _inside(chosen.two, p.x2) for p in places]
+    return [all(each) for each in zip(inside, beside, near, strict=True)]
+
+
+def _inside(one: Candidate, x: float) -> bool:
+    """Whether a value lies within what is visited, or a little beyond."""
+    low, high = one.span()
+    beyond = BEYOND * (high - low)
+    return low - beyond <= x <= high + beyond
+
+
+def _near(found: Curves, places: Sequence[Place]) -> list[bool]:
+    """Which places are near where the records have been with both variables; whatever the product says elsewhere."""
     one, two = found.form.axis, found.form.second
     assert two is not None
-    been = [
-        np.stack([(s.x - one.low) / (one.high - one.low), (s.x2 - two.axis.low) / (two.axis.high - two.axis.low)])
-        for s in found.joint.stretches
-        if s.x2 is not None
-    ]
-    visited = np.concatenate(been, axis=1)
-    places = []
-    for i, x in enumerate(one.grid(COUNT).tolist()):
-        for j, x2 in enumerate(two.axis.grid(COUNT).tolist()):
-            place = place_at(found, x, dt, limits, x2)
-            here = np.array([[i / (COUNT - 1)], [j / (COUNT - 1)]])
-            near = float(np.min(np.linalg.norm(visited - here, axis=0))) <= NEAR
-            places.append(place if near else replace(place, known=False))
-    return tuple(places)
+    low, high = np.array([[one.low, two.axis.low], [one.high, two.axis.high]])
+    been = np.concatenate([np.stack([s.x, s.x2], axis=1) for s in found.joint.stretches if s.x2 is not None])
+    away = [np.linalg.norm((been - [p.x, p.x2]) / (high - low), axis=1) for p in places]
+    return [float(np.min(distance)) <= NEAR for distance in away]
 
 
-def _visited(chosen: Candidate, places: Sequence[Place]) -> tuple[Place, ...]:
-    """The places; those further from what the records visit than a curve may be drawn on are not known."""
-    low, high = chosen.span()
-    beyond = BEYOND * (high - low)
-    return tuple(p if low - beyond <= p.x <= high + beyond else replace(p, known=False) for p in places)
+def _refused(chosen: _Chosen, places: Sequence[Place]) -> str:
+    """Why no sets follow; empty where they may."""
+    found, visited = chosen.curves, _visited(chosen, places)
+    return _at_rest(found) or _unexplained(found) or _differs(found) or _hardly_known(places, visited)
 
 
 def _at_rest(found: Curves) -> str:
@@ -298,6 +335,8 @@ def _loads_that_count(found: Curves) -> int:
 
 DIFFERS = 0.5
 """Standard deviation of ln p between stretches from which no curve over the variable serves: a factor of 1.6."""
+ASKS = 0.25
+"""And from which another variable is tried beside the one."""
 TOLD_OF = ("slope gain", "dead time", "lag", "second lag")
 
 
@@ -313,12 +352,21 @@ def _differs(found: Curves) -> str:
     )
 
 
-def _nowhere_known(places: Sequence[Place]) -> str:
-    """Why no place is known well enough; empty where one is."""
-    if any(place.known for place in places):
+LEAST_KNOWN = 0.5
+"""Share of the visited places that must be known: fewer say nothing of a schedule over the variable."""
+
+
+def _hardly_known(places: Sequence[Place], visited: Sequence[bool]) -> str:
+    """Why too few places are known well enough; empty where they do."""
+    known, been = sum(place.known for place in places), sum(visited)
+    if known and known >= LEAST_KNOWN * been:
         return ""
-    factor = math.exp(min(place.gain_std for place in places))
-    return f"nowhere accurate enough: the controller gain is uncertain by a factor of {factor:.2f} or more"
+    stds = [place.gain_std for place, there in zip(places, visited, strict=True) if there and not place.known]
+    least = min(stds or [place.gain_std for place in places])
+    factor = f"the controller gain is uncertain by a factor of {math.exp(least):.2f} or more"
+    if not known:
+        return f"nowhere accurate enough: {factor}"
+    return f"accurate enough at {known} of the {been} places that the records visit; at the others {factor}"
 
 
 def _affordable(places: Sequence[Place], limits: DesignLimits, lookup: str) -> tuple[Layout | Cells | None, float]:

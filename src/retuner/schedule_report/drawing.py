@@ -101,7 +101,7 @@ def _records(axes: "Axes", found: ScheduleDesign, windows: Sequence[Window]) -> 
 
 def _curve(axes: "Axes", found: ScheduleDesign, name: str, label: str) -> None:
     """One parameter with its band of two standard deviations."""
-    x = found.design.curves.form.axis.grid(FINE)
+    x = np.linspace(found.places[0].x, found.places[-1].x, FINE)
     top = 1e-300
     for x2, style in zip(found.slices, STYLES, strict=False):
         value, std = _parameter(found, name, x, x2)
@@ -148,7 +148,7 @@ def _visited(axes: "Axes", found: ScheduleDesign) -> None:
 
 def _gains(axes: "Axes", found: ScheduleDesign) -> None:
     """Kc and tau_I over the variable: the table's, every place's own, and those in force before."""
-    x = found.design.curves.form.axis.grid(FINE)
+    x = np.linspace(found.places[0].x, found.places[-1].x, FINE)
     middle = found.slices[len(found.slices) // 2]
     known = [place for place in found.places if place.known and place.x2 == middle]
     axes.plot([p.x for p in known], [p.own.kp for p in known], color=SP, lw=0.9, ls=":", label="Kc, best at each place")

@@ -5,6 +5,7 @@ import pytest
 from schedule_cases import record, slow_sine
 
 from retuner.adaptive.schedule_choice.candidates import Candidate, follows_loop
+from retuner.adaptive.schedule_choice.design import _pairs
 from retuner.adaptive.signals.sample import FloatArray
 
 
@@ -31,3 +32,13 @@ def test_a_signal_from_outside_does_not() -> None:
     for other in (slow_sine(n), walk, np.repeat([10.0, 30.0, 20.0, 40.0], n // 4)):
         assert not follows_loop([window], [other])
     assert Candidate("flow", (walk,)).outside
+
+
+def test_what_shows_nothing_alone_is_tried_beside_the_best_where_that_does_not_settle() -> None:
+    sp, pv, flow, load = (Candidate(name, (np.arange(9.0),)) for name in ("sp", "pv", "flow", "load"))
+    able = [sp, pv, flow, load]
+
+    assert _pairs(flow, able, {"flow"}, settles=False) == [(sp, flow), (pv, flow), (flow, load)]
+    assert _pairs(pv, able, set(), settles=False) == [(pv, flow), (pv, load)]
+    assert _pairs(pv, able, {"pv", "load"}, settles=True) == [(pv, load)]
+    assert _pairs(pv, able, set(), settles=True) == []

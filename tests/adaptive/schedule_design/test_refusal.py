@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from retuner.adaptive.schedule_choice import design
-from retuner.adaptive.schedule_choice.design import _at_rest, _differs, _unexplained
+from retuner.adaptive.schedule_choice.design import _at_rest, _counted, _differs, _hardly_known, _unexplained
 from retuner.adaptive.schedule_design.places import DesignLimits, place_at
 from retuner.adaptive.schedule_design.stretches import cut, signals_of, without_gaps
 from retuner.adaptive.signals.sample import Window
@@ -87,3 +87,16 @@ def test_a_gap_in_a_record_parts_it_and_nothing_is_made_up_in_it():
 
     assert [(w.t_s[0], w.t_s[-1], len(x)) for w, x in pieces] == [(0.0, 99.0, 100), (900.0, 999.0, 100)]
     assert without_gaps(pieces[0][0], t[:100])[0][0] is pieces[0][0]
+
+
+def test_one_known_place_in_five_visited_ones_gives_no_settings():
+    def known(n):
+        return [SimpleNamespace(known=i < n, gain_std=0.3) for i in range(25)]
+
+    visited = [i < 5 for i in range(25)]
+
+    assert "at 1 of the 5 places that the records visit" in _hardly_known(known(1), visited)
+    assert "nowhere" in _hardly_known(known(0), visited)
+    assert _hardly_known(known(3), visited) == "", "what was not visited asks for nothing"
+    assert "the 3 of 25 places that are known" in _counted(1, "hard", known(3), 1.25, 1.25)
+    assert "every place" in _counted(1, "hard", known(25), 1.25, 1.25)
