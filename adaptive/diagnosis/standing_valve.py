@@ -185,7 +185,9 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
     agreed = _agreed(rows, found, gains.direction, settings)
-    stands = _long_enough(counted, settings) and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
+    stands = (
+        _long_enough(counted, settings) and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
+    )
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     return Standing(
