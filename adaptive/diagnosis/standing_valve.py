@@ -106,7 +106,8 @@ class Standing:
     """What the plateaus of a record show.
 
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
-    ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps that were answered late and then at once.
+    ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps
+    that were answered late and then at once.
     stands, sticks, dead : the verdicts. rows, sigma, criterion : of the steps; see plateaus.py.
     """
 
@@ -185,7 +186,9 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
     agreed = _agreed(rows, found, gains.direction, settings)
-    stands = _long_enough(counted, settings) and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
+    stands = (
+        _long_enough(counted, settings) and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
+    )
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     return Standing(
