@@ -106,7 +106,8 @@ class Standing:
     """What the plateaus of a record show.
 
     legs : that count. slips_s, agreed : when pv went to another level, and how many of these times co had gone there.
-    ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps that were answered late and then at once.
+    ends_s : those of the latter that end a leg. slip_lag : T of the slips in units of tau_I. silent_s : setpoint steps
+    that were answered late and then at once.
     stands, sticks, dead : the verdicts. rows, sigma, criterion : of the steps; see plateaus.py.
     """
 

@@ -53,6 +53,9 @@ def test_where_diagnosis_sees_another_cause_the_command_says_so() -> None:
     told = Diagnosis(Cause.STICTION, 0.8, {}, "a valve that sticks")
     assert "STICTION" in _contradiction(told)[0]
     assert _contradiction(None) == []
+    untold = " ".join(_contradiction(replace(told, cause=Cause.UNKNOWN)))
+    assert "look at the record" in untold
+    assert "resolve this" not in untold  # nothing is named that could be resolved
 
 
 def manual(cut: int, steps: tuple[tuple[int, float], ...] = ((50, 1.0), (200, -0.5), (400, 0.6))) -> list[np.ndarray]:

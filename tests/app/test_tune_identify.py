@@ -73,6 +73,7 @@ def test_tune_reads_well(capsys: Capture) -> None:
         (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--rule", "voodoo"], "simc"),
         (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--form", "cubic"], "cubic"),
         (["--type", "delay", "--k", "1", "--tau1", "1", "--theta", "1"], "has no tau1"),
+        (["--type", "fopdt", "--k", "1", "--tau1", "1", "--theta", "1", "--inverse", "-3"], "--inverse -3: "),
     ],
 )
 def test_tune_refuses_in_one_line(capsys: Capture, arguments: list[str], message: str) -> None:

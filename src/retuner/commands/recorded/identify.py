@@ -127,6 +127,11 @@ def _contradiction(other: Diagnosis | None) -> list[str]:
     """That diagnosis sees more in the record than a process, so that nobody takes the settings for a cure."""
     if other is None:
         return []
+    if other.cause is Cause.UNKNOWN:
+        return [
+            f"but retuner diagnose cannot tell the cause: {other.reason}",
+            "  it may be no matter of tuning: look at the record before you use the settings",
+        ]
     return [
         f"but retuner diagnose finds {str(other.cause).replace('_', ' ').upper()} in this record: {other.reason}",
         "  new settings correct tuning only: resolve this first",

@@ -1,6 +1,7 @@
 """retuner tune: settings for a known process by a tuning rule, or by every rule that applies in one table."""
 
 import json
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,6 +87,11 @@ class TuneOptions:
             raise UserError(f"--type {self.type}: give one of {', '.join(ProcessType)}")
         if self.k is None:
             raise UserError("--k is missing: the steady-state gain, or the slope gain per second of integrating types")
+        if self.inverse < 0 or not math.isfinite(self.inverse):
+            raise UserError(f"--inverse {self.inverse:g}: give seconds, above 0, with --type sopdt-inverse only")
+        if (self.inverse > 0) != (self.type == ProcessType.SOPDT_INVERSE):
+            needs = "needs one above 0, in seconds" if not self.inverse else "has none; leave it out"
+            raise UserError(f"--inverse {self.inverse:g}: --type {self.type} {needs}")
         with user_input("retuner tune"):
             lags = (self.tau1, self.tau2, self.theta)
             return ProcessModel(ProcessType(self.type), self.k, *lags, inverse_s=self.inverse)
