@@ -176,8 +176,7 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     if not gains.ki or np.ptp(window.pv) == 0 or np.ptp(window.co) == 0:
         return None
     rows = _thinned(window)
-    reset_s = abs(gains.kp / gains.ki)
-    tau_i = max(reset_s, window.sample_time_s) / rows.sample_time_s
+    tau_i = max(abs(gains.kp / gains.ki), window.sample_time_s) / rows.sample_time_s
     if not _may_stand(rows, tau_i, settings):
         return None
     steps = as_steps(rows.pv)
@@ -186,9 +185,8 @@ def standing(window: Window, gains: PidGains, settings: StandingSettings) -> Sta
     counted = tuple(sorted((leg for leg in legs if leg.travel > settings.travel), key=lambda leg: leg.start_s))
     slips = [b.first for a, b in pairwise(found)]
     agreed = _agreed(rows, found, gains.direction, settings)
-    stands = (
-        _long_enough(counted, settings) and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
-    )
+    lasts = _long_enough(counted, settings)
+    stands = lasts and _agree(len(agreed), len(slips)) and _explained(rows.pv, steps, settings)
     silent = tuple(_silent(rows, steps, tau_i, settings))
     dead = any(leg.travel >= settings.dead_travel and leg.dwell >= settings.dead_dwell for leg in counted)
     return Standing(
