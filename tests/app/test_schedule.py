@@ -17,7 +17,7 @@ from retuner.decision_page.shown_units import show_units
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import Lookup
-from retuner.schedule_report.sentences import push_sentence, variable_sentence
+from retuner.schedule_report.sentences import message_sentence, push_sentence, variable_sentence
 from retuner.scheduling import RecordedGains, ScheduleDesign, at_limits, schedule_section, table_of
 
 Capture = pytest.CaptureFixture[str]
@@ -154,6 +154,19 @@ def test_a_schedule_over_two_variables_is_taken_by_check(tmp_path: Path, capsys:
     config.write_text(LOOP + schedule_section(table) + REST)
     assert main(["check", str(config)]) == 0, capsys.readouterr().err
     assert from_toml(to_toml(table)).gains == table.gains
+
+
+@pytest.mark.parametrize(("second", "told"), [("flow", "carries flow in place of FILL_IN"), ("co", "")])
+def test_what_a_person_must_fill_in_is_told(second: str, told: str) -> None:
+    layout = Cells(Lookup.HARD, (0.0, 100.0), (0.0, 50.0, 100.0), (PidGains(0.5, 0.05),) * 2)
+    made = SimpleNamespace(layout=layout, variable="pv", second=second, hysteresis=1.0, second_hysteresis=2.0)
+    made.min_stay_s = 4.0
+    table = table_of(cast("Design", made), "level", "%")
+    assert table is not None
+    assert ("FILL_IN" in schedule_section(table)) == bool(told)
+    said = message_sentence(cast("ScheduleDesign", SimpleNamespace(table=table)))
+    assert told in said
+    assert bool(said) == bool(told)
 
 
 def test_which_variable_is_told_with_how_far_the_others_are_behind() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from retuner.adaptive.schedule_choice.crossing import Crossing
 from retuner.adaptive.schedule_design.shapes import Shape
+from retuner.schedule.axis import CAN
 from retuner.scheduling import ScheduleDesign
 
 PARAMETERS = ("slope gain k/tau", "dead time", "lag", "second lag")
@@ -115,6 +116,18 @@ def push_sentence(found: ScheduleDesign) -> str:
     return (
         f"{' and '.join(pushing)} {verb} from outside and may move pv by itself. How it does so is known only "
         "roughly, and the bands leave that out. Confirm the gains with a setpoint step at each end."
+    )
+
+
+def message_sentence(found: ScheduleDesign) -> str:
+    """Which entry of the section a person must fill in before it runs; empty where none."""
+    axes = () if found.table is None else found.table.regions.axes
+    signals = [axis.signal for axis in axes if axis.variable == CAN]
+    if not signals:
+        return ""
+    return (
+        f"Put the bus message that carries {' and '.join(signals)} in place of FILL_IN: "
+        "until then retuner check refuses the section."
     )
 
 

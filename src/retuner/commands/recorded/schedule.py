@@ -34,6 +34,7 @@ from retuner.schedule.table import GainTable
 from retuner.schedule_report.sentences import (
     experiment_sentence,
     limit_sentence,
+    message_sentence,
     motion_sentences,
     push_sentence,
     variable_sentence,
@@ -236,7 +237,8 @@ def described(found: ScheduleDesign) -> list[str]:
     if found.table is not None:
         lines += ["", schedule_section(found.table).rstrip()]
     doubts = [told for told in (push_sentence(found), limit_sentence(found)) if told]
-    return [*lines, "", *doubts, *motion_sentences(found), experiment_sentence(found)]
+    last = [told for told in (message_sentence(found),) if told]
+    return [*lines, "", *doubts, *motion_sentences(found), experiment_sentence(found), *last]
 
 
 def _place_lines(found: ScheduleDesign) -> list[str]:
