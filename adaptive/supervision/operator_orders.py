@@ -3,7 +3,8 @@ what they must not do at the controller: turn its action.
 
 An approved proposal is put to the guard again, with what is known now, and is written whole or not at all: what was
 approved is what was looked at. Where nothing is known of the region (the proposal is of the session before this one)
-the limits per change hold it. Then it is on trial as any change.
+the limits per change hold it, but not on the way to less of everything: a proposal that calms may be as large as its
+loop is unstable. Then it is on trial as any change.
 The way back leads to a set that has run before, so the limits per change do not hold it; the absolute ones do, and a
 set that would make the known process unstable is refused. While a change is on trial the way back is to undo that.
 """
@@ -12,6 +13,7 @@ import math
 from dataclasses import replace
 
 from retuner.adaptive.guard import GuardSettings, Verdict, change_factor, prove, within_limits
+from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.update import predicted
 from retuner.adaptive.rules.rule import Tuning
@@ -67,7 +69,8 @@ def _refusal(retuner: Retuner, region: int, proposal: Proposal, verdict: Verdict
     if change_factor(in_force, proposal.before) > SAME_GAINS:
         return str(ProposalStanding.OTHER_GAINS)
     if verdict is None:
-        moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard)
+        less = less_of_everything(in_force, proposal.after)
+        moved = within_limits(in_force, proposal.after, 1.0, retuner.settings.guard, less_unlimited=less)
         whole = moved is not None and change_factor(moved[0], proposal.after) < WHOLE
         return "" if whole else "it is outside the present limits of a change"
     if verdict.gains is None:

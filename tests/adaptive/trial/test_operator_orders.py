@@ -82,6 +82,14 @@ def test_a_proposal_of_an_earlier_session_is_held_to_the_limits_per_change() -> 
     assert "outside the present limits" in refused.reason
 
 
+def test_less_of_everything_is_not_held_to_the_limits_per_change() -> None:
+    calmer = replace(OFFERED, after=PidGains(SLOW.kp / 30, SLOW.ki / 30))
+    written = approve(Bench().retuner, calmer, 60.0)
+    assert (written.action, written.gains_after) == (Action.COMMIT, calmer.after)
+    mixed = replace(OFFERED, after=PidGains(SLOW.kp / 30, SLOW.ki * 5))
+    assert approve(Bench().retuner, mixed, 60.0).action is Action.NONE
+
+
 def test_what_is_known_now_decides_and_not_what_was_known() -> None:
     bench = Bench(taught=True)
     wild = replace(OFFERED, after=PidGains(SLOW.kp * 1.9, SLOW.ki * 30.0))
