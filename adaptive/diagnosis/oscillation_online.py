@@ -97,7 +97,7 @@ class Standing:
 
 
 def swings(response: Response, settings: SwingSettings) -> bool:
-    """Whether a response that no setpoint step began hardly decays; of two peaks, the second is as large as the first.
+    """Whether a response that no setpoint step began hardly decays: by its damping, or, of two peaks, its overshoot.
 
     Of a clean decay overshoot and damping are equal; a tone that is slower than was waited has no third peak yet.
     """
