@@ -152,6 +152,7 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
+    unlike = "not judged by itself: the response began under other gains" if seen.response.taken_over else unlike
     unlike = "not judged by itself: the response crossed a boundary" if seen.crossed else unlike
     if unlike and worse:
         return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
