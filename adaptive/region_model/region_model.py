@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import Window
 
 POINTS = 12
 """So many of the last records are remembered by what they said alone."""
@@ -44,6 +45,7 @@ class RegionModel:
     alternative : what the contradicting record alone said, if the last one was odd.
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
+    windows : the records themselves while they are few, for the next one to be fitted with them (together.py).
     """
 
     known: tuple[StructureModel, ...]
@@ -54,6 +56,7 @@ class RegionModel:
     plausible: tuple[Plausible, ...] = field(default=())
     identifiable: bool = True
     reason: str = ""
+    windows: tuple[Window, ...] = ()
 
     @property
     def log(self) -> LogModel:
