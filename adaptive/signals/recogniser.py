@@ -12,7 +12,7 @@ What a sample means is worked out first, as one event; then the table says where
     NEW_MAX   it passed the extreme again                  CROSS     it stands beyond the band on the other side
     QUIET     inside the band for quiet_s                  TIMEOUT   nothing of this in time
     SETPOINT  the setpoint moved by more than the band
-    GROWN     after a setpoint step, the second extreme is several times the first: there is no time for a third
+    GROWN     a RETREAT after a setpoint step from a second extreme several times the first: no time for a third
 
 In time means within wait_s; after the first crossing within `reach` times what it took to get there, if that is less
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
@@ -191,13 +191,18 @@ def _event(
         return Event.QUIET
     if phase == RecogniserPhase.LOCATE_1 and not state.started:
         return Event.START
-    if phase == RecogniserPhase.LOCATE_2 and state.sp_changed and abs(state.e_peak) > GROWN * abs(state.e1):
-        return Event.GROWN
     late = _late(law, state, t_s)
     if phase == RecogniserPhase.SETTLE:  # a swing is followed from where it crosses zero: its first extreme is one
         over = late and inside_s < _OUTSIDE
         return Event.TIMEOUT if over else _settle_event(law, state, t_s, e, band)
-    return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+    found = Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+    return Event.GROWN if found == Event.RETREAT and _has_grown(state) else found
+
+
+def _has_grown(state: RecogniserState) -> bool:
+    """Whether the second extreme after a setpoint step is several times the first, under gains that made both."""
+    own = state.phase == RecogniserPhase.LOCATE_2 and state.sp_changed and state.until_s == math.inf
+    return own and abs(state.e_peak) > GROWN * abs(state.e1)
 
 
 def _settle_event(law: RecogniserLaw, state: RecogniserState, t_s: float, e: float, band: float) -> Event:
@@ -268,7 +273,8 @@ def _move(
     if phase == RecogniserPhase.ADAPT:
         return _end(state, event, t_s, e)
     if phase == RecogniserPhase.SETTLE:
-        return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=event, until_s=math.inf)
+        kept = Event.GROWN if state.event == Event.GROWN else event
+        return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=kept, until_s=math.inf)
     if state.phase == RecogniserPhase.SETTLE:
         return begin(t_s, sp)._replace(phase=phase)
     if event == Event.CROSS:
@@ -281,7 +287,7 @@ def _move(
 def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
     """An upset begins: a load, a setpoint change, or a small setpoint change that is only taken note of."""
     moved = abs(sp - state.sp) > band
-    left = state.until_s < math.inf and not moved
+    left = (state.until_s < math.inf or state.event == Event.GROWN) and not moved
     return state._replace(
         phase=RecogniserPhase.LOCATE_1,
         started=abs(e) > START_BANDS * band,
