@@ -12,7 +12,7 @@ the peaks.) It is WORSE as well when the old gains were surely better on the mod
 the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
-    all peaks within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
+    all peaks within seen_bands of noise; begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is
     worse by then will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
@@ -199,7 +199,7 @@ def _says_nothing(seen: JudgedResponse, settings: TrialSettings) -> str:
     if seen.outside:
         return f"not judged: {seen.outside}"
     least = settings.seen_bands * response.band
-    if max((abs(peak.e) for peak in response.peaks), default=0.0) < least:
+    if not response.taken_over and max((abs(peak.e) for peak in response.peaks), default=0.0) < least:
         return f"not judged: the peaks are below {least:.3g}, {settings.seen_bands:g} noise bands"
     return ""
 
