@@ -12,8 +12,8 @@ the peaks.) It is WORSE as well when the old gains were surely better on the mod
 the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
-    all peaks within seen_bands of noise; begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is
-    worse by then will not get better: IAE only grows)
+    all peaks within seen_bands of noise; begun under other gains; no rest before the setpoint's step; cut short by the
+    next one (but what is worse by then will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
 
