@@ -223,11 +223,13 @@ def _settle_event(law: RecogniserLaw, state: RecogniserState, t_s: float, e: flo
 def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
     """Whether the wait has taken too long (see the head of this file)."""
     waited = t_s - state.since_s
+    if state.started and state.until_s < math.inf:  # its times are not those of a step
+        return t_s > state.until_s or t_s - state.t_start_s > law.longest_s
     if waited > law.wait_s:
         return True
     if state.phase == RecogniserPhase.SETTLE:
         return False
-    if t_s - state.t_start_s > law.longest_s or t_s > state.until_s:
+    if t_s - state.t_start_s > law.longest_s:
         return True
     crossed = state.phase > RecogniserPhase.VERIFY_1
     return crossed and waited > max(law.reach * (state.since_s - state.t_start_s), law.quiet_s)

@@ -117,7 +117,8 @@ class JudgedResponse:
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
-    say of both sets, None where there are none.
+    say of both sets, None where there are none. safer_due : by this response the tried set swings, and a safer one is
+    proved.
     """
 
     response: Response
@@ -126,6 +127,7 @@ class JudgedResponse:
     outside: str = ""
     posterior: PosteriorCheck | None = None
     crossed: bool = False
+    safer_due: bool = False
 
 
 class _Swings(NamedTuple):
