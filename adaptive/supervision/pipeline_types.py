@@ -219,7 +219,7 @@ class Findings:
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     joined : setpoint steps to and fro of which the record was made, 0 for one response as it came.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
-    no second opinion. The others are those of StageResult, None for as before.
+    no second opinion. expected : why the change is worth it. The others are those of StageResult, None for as before.
     """
 
     question: Question
@@ -243,6 +243,7 @@ class Findings:
     numbers: Numbers = NO_NUMBERS
     forget: bool = False
     promise: Promise | None = None
+    expected: str = ""
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
 
