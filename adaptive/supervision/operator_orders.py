@@ -52,9 +52,16 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
 
 
 def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: float = 86400.0) -> Decision:
-    """A person approved what a decision proposes: the decision to write it, or why not.
+    """An operator approves what a decision proposes.
 
-    Do what it asks for, as with any decision. expires_after_s : how long a proposal may be approved, s; default a day.
+    Parameters
+    ----------
+    retuner : of the loop. decision : with action ADVISE. expires_after_s : how long it stands, s; default a day.
+
+    Returns
+    -------
+    Decision
+        To write it (do what it asks for, as with any decision), or why not.
 
     Raises
     ------
@@ -142,8 +149,17 @@ def found_running(retuner: Retuner, gains: PidGains) -> Decision | None:
     """A session goes on from the memory of an earlier one, and the controller runs these gains, as read back.
 
     They tell how a write ended in which the earlier session did. What neither the table nor an undecided change has is
-    a person's (Retuner.edited). The decision has action RESTORE where other gains are to run than do, and None says
-    that all is as it was remembered.
+    an operator's.
+
+    Parameters
+    ----------
+    retuner : as it was restored. gains : that the controller runs.
+
+    Returns
+    -------
+    Decision or None
+        An operator's edit (see `Retuner.edited`), or action RESTORE where other gains are to run; None where all is as
+        it was remembered.
 
     Raises
     ------

@@ -19,7 +19,7 @@ def require_action(gains: PidGains, commissioned: PidGains) -> None:
     """
     if gains.direction != commissioned.direction:
         raise ValueError(
-            f"{_set(gains)} acts in the other direction than the commissioned {_set(commissioned)}: nothing is changed"
+            f"{_set(gains)} acts in the other direction than the configured {_set(commissioned)}: nothing is changed"
         )
 
 

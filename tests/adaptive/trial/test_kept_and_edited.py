@@ -148,7 +148,7 @@ def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() ->
 
 def test_gains_of_the_other_sign_are_refused_at_the_door() -> None:
     stand = Stand(GOOD)
-    with pytest.raises(ValueError, match="acts in the other direction than the commissioned Kc"):
+    with pytest.raises(ValueError, match="acts in the other direction than the configured Kc"):
         stand.retuner.edited(PidGains(-GOOD.kp, -GOOD.ki))
     assert stand.retuner.table.gains == (GOOD,)
     assert stand.retuner.trials.phase(0) is P.IDLE
