@@ -123,7 +123,17 @@ VERSION = 8
 
 
 def remember(retuner: Retuner) -> dict[str, object]:
-    """The memory as a dict of plain JSON values (infinities and NaN as strings)."""
+    """What a retuner must not lose over a restart.
+
+    Parameters
+    ----------
+    retuner : at any moment; a question that is open is not remembered.
+
+    Returns
+    -------
+    dict
+        Plain JSON values (infinities and NaN as strings), for `restore`.
+    """
     state = retuner.state()
     finder = state.finder
     return {
@@ -152,6 +162,15 @@ def remember(retuner: Retuner) -> dict[str, object]:
 
 def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     """A retuner that goes on where the remembered one stood.
+
+    Parameters
+    ----------
+    memory : what `remember` gave. settings : as they were then, or others.
+
+    Returns
+    -------
+    Retuner
+        Tell it by `found_running` what the controller runs by now.
 
     Raises
     ------
