@@ -296,6 +296,7 @@ def posterior_of(
     estimate = learned.estimate
     if (
         learned.agreement == Agreement.SILENT
+        or _outvoted(learned)
         or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
     ):
         return None
@@ -305,6 +306,18 @@ def posterior_of(
         allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
     )
     return replace(found, settled=estimate.identifiable)
+
+
+AGREED = 2
+"""Records that agree, from which on one that does not identify the process says nothing against what they show."""
+
+
+def _outvoted(learned: Learned) -> bool:
+    """The record contradicts several that agree, and could not name the process by itself: its load was no step."""
+    known = learned.region_model
+    records = known.records if known is not None else 0
+    alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
+    return alone and records >= AGREED
 
 
 def _of_crossing(
