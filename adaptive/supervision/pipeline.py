@@ -433,7 +433,9 @@ def expectation(found: Findings) -> None:
         and verdict.accepted
         and may_follow(found.question.trial, settings)
     ):
-        found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
+        found.promise = promise_of(
+            verdict, record.table, record.region, record.at, record.pattern, settings, record.samples
+        )
 
 
 def check_after_trial(found: Findings) -> None:

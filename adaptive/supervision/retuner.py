@@ -450,7 +450,7 @@ class Retuner:
         promised = outcome.promise
         if accepted and promised is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)
-            promised = promise_of(outcome.verdict, self.table, region, at, pattern, self.settings)
+            promised = promise_of(outcome.verdict, self.table, region, at, pattern, self.settings, self._finder.samples)
         made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
         made = proposing(made, self.trials.of(region), now_s) if proposes else made
         if question is None or question.sample_number == self.sample_number:
