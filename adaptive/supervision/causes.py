@@ -134,11 +134,14 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in FOREIGN)
     found.foreign = min(max(found.foreign, 0), settings.swing.most_counted)
     if found.foreign and own:
-        return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(cause=cause.reason))
+        return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
     return cause if found.foreign or (swinging and not own) else None
 
 
-STILL_ALIVE = "something else than the tuning was behind most of what these gains have shown; this response: {cause}"
+STILL_ALIVE = (
+    "this response is the loop's own, but something else than the tuning was behind more of those under these gains; "
+    "such responses needed before it counts: {more}"
+)
 """The reason where one response alone would be the loop's own."""
 
 
