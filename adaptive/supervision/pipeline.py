@@ -30,7 +30,6 @@ from retuner.adaptive.supervision.causes import (
     hidden,
     is_sure,
     joining,
-    looked_at_lately,
     not_as_modelled,
     rested_on,
     swings_between_limits,
@@ -95,23 +94,14 @@ def admission(found: Findings) -> None:
 
 
 def swing(found: Findings) -> None:
-    """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
+    """Is a swing without a setpoint step, or what had another cause before, still due to none of tuning?"""
     record, settings = found.record, found.settings
     if record.crossed:
         return
     found.growth = grows(record.samples, record.response.band, settings.growth)
-    foreign, standing = foreign_swing(found)
+    foreign = foreign_swing(found)
     if foreign is not None:
-        found.explained_otherwise(foreign, standing)
-
-
-def repetition(found: Findings) -> None:
-    """Was the same looked at a short while ago, without the tuning being named?"""
-    waiting = looked_at_lately(found.record, found.settings) if found.growth is None else None
-    if waiting is not None:
-        found.diagnosis = waiting
-        found.excitation = found.record.excitation.with_response(found.record.response)
-        found.stop("waiting", waiting.reason)
+        found.explained_otherwise(foreign)
 
 
 def identification(found: Findings) -> None:
@@ -177,9 +167,9 @@ def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Regio
 
 def hidden_cause(found: Findings) -> None:
     """Does something else hide under the response, which its model leaves open?"""
-    foreign, standing = (None, None) if found.record.crossed else hidden(found)
+    foreign = None if found.record.crossed else hidden(found)
     if foreign is not None:
-        found.explained_otherwise(foreign, standing)
+        found.explained_otherwise(foreign)
 
 
 def region_model(found: Findings) -> None:
@@ -260,7 +250,7 @@ def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: s
     """Whether the step without a model is made."""
     record, excitation = found.record, found.excitation_now
     if found.growth is None and not clear_case(found, learned):
-        doubt, excitation = doubt_of(found)
+        doubt = doubt_of(found)
         if doubt is not None:
             found.excitation, found.numbers = excitation, NO_NUMBERS
             found.doubted(doubt)
@@ -385,7 +375,7 @@ def confirmation(found: Findings) -> None:
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
-        doubt, found.excitation = doubt_of(found, wanted.diagnosis.cause)
+        doubt = doubt_of(found, wanted.diagnosis.cause)
         if doubt is not None:
             _not_confirmed(found, doubt)
             return
@@ -399,8 +389,7 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
     if doubt.cause in FOREIGN:
         found.region_model = None
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
-            counted = found.record.excitation.with_response(found.record.response)
-            found.excitation = replace(counted, asked=counted.loads)
+            found.excitation = found.record.excitation.with_response(found.record.response)
     found.doubted(doubt)
 
 
@@ -476,7 +465,6 @@ STAGES = (
     Stage("joining", joining),
     Stage("admission", admission),
     Stage("swing", swing),
-    Stage("repetition", repetition),
     Stage("identification", identification),
     Stage("hidden cause", hidden_cause),
     Stage("region model", region_model),

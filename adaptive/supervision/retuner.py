@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -95,7 +94,7 @@ class Retuner:
         self.table = table
         self.commissioned = commissioned or table
         self.region_models: dict[int, RegionModel] = {}
-        self.standing: dict[int, Standing] = {}
+        self.foreign: dict[int, int] = {}
         self.excitation: dict[int, Excitation] = {}
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
@@ -301,9 +300,9 @@ class Retuner:
         return self.table.at(region, x, x2)
 
     def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes; an oscillation that was explained is to be explained anew."""
+        """The one place where the table changes; what was behind a response under other gains is asked anew."""
         self.table = self.table.with_gains(region, gains)
-        self.standing.pop(region, None)
+        self.foreign.pop(region, None)
         self._finder.gains_changed()
 
     def _step_on_trial(self, sample: LoopSample) -> Step:
@@ -381,8 +380,8 @@ class Retuner:
         if outcome.region_model is not None:
             self.region_models[region] = outcome.region_model
         self.region_models.update(outcome.beside)
-        if outcome.standing is not None:
-            self.standing[region] = outcome.standing
+        if outcome.foreign is not None:
+            self.foreign[region] = outcome.foreign
         if outcome.excitation is not None:
             self.excitation[region] = outcome.excitation
         if outcome.forget:
@@ -430,7 +429,7 @@ class Retuner:
             self.table,
             self.commissioned,
             dict(self.region_models),
-            self.standing.get(seen.region),
+            self.foreign.get(seen.region, 0),
             self.excitation.get(seen.region, Excitation()),
             w.scheduled,
             seen.entered_s,

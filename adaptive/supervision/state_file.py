@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -118,7 +116,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     )
 
 
-VERSION = 8
+VERSION = 9
 """Of this layout; newer ones are refused."""
 
 
@@ -150,12 +148,9 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "decisions": state.decisions,
         "samples_observed": state.samples,
         "trials": retuner.trials.to_dict(),
-        "standing": {
-            str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
-        },
+        "foreign": {str(region): count for region, count in retuner.foreign.items()},
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.alternative]
-            for region, e in retuner.excitation.items()
+            str(region): [e.setpoints, e.loads, e.clear, e.alternative] for region, e in retuner.excitation.items()
         },
     }
 
@@ -184,10 +179,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     try:
         retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
         retuner.region_models = {int(region): region_model_in(body) for region, body in memory["region_models"].items()}
-        retuner.standing = {
-            int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
-            for region, (cause, period_s, t_s, reason) in memory["standing"].items()
-        }
+        retuner.foreign = {int(region): int(count) for region, count in memory["foreign"].items()}
         retuner.excitation = {
             int(region): Excitation(*(int(count) for count in counts))
             for region, counts in memory["excitation"].items()
