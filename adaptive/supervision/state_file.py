@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -134,12 +132,22 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     )
 
 
-VERSION = 8
+VERSION = 9
 """Of this layout; newer ones are refused."""
 
 
 def remember(retuner: Retuner) -> dict[str, object]:
-    """The memory as a dict of plain JSON values (infinities and NaN as strings)."""
+    """What a retuner must not lose over a restart.
+
+    Parameters
+    ----------
+    retuner : at any moment; a question that is open is not remembered.
+
+    Returns
+    -------
+    dict
+        Plain JSON values (infinities and NaN as strings), for `restore`.
+    """
     state = retuner.state()
     finder = state.finder
     return {
@@ -156,18 +164,24 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "decisions": state.decisions,
         "samples_observed": state.samples,
         "trials": retuner.trials.to_dict(),
-        "standing": {
-            str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
-        },
+        "foreign": {str(region): count for region, count in retuner.foreign.items()},
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.alternative]
-            for region, e in retuner.excitation.items()
+            str(region): [e.setpoints, e.loads, e.clear, e.alternative] for region, e in retuner.excitation.items()
         },
     }
 
 
 def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     """A retuner that goes on where the remembered one stood.
+
+    Parameters
+    ----------
+    memory : what `remember` gave. settings : as they were then, or others.
+
+    Returns
+    -------
+    Retuner
+        Tell it by `found_running` what the controller runs by now.
 
     Raises
     ------
@@ -181,10 +195,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     try:
         retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
         retuner.region_models = {int(region): region_model_in(body) for region, body in memory["region_models"].items()}
-        retuner.standing = {
-            int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
-            for region, (cause, period_s, t_s, reason) in memory["standing"].items()
-        }
+        retuner.foreign = {int(region): int(count) for region, count in memory["foreign"].items()}
         retuner.excitation = {
             int(region): Excitation(*(int(count) for count in counts))
             for region, counts in memory["excitation"].items()
