@@ -71,10 +71,11 @@ def is_clear(
     """Whether a response needs no confirmation.
 
     samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
-    that it needed.
+    that it needed. One that other gains took over in motion goes on with what was judged when they came.
     """
     explained = left <= settings.unexplained and loads <= settings.loads_beside
-    return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
+    from_rest = response.taken_over or was_at_rest(samples, response, settings)
+    return bool(response.sp_changed) and explained and from_rest
 
 
 def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool, peaks: int) -> bool:

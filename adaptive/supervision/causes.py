@@ -183,6 +183,8 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 def not_as_modelled(found: Findings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
     record, cause, settings = found.record, found.diagnosis, found.settings
+    if record.pattern is None:
+        return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or not allowed:
         return None

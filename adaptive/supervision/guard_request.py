@@ -353,4 +353,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed)
+    safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed, safer_due)

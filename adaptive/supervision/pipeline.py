@@ -213,8 +213,9 @@ def without_a_model(found: Findings) -> None:
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
-    if record.crossed:
-        found.stop(NOT_KNOWN, f"{why}; the response crossed a boundary, so its pattern is that of two sets of gains")
+    if record.pattern is None:
+        came = "crossed a boundary" if record.crossed else "began under other gains"
+        found.stop(NOT_KNOWN, f"{why}; the response {came}, so its pattern is that of two sets of gains")
         return
     locks = found.settings.locks_of(record.region)
     own = _own_fault(found)
@@ -287,7 +288,7 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: 
 
 def refutation(found: Findings) -> None:
     """Does the loop itself refute the model: is what it says of the swing not to be seen?"""
-    doubt = None if found.record.crossed else not_as_modelled(found)
+    doubt = not_as_modelled(found)
     if doubt is None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING

@@ -92,8 +92,8 @@ class ResponseRecord:
 
     @property
     def pattern(self) -> Response | None:
-        """The response as one that the gains in force have made, None where those of two regions have."""
-        return None if self.crossed else self.response
+        """The response as one that the gains in force have made, None where those of two sets have."""
+        return None if self.crossed or self.response.taken_over else self.response
 
     @property
     def in_force(self) -> PidGains:

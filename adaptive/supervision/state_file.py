@@ -18,12 +18,15 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import Drift, RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner, RetunerState
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
+
+SERIES = ("t_s", "sp", "pv", "co")
+"""What a record is made of."""
 
 # What is known of a region as plain JSON values, and back, checked on the way in.
 
@@ -42,6 +45,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in region_model.plausible],
         "identifiable": region_model.identifiable,
         "reason": region_model.reason,
+        "windows": [_window_out(window) for window in region_model.windows],
     }
 
 
@@ -66,7 +70,19 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
         tuple(Plausible(_model_in(p["model"]), float(p["excess"])) for p in body["plausible"]),
         bool(body["identifiable"]),
         str(body["reason"]),
+        tuple(_window_in(window) for window in body.get("windows", ())),
     )
+
+
+def _window_out(window: Window) -> dict[str, object]:
+    """A record as it is kept."""
+    return {name: getattr(window, name).tolist() for name in SERIES} | {"noise_std": window.noise_std}
+
+
+def _window_in(body: Mapping[str, Any]) -> Window:
+    """And back."""
+    t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in SERIES)
+    return Window(t_s, sp, pv, co, float(body["noise_std"]))
 
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
