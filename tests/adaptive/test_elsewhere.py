@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_bench import made, scaled
 
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.estimate import LogModel
@@ -26,7 +27,6 @@ from retuner.adaptive.trial.trial import Trial
 from retuner.schedule.gains import PidGains
 from retuner.schedule.regions import Regions
 from retuner.schedule.table import GainTable, Lookup
-from tests.adaptive.loop_bench import made, scaled
 
 REGIONS = Regions("pv", "-", ("a", "b", "c"), 0.0, (30.0, 70.0), 100.0)
 OPENED = RetunerSettings(1.0, 100.0, Mode.AUTO, guard=GuardSettings().opened(8.0))
