@@ -13,8 +13,8 @@ the upset was (posterior_check.py). It is judged only if the upset was one that 
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
     all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
-    begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then will not get better: IAE
-    only grows)
+    begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then
+    will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
 
