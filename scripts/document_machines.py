@@ -85,7 +85,7 @@ MACHINES: tuple[Callable[[], Machine], ...] = (
     ),
     lambda: Machine(
         "The session",
-        "From the first sample to the end, which takes an undecided change back.",
+        "From the first sample to the end, where it is settled which gains stay after an undecided change.",
         "src/retuner/session/loop_session.py",
         loop_session.SessionPhase.WATCHING,
         ways(loop_session.COURSE),

@@ -199,13 +199,13 @@ def _filtered(
     settings, after, innovation = crossing.tracker, [], None
     has = {a.log.type for a in estimate.alternatives}
     for k in known.known:
-        mean = grown(k.log, crossing.t_s - known.t_s, settings) if known.records else k.log
+        mean = grown(k, crossing.t_s - known.t_s, settings) if known.records else k
         if k.log.type in has:
-            there = scattered(mean, settings)
+            there = scattered(mean.log, settings)
             statistic, posterior = update(there, estimate)
             innovation = statistic if innovation is None else innovation
             mean = back_to_mean(mean, there, posterior)
-        after.append(StructureModel(mean, k.evidence))
+        after.append(mean)
     return (0.0, ()) if innovation is None else (innovation, after)
 
 

@@ -19,7 +19,7 @@ from retuner.adaptive.identification.plausible import OUT, Plausible
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.region_model.along import Curves, Place, centre_of, curves, lenders, open_curves, place_of_records
 from retuner.adaptive.region_model.from_neighbours import MOST_LOG_STEP
-from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
+from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import TrackerSettings
 from retuner.adaptive.signals.sample import FloatArray
 from retuner.schedule.regions import Regions
@@ -59,7 +59,7 @@ def carried(
         return curve.step(here, there)
 
     steps = {known.log.type: step(known.log) for known in model.known}
-    known = tuple(StructureModel(_moved(k.log, steps[k.log.type]), k.evidence) for k in model.known)
+    known = tuple(replace(k, log=_moved(k.log, steps[k.log.type])) for k in model.known)
     return replace(model, known=known, plausible=_plausible(model, steps))
 
 

@@ -3,20 +3,56 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessType
+from retuner.adaptive.signals.sample import FloatArray
 
 POINTS = 12
 """So many of the last records are remembered by what they said alone."""
 
 
 @dataclass(frozen=True, slots=True)
+class Drift:
+    """How the log-parameters move from one record to the next.
+
+    v : mean, shape (d,). p : covariance, (d, d). along : covariance of the parameters (rows) with it, (d, d).
+
+    Raises
+    ------
+    ValueError
+        A value is not finite, or the shapes do not fit each other.
+    """
+
+    v: FloatArray
+    p: FloatArray
+    along: FloatArray
+
+    def __post_init__(self) -> None:
+        d = len(self.v)
+        if self.p.shape != (d, d) or self.along.shape != (d, d):
+            raise ValueError(f"shapes {self.v.shape}, {self.p.shape}, {self.along.shape} of a drift do not fit")
+        if not all(np.all(np.isfinite(values)) for values in (self.v, self.p, self.along)):
+            raise ValueError("the drift is not finite")
+
+    @classmethod
+    def unknown(cls, d: int, std: float) -> "Drift":
+        """None so far; std : standard deviation of what it may be."""
+        return cls(np.zeros(d), std**2 * np.eye(d), np.zeros((d, d)))
+
+
+@dataclass(frozen=True, slots=True)
 class StructureModel:
-    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better)."""
+    """What is known under one structure: parameters with covariance, and the evidence for it (smaller is better).
+
+    drift : how they move from record to record; None where two records have not been compared yet.
+    """
 
     log: LogModel
     evidence: float
+    drift: Drift | None = None
 
 
 @dataclass(frozen=True, slots=True)

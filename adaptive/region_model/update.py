@@ -33,7 +33,7 @@ from retuner.adaptive.identification.candidate import Candidate, with_priors
 from retuner.adaptive.identification.estimate import LogModel, ModelEstimate
 from retuner.adaptive.identification.identify import Fits, FitSettings, estimate_of, inflation_of
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.kalman import back_to_mean, gate, surprise_of, update, widened
+from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
@@ -66,6 +66,9 @@ class TrackerSettings:
     walk_per_day : how far the logarithms wander in a day, one standard deviation; default 0.1 (10 %).
     walk_per_record : how far they wander from record to record, whatever the time; 0 to 0.1, default 0.03: a gain that
         doubles within thirty records is followed.
+    drift_per_record : how far they may move in one direction from record to record, one standard deviation; 0 to 0.1,
+        default 0.02. It is learned from record to record (kalman.py).
+    drift_lasts : records for which a drift goes on, in the mean; 2 to 1000, default 20.
     scatter : how much the logarithms differ from record to record within a region, one standard deviation: the
         operating point is never quite the same and no structure is quite right; 0.02 to 0.2, default 0.06 (with 0.12 a
         gain that doubles at once passes the gate and is followed too slowly).
@@ -83,6 +86,8 @@ class TrackerSettings:
 
     walk_per_day: float = 0.1
     walk_per_record: float = 0.03
+    drift_per_record: float = 0.02
+    drift_lasts: float = 20.0
     scatter: float = 0.06
     gate: float = 4.5
     decisive: float = 6.0
@@ -269,8 +274,8 @@ def _contradicted(
 def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: NewRecord) -> Posterior:
     """Every structure updated by the record: its fits repeated with what is known in them."""
     settings, fit, alone = record.settings, record.fit, record.alone
-    means = {k.log.type: grown(k.log, elapsed_s, settings) for k in known}
-    priors = {t: scattered(log, settings) for t, log in means.items()}
+    means = {k.log.type: grown(k, elapsed_s, settings) for k in known}
+    priors = {t: scattered(mean.log, settings) for t, mean in means.items()}
     roots = {t: Prior.of(log.x, log.p) for t, log in priors.items()}
     before = {k.log.type: k.evidence for k in known}
     again = with_priors(record.found, roots, inflation_of)
@@ -280,7 +285,8 @@ def _posterior_of(known: tuple[StructureModel, ...], elapsed_s: float, record: N
     for alternative in estimate.alternatives:
         type_ = alternative.log.type
         _, posterior = update(priors[type_], estimate)
-        after.append(StructureModel(back_to_mean(means[type_], priors[type_], posterior), alternative.evidence))
+        mean = back_to_mean(means[type_], priors[type_], posterior)
+        after.append(replace(mean, evidence=alternative.evidence))
     apart = min(_criterion(k, record) for k in known) + min(a.evidence for a in alone.alternatives)
     together = min(_criterion(k, record) for k in after)
     linear, _ = update(priors[known[0].log.type], alone)
@@ -300,10 +306,11 @@ def _led(known: list[StructureModel], record: NewRecord) -> tuple[StructureModel
     return tuple(replace(k, evidence=k.evidence - max(_criterion(k, record) - lead - most, 0.0)) for k in ranked)
 
 
-def grown(log: LogModel, elapsed_s: float, settings: TrackerSettings) -> LogModel:
-    """The region's mean one record and so much time later: where it was, a covariance grown by the random walk."""
+def grown(known: StructureModel, elapsed_s: float, settings: TrackerSettings) -> StructureModel:
+    """The region's mean one record and so much time later: moved on by its drift, widened by the random walk."""
     days = max(elapsed_s, 0.0) / SECONDS_PER_DAY
-    return widened(log, settings.walk_per_day**2 * days + settings.walk_per_record**2)
+    variance = settings.walk_per_day**2 * days + settings.walk_per_record**2
+    return moved_on(known, variance, settings.drift_per_record, 1 - 1 / settings.drift_lasts)
 
 
 def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
@@ -313,9 +320,9 @@ def scattered(log: LogModel, settings: TrackerSettings) -> LogModel:
 
 def predicted(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> LogModel:
     """The process as it may be met at a later time: the prior of the next fit, and what the guard has to prove for."""
-    return scattered(grown(region_model.log, t_s - region_model.t_s, settings), settings)
+    return predicted_all(region_model, t_s, settings)[0]
 
 
 def predicted_all(region_model: RegionModel, t_s: float, settings: TrackerSettings) -> tuple[LogModel, ...]:
     """The same under every structure, the leading one first."""
-    return tuple(scattered(grown(k.log, t_s - region_model.t_s, settings), settings) for k in region_model.known)
+    return tuple(scattered(grown(k, t_s - region_model.t_s, settings).log, settings) for k in region_model.known)

@@ -21,6 +21,7 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement
+from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.adaptive.trial.phase import UNDOS, TrialPhase
 from retuner.adaptive.trial.trial import Trial
 from retuner.adaptive.weighed import NO_NUMBERS, Numbers
@@ -243,5 +244,7 @@ def proposing(decision: Decision, trial: Trial, now_s: float) -> Decision:
     if decision.gains_after is None:
         return decision
     left_s = max(trial.until_s - now_s, 0.0)
-    reason = f"an operator set the active gains, on hold for another {left_s:,.0f} s; proposed: {decision.reason}"
+    reason = (
+        f"an operator set the active gains, on hold for another {lasting_words(left_s)}; proposed: {decision.reason}"
+    )
     return replace(decision, action=Action.ADVISE, reason=reason)

@@ -134,7 +134,7 @@ class Retuner:
         return self._finder.band
 
     def state(self) -> RetunerState:
-        """Where it stands: see memory.py, which turns it into plain values."""
+        """Where it stands: see state_file.py, which turns it into plain values."""
         return RetunerState(self._finder.state(), self._decisions, self.sample_number)
 
     def resume(self, state: RetunerState) -> None:

@@ -17,7 +17,7 @@ from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessModel, ProcessType
-from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel
+from retuner.adaptive.region_model.region_model import Drift, RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample
@@ -73,12 +73,24 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
     """By structure: parameters with their covariance, and the evidence."""
-    return [_log_out(k.log) | {"evidence": k.evidence} for k in known]
+    return [_log_out(k.log) | {"evidence": k.evidence, "drift": _drift_out(k.drift)} for k in known]
 
 
 def _known_in(bodies: Sequence[Mapping[str, Any]]) -> tuple[StructureModel, ...]:
     """And back."""
-    return tuple(StructureModel(_log_in(body), float(body["evidence"])) for body in bodies)
+    return tuple(
+        StructureModel(_log_in(body), float(body["evidence"]), _drift_in(body.get("drift"))) for body in bodies
+    )
+
+
+def _drift_out(drift: Drift | None) -> dict[str, object] | None:
+    """How the parameters move."""
+    return None if drift is None else {name: getattr(drift, name).tolist() for name in ("v", "p", "along")}
+
+
+def _drift_in(body: Mapping[str, Any] | None) -> Drift | None:
+    """And back; memories of before have none."""
+    return None if body is None else Drift(*(np.array(body[name], dtype=np.float64) for name in ("v", "p", "along")))
 
 
 def _log_out(log: LogModel) -> dict[str, object]:

@@ -175,7 +175,7 @@ def _not_worse(
 ) -> Judgement:
     """Better, as promised, or cut short before that can be said."""
     upset = numbers.upset
-    told = _told(swing, upset)
+    told = _told(swing, upset, setpoint=seen.response.sp_changed)
     if seen.response.ending == Ending.SETPOINT:
         return _by_posterior(f"{seen.response.ending}; until then {told}", seen.posterior, settings, numbers)
     cheaper = upset is not None and upset.iae < now.iae.low
@@ -199,7 +199,7 @@ def _says_nothing(seen: JudgedResponse, settings: TrialSettings) -> str:
         return f"not judged: {seen.outside}"
     least = settings.seen_bands * response.band
     if max((abs(peak.e) for peak in response.peaks), default=0.0) < least:
-        return f"not judged: the peaks are below {least:.3g}, {settings.seen_bands:g} noise bands"
+        return f"not judged: the peaks are below {settings.seen_bands:g} noise bands ({least:.3g} in units of pv)"
     return ""
 
 
@@ -267,9 +267,8 @@ def _costs(seen: JudgedResponse, gains: PidGains, now: Expected, before: float, 
     numbers = UpsetNumbers(measured, *held_against, travel, storable(now.travel.best))
     if measured <= limit or measured <= before:
         return _Costs("", numbers)
-    kind = "setpoint step" if response.sp_changed else "load step"
     words = (
-        f"worse than predicted: IAE {measured:.3g} per unit {kind}, predicted at most {now.iae.high:.3g}; "
+        f"worse than predicted: IAE {measured:.3g} {_PER[response.sp_changed]}, predicted at most {now.iae.high:.3g}; "
         f"previous gains {before:.3g}"
     )
     return _Costs(words, numbers)
@@ -301,9 +300,13 @@ def _area(values: FloatArray, t: FloatArray) -> float:
     return float(trapezoid(values, t))
 
 
-def _told(swing: SwingNumbers, upset: UpsetNumbers | None) -> str:
+_PER = {True: "s per unit setpoint step", False: "pv s per unit load step"}
+"""What an IAE is measured in, by whether the setpoint was stepped."""
+
+
+def _told(swing: SwingNumbers, upset: UpsetNumbers | None, *, setpoint: bool) -> str:
     """The numbers in words."""
     words = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f})"
     if upset is not None and upset.iae_limit >= 0:
-        words += f", IAE {upset.iae:.3g} per unit step (predicted {upset.iae_promised:.3g})"
+        words += f", IAE {upset.iae:.3g} {_PER[setpoint]} (predicted {upset.iae_promised:.3g})"
     return words

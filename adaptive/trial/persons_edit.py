@@ -34,14 +34,25 @@ def edit_words(ours: PidGains, now: PidGains, known: StillAllowed, hold_s: float
         found = Robustness.of(ms)
         weighed = robustness_words(found.ms, found.unstable, len(ms))
         words += f"; over {models_words(len(ms))}: {weighed}"
-    return f"{words}; held for {hold_s:,.0f} s, in which changes are proposals for operator approval"
+    return f"{words}; held for {lasting_words(hold_s)}, in which changes are proposals for operator approval"
+
+
+def lasting_words(lasts_s: float) -> str:
+    """How long something lasts: hours and days where seconds are hard to read."""
+    for unit, length_s in (("d", DAY_S), ("h", HOUR_S)):
+        if lasts_s >= 2.0 * length_s:
+            return f"{lasts_s / length_s:.3g} {unit}"
+    return f"{lasts_s:,.0f} s"
+
+
+DAY_S, HOUR_S = 86400.0, 3600.0
 
 
 def _set(gains: PidGains) -> str:
     """Kc and times, where it has them."""
     if not gains.kp:
         return f"ki {gains.ki:.4g}"
-    words = [f"kc {gains.kp:.4g}"]
+    words = [f"Kc {gains.kp:.4g}"]
     words += [f"tau_I {gains.kp / gains.ki:.4g} s"] if gains.ki else []
     words += [f"tau_D {gains.kd / gains.kp:.4g} s"] if gains.kd else []
-    return ", ".join(words)
+    return " ".join(words)

@@ -126,7 +126,7 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
             found = robustness(known.ms(other))
             gains, least = (other, found) if found < least else (gains, least)
     numbers = _numbers(len(left), ms_tried, ms_before, left)
-    return WayBack(gains, gains == ran.tried, _words(numbers, gains, ran), numbers)
+    return WayBack(gains, gains == ran.tried, _words(numbers, gains, ran, settings), numbers)
 
 
 def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayBack:
@@ -146,11 +146,15 @@ def _numbers(models: int, tried: Sequence[float], before: Sequence[float], left:
     return WayBackNumbers(models, one.ms, one.unstable, other.ms, other.unstable)
 
 
-def _words(found: WayBackNumbers, gains: PidGains, ran: SetsThatRan) -> str:
+def _words(found: WayBackNumbers, gains: PidGains, ran: SetsThatRan, settings: TrialSettings) -> str:
     """The reason for people."""
     tried = robustness_words(found.ms_tried, found.unstable_tried, found.models)
     before = robustness_words(found.ms_before, found.unstable_before, found.models)
     words = f"over {models_words(found.models)}: trial gains {tried}, previous gains {before}"
+    if not (found.unstable_tried or found.unstable_before) and max(found.ms_tried, found.ms_before) <= (
+        settings.harmless_ms
+    ):
+        words += f"; both are robust (up to {settings.harmless_ms:g})"
     if gains in {ran.before, ran.tried}:
         return words
     return f"{words}; an earlier gain set was the most robust"

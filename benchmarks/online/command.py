@@ -9,8 +9,9 @@ Examples
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
-from online import batch, changes, harm, injected, loads, oracle, own_fault, telemetry, tours, walks
+from online import ablation, batch, changes, harm, injected, loads, oracle, own_fault, telemetry, tours, walks
 from online.runner import collect, rows_of
 
 
@@ -125,6 +126,45 @@ def _own(options: argparse.Namespace) -> tuple[list[own_fault.Row], bool]:
     return rows, whole
 
 
+def _ablation(options: argparse.Namespace) -> tuple[list[ablation.Row], bool]:
+    tasks = [ablation.Task(part, task) for part, task in _ablated(options)][options.offset :: options.every]
+    shown = _shown if options.verbose else None
+    rows, whole = collect(ablation.run, tasks, options.jobs, options.out, shown)
+    said = {name: sum(bool(row["said"].get(name)) for row in rows) for name in options.pieces}
+    _say([f"without a piece, seed {options.seed}; runs in which each decided: {said}"])
+    if not whole:
+        return rows, False
+    others = ablation.again(tasks, rows, options.pieces)
+    out = options.out.with_stem(f"{options.out.stem}-without") if options.out else None
+    more, whole = collect(ablation.run, others, options.jobs, out, shown)
+    pairs = list(zip(others, more, strict=False))
+    for part in dict.fromkeys(task.part for task in tasks):
+        _say(ablation.table(part, tasks, rows, pairs))
+    return rows + more, whole
+
+
+def _shown(row: ablation.Row) -> str:
+    return f"without {row['without'] or 'nothing'}: {ablation.PARTS[row['part']].line(row)}"
+
+
+def _ablated(options: argparse.Namespace) -> list[tuple[str, Any]]:
+    """The runs of a part in which pieces are taken away."""
+    part, seed, loops, kind = options.of, options.seed, options.loops, options.kind
+    told = options.verbose
+    found: list[Any] = []
+    if part == "batch":
+        found = batch.tasks(seed, opened=options.opened, verbose=told)
+    for each in ablation.PARTS[part].KINDS if part != "batch" and kind == "all" else (kind,) * (part != "batch"):
+        match part:
+            case "own":
+                found += own_fault.tasks(seed, each, loops, verbose=told)
+            case "loads":
+                found += loads.tasks(seed, each, loops, opened=options.opened, verbose=told)
+            case _:
+                found += ablation.PARTS[part].tasks(seed, each, loops)
+    return [(part, task) for task in found]
+
+
 def _telemetry(options: argparse.Namespace) -> tuple[list[batch.Row], bool]:
     kinds = telemetry.KINDS if options.kind == "all" else (options.kind,)
     tasks = batch.tasks(options.seed, opened=True, every=options.every, offset=options.offset, verbose=options.verbose)
@@ -169,6 +209,7 @@ def _pictures(options: argparse.Namespace) -> tuple[list[Path], bool]:
 
 
 PARTS = {
+    "ablation": _ablation,
     "batch": _batch,
     "walks": _walks,
     "tours": _tours,
@@ -191,6 +232,15 @@ def _tour_options(part: argparse.ArgumentParser) -> None:
     part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
     part.add_argument("--places", type=int, default=tours.PLACES, help="of each tour")
     part.add_argument("--lookup", choices=("hard", "interpolated"), default="hard")
+
+
+def _ablation_options(part: argparse.ArgumentParser) -> None:
+    part.add_argument("--of", choices=tuple(ablation.PARTS), default="batch", help="runs of this part")
+    part.add_argument("--kind", default="all", help="loops of this kind only (not of batch)")
+    part.add_argument("--loops", type=int, default=8, help="loops of each kind (not of batch)")
+    part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+    names = [piece.name for piece in ablation.PIECES]
+    part.add_argument("--pieces", nargs="+", choices=names, default=names)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -238,6 +288,7 @@ def _parser() -> argparse.ArgumentParser:
     nine.add_argument("--loops", type=int, default=20, help="loops of each kind")
     ten = parts.add_parser("telemetry", parents=[common], help="the batch with irregular times and lost samples")
     ten.add_argument("--kind", choices=("all", *telemetry.KINDS), default="all")
+    _ablation_options(parts.add_parser("ablation", parents=[common], help="what each piece of the live path holds"))
     seven = parts.add_parser("tables", help="the tables again, of rows from files")
     seven.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
     six = parts.add_parser("pictures", help="the pictures of docs/online.md")

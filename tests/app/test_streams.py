@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from retuner.live_view.event_words import event_line
 from retuner.report.console import RunScreen, counted, scores_table, screen_console
+from retuner.report.event_words import event_line
 from retuner.report.scores import RegionScore
 from retuner.schedule.gains import PidGains
 from retuner.streams import LastingStream, open_streams

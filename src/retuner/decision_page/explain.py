@@ -7,7 +7,7 @@ import math
 
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.supervision.decision import Decision
-from retuner.decision_page.row_values import Document, decided_on, gains_of, number, part, words
+from retuner.decision_page.row_values import Document, brief, decided_on, gains_of, number, part, words
 from retuner.decision_page.shown_units import units_of
 from retuner.schedule.gains import PidGains
 
@@ -58,15 +58,15 @@ def response_text(decision: Decision | Document) -> str:
     if damping is not None:
         text += f", half-cycle decay ratio {damping:.2f}"
     if period is not None:
-        text += f", period {period:.3g} s"
+        text += f", period {brief(period)} s"
     return text
 
 
 def process_text(m: ProcessModel) -> str:
     """The parameters that a process has."""
     gain = "k'" if m.type in INTEGRATING else "k"
-    lags = "".join(f" {name} {lag:.3g} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
-    return f"{gain} {m.k:.3g}{lags} theta {m.theta_s:.3g} s"
+    lags = "".join(f" {name} {brief(lag)} s" for name, lag in (("tau1", m.tau1_s), ("tau2", m.tau2_s)) if lag)
+    return f"{gain} {brief(m.k)}{lags} theta {brief(m.theta_s)} s"
 
 
 def model_text(decision: Decision | Document) -> str:
@@ -82,8 +82,26 @@ def model_text(decision: Decision | Document) -> str:
 
 
 def cause_text(decision: Decision | Document) -> str:
-    """The cause, or that there was none to name."""
-    return words(part(document_of(decision), "diagnosis"), "cause").replace("_", " ") or "undecided"
+    """The cause, or what it was about where no response was looked at, or that there was none to name."""
+    document = document_of(decision)
+    cause = words(part(document, "diagnosis"), "cause").replace("_", " ")
+    return cause or about_nothing_seen(document) or "undecided"
+
+
+def about_nothing_seen(decision: Decision | Document) -> str:
+    """What a decision is about that no response led to; empty where one did."""
+    document = document_of(decision)
+    code = words(document, "code")
+    return "" if part(document, "response") else next((told for of, told in WITHOUT.items() if code.startswith(of)), "")
+
+
+EDITED = "edited"
+"""Code of a decision on gains that a person has set: the change is his."""
+WITHOUT = {
+    "edit": "edit", "kept_": "trial", "undo_": "trial", "approv": "order", "order": "order", "revert": "order",
+    "action": "action",
+}  # fmt: skip
+"""What decisions without a response are about, by the beginnings of their codes."""
 
 
 def change_text(decision: Decision | Document) -> str:
@@ -120,10 +138,11 @@ def ms_words(ms: float | None) -> str:
 def one_line(decision: Decision | Document) -> str:
     """The decision in one line."""
     document = document_of(decision)
+    reason = words(document, "reason")
     told = [
         response_text(document),
-        f"{cause_text(document)}: {words(document, 'reason')}",
+        reason if about_nothing_seen(document) else f"{cause_text(document)}: {reason}",
         model_text(document),
-        change_text(document),
+        "" if words(document, "code") == EDITED else change_text(document),
     ]
     return " | ".join(one for one in told if one)

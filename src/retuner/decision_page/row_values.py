@@ -51,6 +51,16 @@ def numbers_or_none(document: Document, name: str) -> list[float | None]:
     return [finite(one) for one in value] if isinstance(value, list | tuple) else []
 
 
+def brief(value: float) -> str:
+    """Three figures as people write them: 1,390 and not 1.39e+03."""
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if 1e3 <= abs(rounded) < MOST_WRITTEN_OUT else f"{value:.3g}"
+
+
+MOST_WRITTEN_OUT = 1e7
+"""Larger numbers are easier to read with an exponent."""
+
+
 def words(document: Document, name: str) -> str:
     """A text, empty where there is none."""
     value = document.get(name)

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.config.session_config import SessionConfig
-from retuner.live_view.event_words import event_line
 from retuner.live_view.live_screen import LiveScreen
 from retuner.live_view.loop_seen import LoopObserver
 from retuner.live_view.publishing import Publisher, head_of
+from retuner.report.event_words import event_line
 from retuner.session.loop_session import LoopSession
 from retuner.session.session import NobodyLooks
 

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from retuner.adaptive.trial.judge import TrialFinding
 from retuner.adaptive.trial.phase import UNDECIDED, TrialPhase
 from retuner.decision_page.explain import (
+    EDITED,
     WHOLE_STEP,
     cause_text,
     model_text,
@@ -20,10 +21,11 @@ from retuner.decision_page.explain import (
     settings_text,
     stays,
 )
-from retuner.decision_page.row_values import Document, gains_of, number, numbers, part, parts, words
+from retuner.decision_page.row_values import Document, brief, gains_of, number, numbers, part, parts, words
 from retuner.errors import one_line
 from retuner.ledger import Row
 from retuner.ledger.decided import digest_of, without_place
+from retuner.report.event_words import EVENTS, event_line
 
 RETUNER, SCHEDULE, CONTROLLER, BUS, PROGRAM = "retuner", "schedule", "controller", "bus", "program"
 BY = {
@@ -54,6 +56,9 @@ HIDDEN = {
     "record",
     "of",
     "on_trial",
+    "in_place_of",
+    "pv_unit",
+    "kind",
 }
 """Values of other rows that have a column of their own, or say nothing to a person."""
 
@@ -88,6 +93,8 @@ class Teller:
     def __init__(self) -> None:
         self._decided: dict[tuple[str, str], tuple[str, int]] = {}
         self._tried: dict[tuple[str, str], str] = {}
+        self._open: dict[tuple[str, str], str] = {}
+        self._units: dict[str, str] = {}
         self._several = False
 
     def told(self, row: Row) -> Told:
@@ -95,16 +102,35 @@ class Teller:
         body: Document = row.body
         where, kind = (words(body, "loop") if self._several else "", words(body, "region")), row.kind
         if kind == "session":
-            self._several = len(parts(part(body, "config"), "loops")) > 1
+            self._begin(part(body, "config"))
         elif kind == "decision" and words(body, "action") != "none":
             digest = digest_of(without_place(row.body))
             self._decided[where] = (digest, int(number(body, "number") or 0))
         elif kind == "trial":
             self._tried[where] = self._decision(words(body, "decision"), where)
-        about = {"of": self._decision(words(body, "decision"), where), "on_trial": self._tried.get(where, "")}
-        texts = WORDS.get(kind, _other)({**body, **about})
+        about = {
+            "of": self._decision(words(body, "decision"), where),
+            "on_trial": self._tried.get(where, ""),
+            "in_place_of": self._open.get(where, ""),
+            "pv_unit": self._units.get(words(body, "loop") or next(iter(self._units), ""), "pv"),
+        }
+        texts = WORDS.get(kind, _event if kind in EVENTS else _other)({**body, **about, "kind": kind})
+        self._propose(kind, body, where)
         head = kind, _who(kind, body), words(body, "loop"), words(body, "region")
         return Told(row.seq, row.clock_s, *map(one_line, (*head, *texts)))
+
+    def _begin(self, config: Document) -> None:
+        """Take note of the loops that the rows will be about, and of the units of their pv."""
+        loops = [part(one, "loop") for one in (parts(config, "loops") or [config])]
+        self._several = len(loops) > 1
+        self._units = {words(one, "name"): words(one, "pv_unit") or "pv" for one in loops}
+
+    def _propose(self, kind: str, body: Document, where: tuple[str, str]) -> None:
+        """Take note of the proposal that waits in a region, until other gains are active there."""
+        if kind == "decision" and words(body, "action") == "advise":
+            self._open[where] = f"decision {int(number(body, 'number') or 0)}"
+        elif kind == "committed" or (kind == "decision" and words(body, "code") == EDITED):
+            self._open.pop(where, None)
 
     def _decision(self, digest: str, where: tuple[str, str]) -> str:
         """The decision of that hash by its number, where it is the region's newest one."""
@@ -138,18 +164,32 @@ def _decision(body: Document) -> Words:
     action = words(body, "action")
     concerns = words(body, "on_trial") if words(body, "code").startswith(ABOUT_A_TRIAL) else ""
     done = "kept" if stays(body) else ACTIONS.get(action, action)
+    older = words(body, "in_place_of") if action == "advise" else ""
     reason = words(body, "reason")
     own = f"{done}: " in reason or reason.startswith((done, *OWN_WORDS))
     said = reason if own else f"{done}: {reason}"
+    said += f"; in place of {older}" if older else ""
     title = f"decision {int(number(body, 'number') or 0)}{f' on {concerns}' if concerns else ''}, {said}"
     seen = (response_text(body), _explained(body), _known(body))
     return (
         title,
-        _settings(body, "gains_before"),
+        "" if stays(body) else _settings(body, "gains_before"),
         _settings(body, "gains_after") if action != "none" else "",
         " | ".join(text for text in seen if text),
-        "" if action == "restore" else _proved(part(body, "verdict"), reason),
+        _proof(body, action, reason),
     )
+
+
+def _proof(body: Document, action: str, reason: str) -> str:
+    """The guard's word on what is written, proposed or refused; what the rule gives where that must wait."""
+    verdict = part(body, "verdict")
+    said = _proved(verdict, reason)
+    if action == "restore" or not said:
+        return ""
+    if action != "none" or verdict.get("accepted") is not True:
+        return said
+    given = gains_of(part(part(body, "proposal"), "parallel"))  # proved, and held back for now
+    return f"the rule gives {settings_text(given)}" if given else ""
 
 
 ABOUT_A_TRIAL = ("undo_", "kept_")
@@ -182,7 +222,9 @@ def _known(body: Document) -> str:
     stood = STOOD.get(words(body, "surprise"), "")
     estimate = part(body, "estimate")
     loads, rival = len(numbers(estimate, "loads")), part(estimate, "rival")
-    beside = f"with {loads} load step{'s' * (loads != 1)} beside it" if loads else ""
+    steps = f"{loads} load step{'s' * (loads != 1)}"
+    by_loads = words(part(body, "response"), "upset") != "setpoint"
+    beside = (f"explained by {steps}" if by_loads else f"with {steps} beside the setpoint's") if loads else ""
     other = "another model explains the record as well" if rival else ""
     return ", ".join(text for text in (model, beside, stood, other) if text)
 
@@ -233,11 +275,10 @@ def _order(body: Document) -> Words:
 def _trial(body: Document) -> Words:
     """A change that is on trial now, and what it promises."""
     promised = part(body, "promise")
-    pairs = [
-        (upset, *(numbers(part(promised, name), "iae") for name in (upset, f"{upset}_before")))
-        for upset in ("setpoint", "load")
-    ]
-    told = [f"{upset} {now[0]:.3g} (before {then[0]:.3g})" for upset, now, then in pairs if now and then]
+    told = []
+    for upset, per in (("setpoint", "s"), ("load", f"{words(body, 'pv_unit') or 'pv'} s")):
+        now, then = (numbers(part(promised, name), "iae") for name in (upset, f"{upset}_before"))
+        told += [f"{upset} {brief(now[0])} {per} (before {brief(then[0])})"] if now and then else []
     verdict = f"predicted IAE per unit step: {', '.join(told)}" if told else ""
     why = words(body, "reason") or f"{words(body, 'of') or 'a change'} is on trial"
     return why, _settings(body, "verified"), _settings(body, "gains"), "", verdict
@@ -288,6 +329,45 @@ def _schedule(body: Document) -> Words:
     return words(body, "reason"), "", "", f"proposal {words(body, 'hash')[:8]}", "proposed"
 
 
+def _event(body: Document) -> Words:
+    """What happened beside decisions, in the words of the screen."""
+    told = event_line(words(body, "kind"), body)
+    new = "" if words(body, "kind") == "foreign" else _settings(body, "gains")
+    return told or words(body, "reason"), "", new, "", ""
+
+
+def _end(body: Document) -> Words:
+    """How the run came to its end, and the log that belongs to it."""
+    how = "the run was stopped" if body.get("interrupted") is True else "the run is complete"
+    log = words(body, "bus_log")
+    return how, "", "", f"bus log {log}, SHA-256 {words(body, 'bus_log_sha256')}" if log else "", ""
+
+
+def _order_of_writes(body: Document) -> Words:
+    """The messages that one set of gains takes, and the sets that run between them."""
+    count, ms = len(numbers(body, "messages")), number(body, "ms_between")
+    why = f"one set of gains in {count} message{'s' * (count != 1)}"
+    between = "" if ms is None else f"Ms of the sets between them at most {ms:.2f}"
+    proved = "proved stable on every plausible model" if body.get("proved") is True else "not proved"
+    return why, "", "", between, proved if count > 1 else ""
+
+
+def _question(body: Document) -> Words:
+    """A response goes to the process that decides."""
+    return f"the response up to sample {int(number(body, 'asked') or 0):,} is being evaluated", "", "", "", ""
+
+
+def _answer(body: Document) -> Words:
+    """What comes back from there."""
+    asked = int(number(body, "asked") or 0)
+    return f"the evaluation of sample {asked:,} is there", "", "", "", words(body, "reason")
+
+
+def _memory(body: Document) -> Words:
+    """What is known was saved for a restart."""
+    return "saved for a restart", "", "", f"SHA-256 {words(body, 'sha256')}", ""
+
+
 def _other(body: Document) -> Words:
     """Any other row: its reason, and what else it says."""
     plain = {key: value for key, value in body.items() if isinstance(value, str | int | float)}
@@ -307,6 +387,11 @@ WORDS: dict[str, Callable[[Document], Words]] = {
     "judged": _judged,
     "restore": _restore,
     "schedule": _schedule,
+    "end": _end,
+    "order_of_writes": _order_of_writes,
+    "question": _question,
+    "answer": _answer,
+    "memory": _memory,
 }
 
 

@@ -2,7 +2,7 @@
 
 The same object serves simulated and real time: it is driven by `poll(now_s)` and never waits. What the controller shall
 run is gain_writer.py's business; here it is decided what ends a trial, and how a loop's session ends: an undecided
-change is taken back first, for as long as patience lasts and the link holds. Several loops, and what they share, are
+change is decided upon first, for as long as patience lasts and the link holds. Several loops, and what they share, are
 session.py's.
 """
 
@@ -56,7 +56,7 @@ class SessionPhase(Enum):
     """How a session stands."""
 
     WATCHING = "watching"
-    ENDING = "ending: an undecided change is rolled back"
+    ENDING = "ending: what is to be active after an undecided change is settled"
     FAILING = "ending after a defect: no sample is looked at any more"
     SETTLED = "over: nothing is open"
     LEFT_OPEN = "over: the verified gains are not known to be active"
@@ -177,7 +177,7 @@ class LoopSession:
         self.machine.take(SessionInput.FROZEN)
 
     def stop(self, reason: str) -> None:
-        """Come to an end: an undecided change is taken back, and `finished` says when that is done."""
+        """Come to an end: what is active after an undecided change is settled; `finished` tells when."""
         self.ended_by = self.ended_by or reason
         self.machine.take(SessionInput.STOPPED)
 
@@ -373,7 +373,7 @@ class LoopSession:
             self._decided(decision)
 
     def _end(self, now_s: float) -> None:
-        """Begin the end when it is time, and take back what is undecided."""
+        """Begin the end when it is time, and settle what is undecided."""
         if self.machine.phase is SessionPhase.WATCHING and self.scenario.finished:
             self.machine.take(SessionInput.PLAYED)
         if self.machine.phase is SessionPhase.WATCHING:

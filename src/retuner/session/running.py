@@ -53,7 +53,7 @@ def local_hour(t_s: float) -> float:
 
 
 def to_the_end(session: Session | LoopSession, once: Callable[[], None]) -> None:
-    """Turn until the session is over. Ctrl-C lets it end: an undecided change is taken back first; a second one does
+    """Turn until the session is over. Ctrl-C lets it end: an undecided change is settled first; a second one does
     not wait for that (the controller's own trial time, or the next session, then does it). A defect of ours lets it end
     in the same way, before it is told.
     """

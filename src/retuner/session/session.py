@@ -157,7 +157,7 @@ class Session:
         return samples
 
     def stop(self, reason: str) -> None:
-        """Come to an end: undecided changes are taken back, and `finished` says when that is done."""
+        """Come to an end: undecided changes are settled, and `finished` says when that is done."""
         for loop in self._watched:
             loop.stop(reason)
 

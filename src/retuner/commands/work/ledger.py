@@ -16,13 +16,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from retuner.decision_page.row_values import part
+from retuner.decision_page.row_values import number, part, parts, words
 from retuner.decision_page.shown_units import show_units_told
 from retuner.errors import UserError, one_line
 from retuner.files import write_whole
 from retuner.ledger import LedgerReader, Row
+from retuner.live_view.what_next import what_next
 from retuner.report.ledger_words import ABOUT_A_TRIAL, Told, told
-from retuner.session.recorded_session import ledger_path
+from retuner.session.recorded_session import ledger_path, rows_by_loop
 
 SHORTEST_HEAD = 12  # hexadecimal digits; 48 bits cannot be met by chance
 COLUMNS = {
@@ -171,10 +172,27 @@ def show(session: Path, selection: Selection, *, as_json: bool) -> int:
         elif chosen:
             console.print(_list(lines), highlight=False, soft_wrap=True)
         ending = f"broken: {broken}" if broken else "the chain holds"
+        if selection == Selection() and rows and rows[0].kind == "session":
+            for line in _left_to_do(path.parent, rows):
+                console.print(line, highlight=False, markup=False, soft_wrap=True)
         console.print(
             f"{path}: {len(chosen)} of {len(rows)} rows; {ending}", highlight=False, markup=False, soft_wrap=True
         )
     return 1 if broken else 0
+
+
+def _left_to_do(folder: Path, rows: list[Row]) -> list[str]:
+    """What waits for a person when the last row is written: why, and the command."""
+    config = part(rows[0].body, "config")
+    loops = parts(config, "loops") or [config]
+    names = [words(part(one, "loop"), "name") for one in loops]
+    about = rows_by_loop(rows, names) if len(loops) > 1 else {"": tuple(rows)}
+    lines = []
+    for loop, own in about.items():
+        settings = part(loops[names.index(loop)] if loop else loops[0], "adaptation")
+        waits = what_next(folder, own, number(settings, "approval_s") or math.inf, (), None, loop)
+        lines += [f"open: {one.why}; {one.command}" for one in waits]
+    return lines
 
 
 WIDE = 160

@@ -112,4 +112,4 @@ EVENTS: dict[str, Callable[[Document], str]] = {
     "order": _request,
     "nudge": lambda body: words(body, "reason"),
 }
-"""Rows beside decisions that a person at the screen should see, and their words."""
+"""Rows beside decisions that a person at the screen should see, and their words; the ledger tells them in the same."""

@@ -1,0 +1,182 @@
+"""What a loop of somebody else's plant truly is: the answer of the plant itself to a step of its controller's output.
+
+The plant stands at rest under the published gains, without noise; then the output is held, and stepped by little. The
+other loops go on. To the answer a linear process of any order with dead time is fitted by least squares of shares: the
+first samples decide on Ms. There is no noise, so the largest share that remains is told as `misfit`. Ms and J are those
+of it (online/judge.py), J over the best settings. These are SIMC with perfect knowledge; where the half rule does not
+reduce it, the best PI with Ms of MS_BEST; and where the plant needs more gain than that to stand (an exothermic
+reactor), the published gains.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from cases.case import FloatArray
+from cases.loop import Upsets, iae, run_manual
+from cases.robustness import robustness
+from online.judge import Judge
+from scipy.optimize import least_squares
+
+from plants_of_others.loop import Card, Controlled, Plant, Stepped
+from retuner import PidGains
+from retuner.adaptive.process.model import LinearProcess
+
+POINTS = 600
+"""Samples of the answer that are fitted."""
+GOOD = 0.01
+"""Misfit below which no further structure is tried."""
+FLOOR = 0.02
+"""Share of the largest answer that the shares are taken over at least."""
+
+
+MS_BEST = 1.6
+"""Of the best PI where SIMC is not to be had: about what SIMC gives to a lag with dead time."""
+RESETS = 14
+"""Integral times that are tried for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepTest:
+    """How the answer is taken. settle_s : until rest; seconds : of the answer; share : of co's range.
+
+    best : which settings are the best: "simc", "search" or "published".
+    """
+
+    settle_s: float
+    seconds: float
+    share: float = 0.01
+    best: str = "simc"
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """process : fitted. misfit : largest deviation as a share of the answer. co0 : output of rest."""
+
+    process: LinearProcess
+    misfit: float
+    co0: float
+    judge: Judge
+
+
+def answer(plant: Plant, card: Card, test: StepTest) -> tuple[FloatArray, float, float]:
+    """pv about rest after a unit step of the output, one value a sample from the step on; the output of rest; dt."""
+    settle, n = int(test.settle_s / card.dt_s), int(test.seconds / card.dt_s)
+    found = []
+    for sign in (1.0, -1.0):
+        step = sign * test.share * (card.co_range[1] - card.co_range[0])
+        control = Controlled(card, card.published, plant.rest(card.name), watched=False)
+        held = Stepped(control, settle, 2, step)
+        plant.calm({card.name: held}, (settle + n + 2) * card.dt_s)
+        pv = np.asarray(held.track.pv[settle + 2 : settle + 2 + n])
+        found.append((pv - pv[0]) / step)
+    return (found[0] + found[1]) / 2, held.co0, card.dt_s
+
+
+def truth(plant: Plant, card: Card, test: StepTest) -> Truth:
+    """Of one loop, the others under the gains that they are published with."""
+    seen, co0, dt_s = answer(plant, card, test)
+    thin = max(1, math.ceil(len(seen) / POINTS))
+    process, misfit = fitted(seen[::thin], thin * dt_s)
+    known = None if test.best == "simc" else best_pi(process, dt_s)
+    if known and test.best == "published":
+        known = card.published, known[1]
+    return Truth(process, misfit, co0, Judge(process, dt_s, known))
+
+
+def best_pi(process: LinearProcess, dt_s: float) -> tuple[PidGains, float]:
+    """The PI of least IAE after a setpoint and a load step with Ms of MS_BEST, and the effective dead time.
+
+    Each IAE counts over the least of its kind (Grimholt & Skogestad 2012). The effective dead time is that of an
+    integrator with the same frequency of -180 degrees.
+    """
+    sampled = replace(process, theta_s=process.theta_s + dt_s / 2)
+    theta = math.pi / 2 / _turned(sampled)
+    found = []
+    for tau_i in theta * np.geomspace(1.0, 60.0, RESETS):
+        gains = _held_to(sampled, float(tau_i))
+        n = int(min(60 * theta + 8 * tau_i, 6000 * dt_s) / dt_s)
+        found.append((gains, *(iae(process, gains, dt_s, n, setpoint=which) for which in (True, False))))
+    least = [min(row[i] for row in found) for i in (1, 2)]
+    return min(found, key=lambda row: row[1] / least[0] + row[2] / least[1])[0], theta
+
+
+def _turned(process: LinearProcess) -> float:
+    """Frequency where the process has turned by -180 degrees, rad/s, the sign of its gain aside."""
+    w = np.geomspace(1e-7, 10.0, 4000)
+    phase = np.unwrap(np.angle(process.response(w) * math.copysign(1.0, process.k)))
+    return float(w[np.argmax(phase < -math.pi)])
+
+
+def _held_to(process: LinearProcess, tau_i: float) -> PidGains:
+    """With that integral time, the largest kc with Ms up to MS_BEST."""
+    sign = math.copysign(1.0, process.k)
+    size = float(np.abs(process.response(np.array([_turned(process)])))[0])
+    for kc in np.geomspace(2.0, 0.01, 60) / size:
+        gains = PidGains(float(sign * kc), float(sign * kc / tau_i), 0.0)
+        if robustness(process, gains).ms <= MS_BEST:
+            return gains
+    return gains
+
+
+def fitted(seen: FloatArray, h_s: float) -> tuple[LinearProcess, float]:
+    """The simplest of some structures that fits well, or the best of all."""
+    best: tuple[LinearProcess, float] | None = None
+    for process in _guesses(seen, h_s):
+        found, misfit = _fit(process, seen, h_s)
+        if best is None or misfit < best[1] / 2:
+            best = found, misfit
+        if best[1] < GOOD:
+            break
+    assert best is not None
+    return best
+
+
+def _guesses(seen: FloatArray, h_s: float) -> Iterator[LinearProcess]:
+    n, last = len(seen), float(seen[-1])
+    slope = float(seen[-1] - seen[-n // 4]) / (n // 4 * h_s)
+    rise = float(np.argmax(np.abs(seen) > 0.63 * abs(last))) * h_s + h_s
+    quick = rise / 8
+    ramp = slope or last / (n * h_s)
+    for lags in (1, 2, 3):
+        chain = tuple(rise / 4**i for i in range(lags))
+        yield LinearProcess(last, chain, (), quick)
+        yield LinearProcess(ramp, chain[1:], (), quick, 1)
+    for lead in (-quick, 2 * rise, rise / 3):
+        yield LinearProcess(last, (rise, rise / 4, rise / 16), (lead,), quick / 4)
+        yield LinearProcess(ramp, (rise, rise / 4), (lead,), quick / 4, 1)
+        yield LinearProcess(ramp, (rise, rise / 16, rise / 32), (lead,), quick / 4, 1)
+
+
+def _fit(guess: LinearProcess, seen: FloatArray, h_s: float) -> tuple[LinearProcess, float]:
+    size, lags = np.abs(seen) + FLOOR * float(np.max(np.abs(seen))), len(guess.lags_s)
+
+    def process(z: FloatArray) -> LinearProcess:
+        times = np.exp(np.clip(z[1 : lags + 1], math.log(h_s) - 5, math.log(h_s * len(seen)) + 3))
+        leads = tuple(float(x) * h_s for x in z[lags + 2 :])
+        theta = float(np.exp(np.clip(z[lags + 1], -12, math.log(len(seen)))) * h_s)
+        k = float(z[0]) * guess.k
+        return LinearProcess(
+            k or guess.k, tuple(sorted(map(float, times), reverse=True)), leads, theta, guess.integrators
+        )
+
+    def missing(z: FloatArray) -> FloatArray:
+        return np.asarray((step_answer(process(z), h_s, len(seen)) - seen) / size)
+
+    z0 = [1.0, *np.log(guess.lags_s), math.log(max(guess.theta_s / h_s, 0.1)), *(x / h_s for x in guess.leads_s)]
+    found = least_squares(missing, np.asarray(z0), x_scale="jac", max_nfev=200)
+    return process(found.x), float(np.max(np.abs(found.fun)))
+
+
+def step_answer(process: LinearProcess, h_s: float, n: int) -> FloatArray:
+    """After a unit step of the input at the first sample."""
+    co = np.ones(n + 1)
+    co[0] = 0.0
+    return np.asarray(run_manual(process, h_s, co, Upsets(np.zeros(n + 1))).pv[1:])
+
+
+def steps(values: list[float]) -> float:
+    """Total variation."""
+    return sum(abs(b - a) for a, b in pairwise(values))

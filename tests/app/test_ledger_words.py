@@ -1,0 +1,127 @@
+"""The words of a ledger's rows: sentences with units, and nothing that only a program understands."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from retuner.adaptive.trial.persons_edit import lasting_words
+from retuner.cli import main
+from retuner.decision_page.explain import one_line
+from retuner.decision_page.row_values import brief
+from retuner.ledger import Ledger, Row
+from retuner.report.ledger_words import Told, told
+
+CONFIG = {"loop": {"name": "tank", "pv_unit": "bar"}}
+GAINS, OTHER = {"kp": 2.0, "ki": 0.1, "kd": 0.0}, {"kp": 1.0, "ki": 0.1, "kd": 0.0}
+MODEL = {"type": "fopdt", "k": 1.0, "tau1": 2340.0, "tau2": 0.0, "theta": 66.0, "zeta": 1.0}
+ACCEPTED = {"accepted": True, "reason": "proved: nominal Ms 1.40", "ms": {"before": 1.13, "nominal": 1.4, "worst": 1.9}}
+
+
+def decision(number: int, action: str, **more: object) -> Mapping[str, object]:
+    body = {"number": number, "t_s": 5.0, "region": "all", "action": action, "code": "sluggish", "reason": "too slow"}
+    return {**body, "gains_before": GAINS, "gains_after": OTHER if action != "none" else None, **more}
+
+
+def tell(*rows: tuple[str, Mapping[str, object]]) -> list[Told]:
+    return told(
+        Row(i, float(i), kind, json.dumps(body), "", "")
+        for i, (kind, body) in enumerate((("session", {"config": CONFIG}), *rows), 1)
+    )[1:]
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "said"),
+    [
+        ("end", {"interrupted": False, "bus_log": "bus.blf", "bus_log_sha256": "ab"}, "the run is complete"),
+        ("end", {"interrupted": True}, "the run was stopped"),
+        ("abort", {"cause": "stopped", "reason": "the session ends"}, "trial interrupted: the session ends"),
+        ("restored", {"regions": ["all"], "gains": GAINS, "sequence": 3, "crc": 1}, "gains read back and active: all"),
+        ("link", {"state": "up", "reason": "controller found"}, "CAN link up: controller found"),
+        ("foreign", {"gains": GAINS}, "gains changed by someone else: Kc 2 tau_I 20 s"),
+        ("question", {"asked": 1222, "region": "all"}, "the response up to sample 1,222 is being evaluated"),
+        ("answer", {"asked": 1222, "code": "accepted"}, "the evaluation of sample 1,222 is there"),
+        ("memory", {"sha256": "ab"}, "saved for a restart"),
+        (
+            "order_of_writes",
+            {"messages": [1, 0], "proved": True, "ms_between": 1.53336},
+            "one set of gains in 2 messages",
+        ),
+    ],
+)
+def test_a_row_beside_decisions_is_a_sentence(kind: str, body: Mapping[str, object], said: str) -> None:
+    row = tell((kind, body))[0]
+    assert row.why == said
+    shown = f"{row.why} {row.evidence} {row.verdict}"
+    assert not any(word in shown for word in ("True", "False", "cause ", "sequence", "sha256 ", "1.53336"))
+
+
+def test_a_proposal_takes_the_place_of_an_older_one_until_other_gains_are_active() -> None:
+    ask = ("decision", decision(1, "advise")), ("decision", decision(2, "advise"))
+    rows = tell(*ask, ("committed", {"region": "all", "gains": OTHER, "crc": 1}), ("decision", decision(3, "advise")))
+    assert [row.why for row in rows if row.kind == "decision"] == [
+        "decision 1, proposed: too slow",
+        "decision 2, proposed: too slow; in place of decision 1",
+        "decision 3, proposed: too slow",
+    ]
+
+
+def test_what_must_wait_is_told_with_what_the_rule_gives_and_not_as_proved() -> None:
+    waits = decision(5, "none", code="held_trial", verdict=ACCEPTED, proposal={"parallel": OTHER})
+    assert tell(("decision", waits))[0].verdict == "the rule gives Kc 1 tau_I 10 s"
+    assert tell(("decision", decision(5, "commit", verdict=ACCEPTED)))[0].verdict.startswith("proved")
+
+
+def test_gains_that_stay_are_no_change() -> None:
+    stays = decision(5, "restore", code="kept_stopped", gains_after=GAINS)
+    row = tell(("decision", stays))[0]
+    assert (row.old, row.new) == ("", "Kc 2 tau_I 20 s")
+
+
+def test_a_load_step_explains_a_load_response_and_stands_beside_a_setpoint_step() -> None:
+    def evidence(upset: str) -> str:
+        seen = {"estimate": {"loads": [1.0], "model": MODEL}, "response": {"upset": upset}, "records": 1}
+        return tell(("decision", decision(1, "none", **seen)))[0].evidence
+
+    assert evidence("load").endswith("tau1 2,340 s theta 66 s (1 record), explained by 1 load step")
+    assert evidence("setpoint").endswith(", with 1 load step beside the setpoint's")
+
+
+def test_a_prediction_has_units() -> None:
+    both = {"iae": [1234.0]}
+    promise = {"setpoint": both, "setpoint_before": both, "load": both, "load_before": both}
+    row = tell(("trial", {"region": "all", "promise": promise}))[0]
+    assert (
+        row.verdict == "predicted IAE per unit step: setpoint 1,230 s (before 1,230), load 1,230 bar s (before 1,230)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(0.0123, "0.0123"), (999.6, "1,000"), (1390.0, "1,390"), (2.5e8, "2.5e+08")]
+)
+def test_three_figures(value: float, said: str) -> None:
+    assert brief(value) == said
+
+
+@pytest.mark.parametrize(
+    ("lasts_s", "said"), [(50.0, "50 s"), (7199.0, "7,199 s"), (28800.0, "8 h"), (172800.0, "2 d")]
+)
+def test_how_long(lasts_s: float, said: str) -> None:
+    assert lasting_words(lasts_s) == said
+
+
+def test_a_decision_that_no_response_led_to_names_no_cause() -> None:
+    edited = decision(2, "none", code="edited", reason="an operator replaced Kc 2 by Kc 1")
+    assert one_line(edited) == "an operator replaced Kc 2 by Kc 1"
+
+
+def test_what_waits_for_a_person_is_told_at_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        ledger.append("session", {"config": CONFIG}, 0.0)
+        ledger.append("decision", {**decision(1, "advise"), "loop": "tank"}, 5.0)
+    assert main(["ledger", "show", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "open: all: decision 1 proposes 2, 20 -> 1, 10; retuner approve " in shown
+    assert main(["ledger", "show", str(tmp_path), "--kind", "decision"]) == 0
+    assert "open:" not in capsys.readouterr().out
