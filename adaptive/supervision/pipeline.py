@@ -36,6 +36,7 @@ from retuner.adaptive.supervision.causes import (
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import (
     choosable,
     may_follow,
@@ -477,5 +478,6 @@ STAGES = (
     Stage("confirmation", confirmation),
     Stage("expectation", expectation, always=True),
     Stage("check after a trial", check_after_trial, always=True),
+    Stage("elsewhere", elsewhere, always=True),
 )
 """In their order: what else may be behind the response comes before the tuning, and a proof before any change."""

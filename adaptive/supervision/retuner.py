@@ -15,7 +15,6 @@ is passed over. The caller chooses at which sample an answer is entered; one tha
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import change_factor
@@ -41,16 +40,19 @@ from retuner.adaptive.supervision.pipeline import decide
 from retuner.adaptive.supervision.pipeline_types import (
     LOST,
     NOBODY,
+    NOTHING,
     PASSED_OVER,
     Ended,
     OpenQuestion,
     Question,
     ResponseRecord,
+    RetunerState,
     StageResult,
+    Step,
     held,
     overtaken_by,
 )
-from retuner.adaptive.supervision.response_finder import Completed, FinderState, Left, ResponseFinder
+from retuner.adaptive.supervision.response_finder import Completed, Left, ResponseFinder
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
@@ -61,23 +63,8 @@ from retuner.adaptive.trial.way_back import StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
 
-
-class RetunerState(NamedTuple):
-    """Where a retuner stands; with its table and region models, all that later decisions depend on."""
-
-    finder: FinderState
-    decisions: int
-    samples: int
-
-
-class Step(NamedTuple):
-    """What one sample led to: a decision that needs no fit, a question, both (a trial ended with it) or neither."""
-
-    decision: Decision | None = None
-    question: Question | None = None
-
-
-NOTHING = Step()
+WRITES = frozenset({Mode.AUTO, Mode.TRIAL})
+"""Modes in which gains are written."""
 
 
 class Retuner:
@@ -103,6 +90,7 @@ class Retuner:
         )
         self._decisions = 0
         self._open: OpenQuestion | None = None
+        self._due: Mapping[int, StageResult] = {}
         self.sample_number = 0  # samples observed so far
         self.turned = False  # whether the controller acts in the other direction: see operator_orders.acts
 
@@ -139,7 +127,7 @@ class Retuner:
         """Go on from there. A question that was open is not any more: nobody may enter its answer."""
         self._finder.resume(state.finder)
         self._decisions, self.sample_number = state.decisions, state.samples
-        self._open = None
+        self._open, self._due = None, {}
 
     def observe(self, sample: LoopSample) -> Decision | None:
         """Take one sample; a decision comes with the sample that completes a response.
@@ -162,8 +150,14 @@ class Retuner:
         """
         if self.turned:  # as in manual: the loop is not ours, and teaches nothing
             sample = plain(sample)._replace(mode=LoopMode.MANUAL)
-        if self.trials.busy:
-            return self._step_on_trial(plain(sample))
+        due, self._due = self._due, {}
+        step = self._step_on_trial(plain(sample)) if self.trials.busy else self._step(sample)
+        for region, outcome in due.items() if step == NOTHING else ():
+            return Step(self._on_trial(region, self._decision(region, outcome)))
+        return step
+
+    def _step(self, sample: LoopSample) -> Step:
+        """A sample while nothing is on trial."""
         seen = self._observe(sample)
         self.sample_number += 1
         return NOTHING if seen is None else self._seen(seen)
@@ -303,7 +297,8 @@ class Retuner:
         """The one place where the table changes; what was behind a response under other gains is asked anew."""
         self.table = self.table.with_gains(region, gains)
         self.foreign.pop(region, None)
-        self._finder.gains_changed()
+        if region == self.region or self.table.lookup is not Lookup.HARD:
+            self._finder.gains_changed()
 
     def _step_on_trial(self, sample: LoopSample) -> Step:
         """A sample while a change is undecided, or being taken back."""
@@ -372,7 +367,9 @@ class Retuner:
 
     def _question(self, seen: Completed) -> Question:
         """What a completed response asks."""
-        return Question(self._case(seen), self.settings, self.sample_number, self.trials.of(seen.region))
+        others = (region for region in range(len(self.table.regions)) if region != seen.region)
+        free = tuple(at for at in others if self.trials.idle(at) and self.settings.mode_of(at) in WRITES)
+        return Question(self._case(seen), self.settings, self.sample_number, self.trials.of(seen.region), free)
 
     def _entered(self, question: Question, outcome: StageResult) -> Decision:
         """What the answer teaches is kept, a trial judged, and the decision made."""
@@ -390,17 +387,18 @@ class Retuner:
         decision = self._decision(region, outcome, question, judgement)
         if judgement is not None and self.trials.phase(region) == TrialPhase.RESTORING:
             return self._restoring(region, decision)
-        if decision.action == Action.COMMIT and decision.gains_after is not None and decision.promise is not None:
-            self.trials.begin(
-                region,
-                decision.gains_before,
-                decision.gains_after,
-                decision.promise,
-                self.now_s,
-                urgent=decision.verdict is not None and decision.verdict.urgent,
-            )
-            decision = replace(decision, trial=str(self.trials.phase(region)))
-        return decision
+        if decision.action == Action.NONE:
+            self._due = outcome.elsewhere
+        return self._on_trial(region, decision)
+
+    def _on_trial(self, region: int, decision: Decision) -> Decision:
+        """The decision, with the trial that begins where it asks for a write."""
+        now, promised, verdict = decision.gains_after, decision.promise, decision.verdict
+        if decision.action != Action.COMMIT or now is None or promised is None:
+            return decision
+        urgent = verdict is not None and verdict.urgent
+        self.trials.begin(region, decision.gains_before, now, promised, self.now_s, urgent=urgent)
+        return replace(decision, trial=str(self.trials.phase(region)))
 
     def _forget(self, region: int) -> None:
         """Nothing is known of a region any more."""
@@ -468,7 +466,7 @@ class Retuner:
     ) -> Decision:
         """The record; accepted : gains may be written, as far as proof and trial are concerned."""
         verdict, learned, mode = outcome.verdict, outcome.learned, self.settings.mode_of(region)
-        wanted = Action.COMMIT if mode in {Mode.AUTO, Mode.TRIAL} else Action.ADVISE
+        wanted = Action.COMMIT if mode in WRITES else Action.ADVISE
         region_model = learned.region_model if learned else None
         self._decisions += 1
         return Decision(

@@ -19,8 +19,9 @@ from retuner.adaptive.region_model.region_model import Drift, RecordPoint, Regio
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
 from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.pipeline_types import RetunerState
 from retuner.adaptive.supervision.response_finder import FinderState
-from retuner.adaptive.supervision.retuner import Retuner, RetunerState
+from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState

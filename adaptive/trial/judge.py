@@ -12,7 +12,7 @@ the peaks.) It is WORSE as well when the old gains were surely better on the mod
 the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
-    all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened
+    all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
     begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then
     will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
@@ -207,7 +207,7 @@ def _says_nothing(seen: JudgedResponse, promised: Promise, settings: TrialSettin
     response = seen.response
     if seen.outside:
         return f"not judged: {seen.outside}"
-    if response.taken_over:  # judged by the models alone, not by its peaks
+    if response.taken_over:  # as small as it has become, the models judge it
         return ""
     least, largest = settings.seen_bands * response.band, max((abs(peak.e) for peak in response.peaks), default=0.0)
     if largest < least:

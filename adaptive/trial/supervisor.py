@@ -123,6 +123,10 @@ class TrialSupervisor:
         wire_is_free = not any(trial.phase in {P.WRITING, *TO_BE_SEEN} for trial in self._trials.values())
         return wire_is_free and after(self.phase(region), _asked(urgent, ordered)) == P.WRITING
 
+    def idle(self, region: int) -> bool:
+        """Whether nothing is on trial in a region, nor held, locked or cooling down."""
+        return self.phase(region) is P.IDLE
+
     def held_by_a_person(self, region: int, t_s: float) -> bool:
         """Whether the region's gains are a person's, and nothing but a proposal may follow now."""
         self._time_over(region, t_s)
