@@ -81,7 +81,7 @@ STAYS_OFF = 1.25
 """Longest waits after which an error that never was at rest since the beginning is looked at once, as it is."""
 SWINGS_ON = 0.7
 """Third extreme over the first from which a swing is not on its way to rest: its Ms is some 4 or more."""
-GROWN = 3.0
+GROWN = 5.0
 """Second extreme over the first from which a setpoint's response is not waited for any longer."""
 TAKEN_OVER = 3.0
 """A response that other gains took over in motion is looked at after so many times the length of the one before."""
