@@ -355,7 +355,8 @@ def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict:
         part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
         one = _proved(found, model, part)
         if one.accepted:
-            proved.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s))
+            notes = (*verdict.notes, f"{share:.0%} of the proved change, which is expected to cost less than all of it")
+            proved.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
     return proved
 
 
