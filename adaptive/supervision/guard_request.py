@@ -3,7 +3,7 @@ shown of gains on trial: what they promise, what was seen, and what is known by 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -26,6 +26,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
@@ -35,6 +36,7 @@ from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.wander import wander_of
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
@@ -269,10 +271,12 @@ def promise_of(
     at: tuple[float, float],
     response: Response | None,
     settings: RetunerSettings,
+    samples: Sequence[LoopSample] = (),
 ) -> Promise | None:
     """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
 
     at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
+    samples : all that are kept, for how much the error moves while nothing happens.
     """
     if verdict is None or verdict.gains is None:
         return None
@@ -281,8 +285,13 @@ def promise_of(
         promised = promise(
             verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
         )
-        return replace(promised, decay_seen=decay_seen(response))
-    return promise_without_model(response, in_force, new) if response else None
+        promised = replace(promised, decay_seen=decay_seen(response))
+    elif response:
+        promised = promise_without_model(response, in_force, new)
+    else:
+        return None
+    swung = promised.decay_seen is not None and promised.decay_seen > settings.trial.harmless_decay
+    return promised if swung else replace(promised, wander=wander_of(samples))
 
 
 def posterior_of(
@@ -296,6 +305,7 @@ def posterior_of(
     estimate = learned.estimate
     if (
         learned.agreement == Agreement.SILENT
+        or _outvoted(learned)
         or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
     ):
         return None
@@ -305,6 +315,18 @@ def posterior_of(
         allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
     )
     return replace(found, settled=estimate.identifiable)
+
+
+AGREED = 2
+"""Records that agree, from which on one that does not identify the process says nothing against what they show."""
+
+
+def _outvoted(learned: Learned) -> bool:
+    """The record contradicts several that agree, and could not name the process by itself: its load was no step."""
+    known = learned.region_model
+    records = known.records if known is not None else 0
+    alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
+    return alone and records >= AGREED
 
 
 def _of_crossing(
@@ -331,4 +353,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed)
+    safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed, safer_due)

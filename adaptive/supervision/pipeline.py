@@ -30,13 +30,13 @@ from retuner.adaptive.supervision.causes import (
     hidden,
     is_sure,
     joining,
-    looked_at_lately,
     not_as_modelled,
     rested_on,
     swings_between_limits,
     wrong_way,
 )
 from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import (
     choosable,
     may_follow,
@@ -95,23 +95,14 @@ def admission(found: Findings) -> None:
 
 
 def swing(found: Findings) -> None:
-    """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
+    """Is a swing without a setpoint step, or what had another cause before, still due to none of tuning?"""
     record, settings = found.record, found.settings
     if record.crossed:
         return
     found.growth = grows(record.samples, record.response.band, settings.growth)
-    foreign, standing = foreign_swing(found)
+    foreign = foreign_swing(found)
     if foreign is not None:
-        found.explained_otherwise(foreign, standing)
-
-
-def repetition(found: Findings) -> None:
-    """Was the same looked at a short while ago, without the tuning being named?"""
-    waiting = looked_at_lately(found.record, found.settings) if found.growth is None else None
-    if waiting is not None:
-        found.diagnosis = waiting
-        found.excitation = found.record.excitation.with_response(found.record.response)
-        found.stop("waiting", waiting.reason)
+        found.explained_otherwise(foreign)
 
 
 def identification(found: Findings) -> None:
@@ -177,9 +168,9 @@ def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Regio
 
 def hidden_cause(found: Findings) -> None:
     """Does something else hide under the response, which its model leaves open?"""
-    foreign, standing = (None, None) if found.record.crossed else hidden(found)
+    foreign = None if found.record.crossed else hidden(found)
     if foreign is not None:
-        found.explained_otherwise(foreign, standing)
+        found.explained_otherwise(foreign)
 
 
 def region_model(found: Findings) -> None:
@@ -223,8 +214,9 @@ def without_a_model(found: Findings) -> None:
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
-    if record.crossed:
-        found.stop(NOT_KNOWN, f"{why}; the response crossed a boundary, so its pattern is that of two sets of gains")
+    if record.pattern is None:
+        came = "crossed a boundary" if record.crossed else "began under other gains"
+        found.stop(NOT_KNOWN, f"{why}; the response {came}, so its pattern is that of two sets of gains")
         return
     locks = found.settings.locks_of(record.region)
     own = _own_fault(found)
@@ -260,7 +252,7 @@ def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: s
     """Whether the step without a model is made."""
     record, excitation = found.record, found.excitation_now
     if found.growth is None and not clear_case(found, learned):
-        doubt, excitation = doubt_of(found)
+        doubt = doubt_of(found)
         if doubt is not None:
             found.excitation, found.numbers = excitation, NO_NUMBERS
             found.doubted(doubt)
@@ -297,7 +289,7 @@ def _proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: 
 
 def refutation(found: Findings) -> None:
     """Does the loop itself refute the model: is what it says of the swing not to be seen?"""
-    doubt = None if found.record.crossed else not_as_modelled(found)
+    doubt = not_as_modelled(found)
     if doubt is None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
@@ -386,7 +378,7 @@ def confirmation(found: Findings) -> None:
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
-        doubt, found.excitation = doubt_of(found, wanted.diagnosis.cause)
+        doubt = doubt_of(found, wanted.diagnosis.cause)
         if doubt is not None:
             _not_confirmed(found, doubt)
             return
@@ -400,8 +392,7 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
     if doubt.cause in FOREIGN:
         found.region_model = None
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
-            counted = found.record.excitation.with_response(found.record.response)
-            found.excitation = replace(counted, asked=counted.loads)
+            found.excitation = found.record.excitation.with_response(found.record.response)
     found.doubted(doubt)
 
 
@@ -434,7 +425,9 @@ def expectation(found: Findings) -> None:
         and verdict.accepted
         and may_follow(found.question.trial, settings)
     ):
-        found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
+        found.promise = promise_of(
+            verdict, record.table, record.region, record.at, record.pattern, settings, record.samples
+        )
 
 
 def check_after_trial(found: Findings) -> None:
@@ -475,7 +468,6 @@ STAGES = (
     Stage("joining", joining),
     Stage("admission", admission),
     Stage("swing", swing),
-    Stage("repetition", repetition),
     Stage("identification", identification),
     Stage("hidden cause", hidden_cause),
     Stage("region model", region_model),
@@ -487,5 +479,6 @@ STAGES = (
     Stage("confirmation", confirmation),
     Stage("expectation", expectation, always=True),
     Stage("check after a trial", check_after_trial, always=True),
+    Stage("elsewhere", elsewhere, always=True),
 )
 """In their order: what else may be behind the response comes before the tuning, and a proof before any change."""

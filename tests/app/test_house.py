@@ -23,7 +23,7 @@ ORDER = (
         "experiments",
         "fit", "identification", "schedule_design", "schedule_choice", "region_model", "guard", "trial", "choice",
         "diagnosis", "without_model",
-        "supervision", "nudge", "audit",
+        "supervision", "pretune", "nudge", "audit",
     )),
     *(f"drivers.{name}" for name in (
         "clock", "state_machine", "device", "protocol", "bus", "plants", "telemetry", "controller", "host", "recorded",
