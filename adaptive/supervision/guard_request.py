@@ -10,6 +10,7 @@ from itertools import islice
 
 import numpy as np
 
+from retuner.adaptive.choice.expected_cost import Choosable
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.between import eased, worst_between
@@ -85,6 +86,16 @@ def change_request(
     )
 
 
+def request_of(
+    record: ResponseRecord, model: RegionModel, proposal: Tuning, learned: Learned | None, settings: RetunerSettings
+) -> ChangeRequest:
+    """The same of a response and what is known with it."""
+    known, now_s = {**record.region_models, record.region: model}, float(record.window.t_s[-1])
+    damping = record.pattern.damping if record.pattern is not None else None
+    tables = (record.table, record.commissioned)
+    return change_request(proposal, record.region, tables, known, learned, now_s, settings, damping)
+
+
 def where_gains_run(
     table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
 ) -> Mapping[int, RegionModel]:
@@ -121,8 +132,20 @@ BEYOND = 1.05
 """Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
 
 
-MS_BETWEEN = "ms_between"
-"""Name of the evidence that a set is too much away from its region's middle."""
+def choosable(
+    record: ResponseRecord, region_models: Mapping[int, RegionModel], gains: PidGains, settings: RetunerSettings
+) -> Choosable:
+    """A set of the record's region as it would run there, with its Ms on the ways to the neighbours."""
+    table, region, now_s = record.table, record.region, float(record.window.t_s[-1])
+    runs = table.with_gains(region, gains).at(region, *record.at)
+    if len(table.regions) == 1:
+        return Choosable(runs)
+    model = where_gains_run(table, region_models, now_s, settings)[region]
+    known = allowed_where_gains_run(table, region_models, now_s, settings)
+    borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
+    process = predicted(model, now_s, settings.tracker).model()
+    worst = worst_between(borders, process, gains, settings.sample_time_s, settings.filter_s)
+    return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
 
 
 def tuning_of(
@@ -155,7 +178,7 @@ def tuning_of(
         return found
     seen = "the loop is unstable" if math.isinf(worst.ms) else over_words(worst.ms, high)
     words = f"{seen} on the way to region {worst.to}"
-    evidence = {**found.diagnosis.evidence, MS_BETWEEN: worst.ms}
+    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 
@@ -282,6 +305,7 @@ def posterior_of(
     estimate = learned.estimate
     if (
         learned.agreement == Agreement.SILENT
+        or _outvoted(learned)
         or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
     ):
         return None
@@ -291,6 +315,18 @@ def posterior_of(
         allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
     )
     return replace(found, settled=estimate.identifiable)
+
+
+AGREED = 2
+"""Records that agree, from which on one that does not identify the process says nothing against what they show."""
+
+
+def _outvoted(learned: Learned) -> bool:
+    """The record contradicts several that agree, and could not name the process by itself: its load was no step."""
+    known = learned.region_model
+    records = known.records if known is not None else 0
+    alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
+    return alone and records >= AGREED
 
 
 def _of_crossing(
@@ -317,4 +353,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed)
+    safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed, safer_due)

@@ -12,9 +12,9 @@ the peaks.) It is WORSE as well when the old gains were surely better on the mod
 the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
-    all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened
-    no rest before the setpoint's step; cut short by the next one (but what is worse by then will not get better: IAE
-    only grows)
+    all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
+    begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then
+    will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
 
@@ -118,7 +118,8 @@ class JudgedResponse:
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
-    say of both sets, None where there are none.
+    say of both sets, None where there are none. safer_due : by this response the tried set swings, and a safer one is
+    proved.
     """
 
     response: Response
@@ -127,6 +128,7 @@ class JudgedResponse:
     outside: str = ""
     posterior: PosteriorCheck | None = None
     crossed: bool = False
+    safer_due: bool = False
 
 
 class _Swings(NamedTuple):
@@ -153,6 +155,7 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
+    unlike = "not judged by itself: the response began under other gains" if seen.response.taken_over else unlike
     unlike = "not judged by itself: the response crossed a boundary" if seen.crossed else unlike
     if unlike and worse:
         return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
@@ -204,6 +207,8 @@ def _says_nothing(seen: JudgedResponse, promised: Promise, settings: TrialSettin
     response = seen.response
     if seen.outside:
         return f"not judged: {seen.outside}"
+    if response.taken_over:  # as small as it has become, the models judge it
+        return ""
     least, largest = settings.seen_bands * response.band, max((abs(peak.e) for peak in response.peaks), default=0.0)
     if largest < least:
         return f"not judged: the peaks are below {settings.seen_bands:g} noise bands ({least:.3g} in units of pv)"
