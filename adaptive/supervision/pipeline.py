@@ -311,9 +311,9 @@ def worth(found: Findings) -> None:
         found.verdict = found.basis = None
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
-    found.verdict, found.expected = verdict, choice.reason
+    record, found.verdict, found.expected = found.record, verdict, choice.reason
     found.promise = promise_of(
-        verdict, found.record.table, found.record.region, found.record.at, found.record.pattern, found.settings
+        verdict, record.table, record.region, record.at, record.pattern, found.settings, record.samples
     )
 
 
