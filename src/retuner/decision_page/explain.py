@@ -75,6 +75,8 @@ def model_text(decision: Decision | Document) -> str:
     m = decided_on(document)
     if m is None:
         return ""
+    if not part(document, "response"):  # an order: nothing was identified at this moment
+        return process_text(m)
     count = int(number(document, "records") or 0)
     none = "from neighbouring regions" if part(document, "known") else "not identified"
     records = f"{count} record{'s' if count != 1 else ''}" if count else none
