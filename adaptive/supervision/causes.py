@@ -57,6 +57,8 @@ FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATI
 """Causes that leave nothing in a record from which the process could be learned."""
 
 
+RIVALS = FOREIGN - {Cause.NOISE}
+"""Those of them that may be behind a swing: what rises out of the noise is none."""
 TAKEN_SAMPLES = 5
 """Samples after which the recogniser has taken a setpoint step at the latest."""
 SURELY_TO_AND_FRO = 2
@@ -119,7 +121,7 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
 
     Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
     response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
-    the former are more it is alive: nothing is learned. Unknown counts for neither, and is not remembered.
+    the former are more it is alive: nothing is learned. Unknown and noise count for neither.
     """
     record, settings = found.record, found.settings
     swinging = swings(record.response, settings.swing)
@@ -131,7 +133,7 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
-    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in FOREIGN)
+    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in RIVALS)
     found.foreign = min(max(found.foreign, 0), settings.swing.most_counted)
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
