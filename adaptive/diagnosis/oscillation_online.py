@@ -85,7 +85,7 @@ def swings(response: Response, settings: SwingSettings) -> bool:
     Of a clean decay overshoot and damping are equal; a tone that is slower than was waited has no third peak yet.
     """
     decay = response.overshoot if response.damping is None else response.damping
-    return not response.sp_changed and decay is not None and decay > settings.damping
+    return not (response.sp_changed or response.taken_over) and decay is not None and decay > settings.damping
 
 
 def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = True) -> list[LoopSample]:

@@ -71,10 +71,11 @@ def is_clear(
     """Whether a response needs no confirmation.
 
     samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
-    that it needed.
+    that it needed. One that other gains took over in motion goes on with what was judged when they came.
     """
     explained = left <= settings.unexplained and loads <= settings.loads_beside
-    return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
+    from_rest = response.taken_over or was_at_rest(samples, response, settings)
+    return bool(response.sp_changed) and explained and from_rest
 
 
 def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool, peaks: int) -> bool:
@@ -144,11 +145,47 @@ def unconfirmed(
         return _unknown(reason, excitation)
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
-    found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
+    found = _diagnosed(from_rest(seen, response, swing), response, gains, swing, settings)
     if found.cause in TUNING_CAUSES and _other_way(found.cause, wanted):
         reason = f"the model of this region gives {wanted}, this record alone gives {found.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
     return None if found.cause in TUNING_CAUSES else found  # the settings are those of the region's model
+
+
+def _diagnosed(
+    seen: list[LoopSample],
+    response: Response,
+    gains: PidGains,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> Diagnosis:
+    """The diagnosis of a stretch; where it holds more than can be explained at once, that of its last two responses."""
+    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
+    if found.cause is not Cause.UNKNOWN or found.evidence.get("linear_left", 0.0) <= settings.explained:
+        return found
+    two = last_two(seen, response, swing)
+    if len(two) == len(seen):
+        return found
+    again = diagnose_window(Window.of(two), gains, settings=settings).diagnosis
+    return again if again.cause in TUNING_CAUSES else found
+
+
+def last_two(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:
+    """From the rest before the response before this one; all, where the loop was not at rest in between."""
+    needed_s = settings.rest * (response.t_end_s - response.t_start_s)
+    rests, after_s = 0, response.t_start_s
+    moved = False
+    for i in range(len(samples) - 1, -1, -1):
+        sample = samples[i]
+        if sample.t_s >= response.t_start_s:
+            continue
+        if abs(sample.sp - sample.pv) > response.band:
+            after_s, moved = sample.t_s, True
+        elif after_s - sample.t_s >= needed_s and (moved or not rests):
+            rests, moved = rests + 1, False
+            if rests > 1:
+                return samples[i:]
+    return samples
 
 
 def _other_way(found: Cause, wanted: Cause | None) -> bool:

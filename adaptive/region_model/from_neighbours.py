@@ -29,13 +29,18 @@ class BorrowingSettings:
     """Settings.
 
     most_lead : evidence by which a borrowed structure leads at the most; default 12.
+    far_off : IAE after over before, as promised, up to which a region is given other gains before any response ended
+        there; 0 (never) to 1, default 0.6: its own responses tell more than its neighbours.
     """
 
     most_lead: float = 12.0
+    far_off: float = 0.6
 
     def __post_init__(self) -> None:
         if not self.most_lead >= 0:
             raise ValueError(f"most_lead = {self.most_lead} must be 0 or more")
+        if not 0 <= self.far_off <= 1:
+            raise ValueError(f"far_off = {self.far_off} must be 0 to 1")
 
 
 def borrowed(
@@ -46,21 +51,24 @@ def borrowed(
     sign: int,
     settings: BorrowingSettings,
     tracker: TrackerSettings,
+    own: RegionModel | None = None,
 ) -> RegionModel | None:
     """What may be assumed of a region's process from the others, None where none knows its own.
 
     Parameters
     ----------
     region_models : by region, from records of their own. region : index of the one without.
-    t_s : now. sign : of the process gain there, from the controller's direction.
+    t_s : now. sign : of the process gain there, from the controller's direction. own : what its own records say, too
+        little for settings alone; the curves go through it as well.
     """
     near = {i: model for i, model in lenders(region_models, sign).items() if i != region}
     if not near:
         return None
     behind = _behind(near, region, regions, settings)
-    through = curves(near, regions, t_s, tracker)
+    shown = {region: own} if own is not None and own.log.sign == sign else {}
+    through = curves({**near, **shown}, regions, t_s, tracker)
     place = centre_of(regions, region)
-    known = [StructureModel(_log(curve, place, sign, t), behind[t]) for t, curve in through.items()]
+    known = [StructureModel(_log(curve, place, sign, t), behind[t]) for t, curve in through.items() if t in behind]
     if not known:
         return None
     ranked = sorted(known, key=lambda k: k.evidence)

@@ -24,6 +24,7 @@ from retuner.adaptive.diagnosis.second_opinion import (
 from retuner.adaptive.diagnosis.swing_checks import (
     FOREIGN_SWINGS,
     at_own_crossover,
+    foretold,
     not_seen,
     swings_anyway,
     touches_limits,
@@ -36,6 +37,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.batch_responses import Loop
 
 __all__ = [
     "FOREIGN",
@@ -185,17 +187,25 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 def not_as_modelled(found: Findings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
     record, cause, settings = found.record, found.diagnosis, found.settings
+    if record.pattern is None:
+        return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or not allowed:
         return None
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     model = allowed[0].model.seen_by_controller(settings.sample_time_s)
-    given = (record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing)
-    reason = swings_anyway(*given) if cause.cause == Cause.SLUGGISH else ""
+    loop = Loop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
+    said = foretold(record.response, loop, _learned_ramp_s(found))
+    reason = swings_anyway(record.response, said, settings.swing) if cause.cause == Cause.SLUGGISH else ""
     if cause.cause in SWINGING and not _swings_wider(record, settings):
-        reason = not_seen(*given)
+        reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def _learned_ramp_s(found: Findings) -> float:
+    """For how long the load of the response moved, by the fit of its record."""
+    return found.learned.estimate.ramp_s if found.learned is not None else 0.0
 
 
 def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:

@@ -19,8 +19,9 @@ from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.growth import Growth
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopSample, Window
-from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.decision import Basis, Decision
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal
+from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
@@ -92,8 +93,8 @@ class ResponseRecord:
 
     @property
     def pattern(self) -> Response | None:
-        """The response as one that the gains in force have made, None where those of two regions have."""
-        return None if self.crossed else self.response
+        """The response as one that the gains in force have made, None where those of two sets have."""
+        return None if self.crossed or self.response.taken_over else self.response
 
     @property
     def in_force(self) -> PidGains:
@@ -110,6 +111,7 @@ class StageResult:
     excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
+    elsewhere : what is due in a region where the loop is not, by its index; nothing for none.
     """
 
     code: str
@@ -127,6 +129,7 @@ class StageResult:
     promise: Promise | None = None
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
+    elsewhere: Mapping[int, "StageResult"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +137,14 @@ class Question:
     """What a completed response asks; plain values, so that the answer may be worked out anywhere (`pipeline.decide`).
 
     sample_number : of the sample that raised it, counted by the retuner from 1. trial : where the region stood then.
+    free : the other regions that no trial, hold or mode keeps from a change.
     """
 
     record: ResponseRecord
     settings: RetunerSettings
     sample_number: int
     trial: Trial
+    free: tuple[int, ...] = ()
 
     @property
     def t_s(self) -> float:
@@ -150,6 +155,14 @@ class Question:
 Ended = Mapping[int, TrialEvent]
 """Regions whose trial a sample ended, or where it was decided that it goes on, with the cause."""
 NOBODY: Ended = {}
+
+
+class RetunerState(NamedTuple):
+    """Where a retuner stands; with its table and region models, all that later decisions depend on."""
+
+    finder: FinderState
+    decisions: int
+    samples: int
 
 
 class OpenQuestion(NamedTuple):
@@ -203,6 +216,17 @@ PASSED_OVER = StageResult(
 """What follows from a response that completes while a question is open."""
 
 
+class Step(NamedTuple):
+    """What one sample led to: a decision that needs no fit, a question, both (a trial ended with it) or neither."""
+
+    decision: Decision | None = None
+    question: Question | None = None
+
+
+NOTHING = Step()
+"""Of most samples."""
+
+
 class End(NamedTuple):
     """How the stages ended: name of the reason for machines, and its sentence."""
 
@@ -219,7 +243,7 @@ class Findings:
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     joined : setpoint steps to and fro of which the record was made, 0 for one response as it came.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
-    no second opinion. The others are those of StageResult, None for as before.
+    no second opinion. expected : why the change is worth it. The others are those of StageResult, None for as before.
     """
 
     question: Question
@@ -243,8 +267,10 @@ class Findings:
     numbers: Numbers = NO_NUMBERS
     forget: bool = False
     promise: Promise | None = None
+    expected: str = ""
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
+    elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
 
     @property
     def record(self) -> ResponseRecord:
@@ -300,6 +326,7 @@ class Findings:
             promise=self.promise,
             posterior=self.posterior,
             beside=self.beside,
+            elsewhere=self.elsewhere,
         )
 
 

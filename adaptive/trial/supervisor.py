@@ -123,6 +123,10 @@ class TrialSupervisor:
         wire_is_free = not any(trial.phase in {P.WRITING, *TO_BE_SEEN} for trial in self._trials.values())
         return wire_is_free and after(self.phase(region), _asked(urgent, ordered)) == P.WRITING
 
+    def idle(self, region: int) -> bool:
+        """Whether nothing is on trial in a region, nor held, locked or cooling down."""
+        return self.phase(region) is P.IDLE
+
     def held_by_a_person(self, region: int, t_s: float) -> bool:
         """Whether the region's gains are a person's, and nothing but a proposal may follow now."""
         self._time_over(region, t_s)
@@ -271,21 +275,24 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s)
+            return self.silent(region, found, t_s, enough=seen.safer_due and not ask)
         return found
 
-    def silent(self, region: int, found: Judgement, t_s: float) -> Judgement:
-        """A response said nothing for or against: enough of them end the trial. found : why it did not; with that."""
+    def silent(self, region: int, found: Judgement, t_s: float, *, enough: bool = False) -> Judgement:
+        """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
+
+        enough : this one does, because a change towards safety is due that must not wait for others.
+        """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        if trial.silent + 1 < self.settings.inconclusive or not self._end(region, E.TIMED_OUT, t_s):
+        few = trial.silent + 1 < self.settings.inconclusive and not enough
+        if few or not self._end(region, E.TIMED_OUT, t_s):
             return found
         what = AFTER_SILENCE.get(self.phase(region), "stay")
-        return replace(
-            found, reason=f"{found.reason}; {trial.silent + 1} responses were inconclusive, the trial gains {what}"
-        )
+        why = "a safer change is due" if enough else f"{trial.silent + 1} responses were inconclusive"
+        return replace(found, reason=f"{found.reason}; {why}, the trial gains {what}")
 
     def to_dict(self) -> dict[str, object]:
         """All that later decisions depend on, in plain JSON values."""

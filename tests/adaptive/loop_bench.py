@@ -49,7 +49,7 @@ class Bench:
 
     def obey(self, decision: Decision) -> bool:
         if decision.action == Action.COMMIT and decision.gains_after:
-            self.retuner.committed(0, decision.gains_after)
+            self.retuner.committed(self.retuner.table.index(decision.region), decision.gains_after)
         return True
 
     def exercise(self, upsets: int = 7) -> list[Decision]:

@@ -72,6 +72,17 @@ def test_nothing_is_lent_on_credit_or_the_other_way_round() -> None:
     assert ask({}) is None
 
 
+def test_records_of_its_own_that_settle_nothing_narrow_what_is_lent() -> None:
+    lent = {0: known(1.0), 2: known(4.0)}
+    alone = borrowed(lent, 1, REGIONS, 0.0, 1, LENDING, STILL)
+    own = replace(known(3.0, 0.1), identifiable=False)
+    together = borrowed(lent, 1, REGIONS, 0.0, 1, LENDING, STILL, own)
+    assert alone is not None
+    assert together is not None
+    assert alone.log.model().k < together.log.model().k < 3.0
+    assert together.log.p[0, 0] < min(alone.log.p[0, 0], 0.1)
+
+
 def test_age_opens_what_is_lent() -> None:
     walk = replace(STILL, walk_per_day=0.1)
     fresh = borrowed({0: known(2.0)}, 1, REGIONS, 0.0, 1, LENDING, walk)

@@ -39,6 +39,7 @@ def weighed(
         "promise_of": lambda *_: None,
         "tuning_of": lambda *_: SimpleNamespace(ready=ready, tuning=None, diagnosis=cause),
         "_proved": lambda *_: verdict,
+        "_chosen": lambda *_: (SimpleNamespace(index=1, numbers=NO_NUMBERS, reason=""), verdict),
         "not_as_modelled": lambda *_: None,
         "is_sure": lambda *_: False,
         "_was_known": lambda *_: False,

@@ -7,7 +7,8 @@ import pytest
 
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.retuner import Retuner, Step
+from retuner.adaptive.supervision.pipeline_types import Step
+from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.config.bench import ScenarioConfig
 from retuner.drivers.bus.link_faults import HOLDING, FaultNews, LinkFault

@@ -1,0 +1,114 @@
+"""What a response means for the regions where the loop is not.
+
+A region that was never entered, or is only passed through, kept its gains until a response ended in it: whatever was
+known of it by then, that response had to pay for them. Its process is known before, by responses that passed and along
+the curves through the other regions. So where a response changes nothing for its own region, the others are asked, the
+nearest first. Gains that are far from right on what is known there are proved on all that is left open, as any change,
+and go on trial when the loop comes. One region at a time; what is nearly right waits for responses of its own.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from retuner.adaptive.guard import Verdict, prove
+from retuner.adaptive.guard.request import ChangeRequest
+from retuner.adaptive.region_model.along import centre_of, lenders
+from retuner.adaptive.region_model.from_neighbours import borrowed
+from retuner.adaptive.region_model.region_model import RegionModel
+from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.supervision.decision import Basis
+from retuner.adaptive.supervision.guard_request import change_request, promise_of, tuning_of
+from retuner.adaptive.supervision.pipeline_types import Findings, StageResult
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, over_limit
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.posterior_check import promised_cost
+from retuner.schedule.table import Lookup
+
+DOUBTFUL = frozenset({"unconfirmed", "one_record"})
+"""Codes of decisions that doubt what the response has taught."""
+LEAST_LENDERS = 2
+"""Regions that must know their process before one that was never entered gets gains: one shows no trend."""
+
+
+def elsewhere(found: Findings) -> None:
+    """What is due in the nearest of the other regions whose gains are far from right."""
+    record, learned = found.record, found.learned
+    if record.table.lookup is not Lookup.HARD or learned is None or found.in_use is None or _stands(found):
+        return
+    if learned.agreement not in {Agreement.FIRST, Agreement.AGREES} or found.tuning is None or not found.tuning.ready:
+        return
+    known = {**record.region_models, **found.beside, record.region: found.in_use}
+    for region in sorted(found.question.free, key=lambda at: record.table.regions.distance(record.region, at)):
+        due = _due(found, region, known)
+        if due is not None:
+            found.elsewhere = {region: due}
+            return
+
+
+def _stands(found: Findings) -> bool:
+    """Whether the response has enough to do where it was: a change there, or a doubt."""
+    changes = found.verdict is not None and found.verdict.accepted
+    return changes or found.end is None or found.end.code in DOUBTFUL
+
+
+def _due(found: Findings, region: int, known: Mapping[int, RegionModel]) -> StageResult | None:
+    """The change that is due in a region by what is known of all; None where its gains are nearly right, or nobody can
+    say.
+    """
+    record, settings, now_s = found.record, found.settings, float(found.record.window.t_s[-1])
+    table, model = record.table, _known_of(found, region, known)
+    if model is None or not model.identifiable:
+        return None
+    models, gains = {**known, region: model}, table.gains_of(region)
+    wanted = tuning_of(table, region, models, gains, now_s, settings)
+    if not wanted.ready or not wanted.diagnosis.retune:
+        return None
+    tables = (table, record.commissioned)
+    request = change_request(wanted.tuning, region, tables, models, None, now_s, settings)
+    verdict = prove(_counted(request, known), settings.guard)
+    place = (*centre_of(table.regions, region), 0.0)
+    promised = promise_of(verdict, table, region, (place[0], place[1]), None, settings)
+    if promised is None or not _far_off(found, region, model, promised):
+        return None
+    return _result(model, wanted, verdict, promised)
+
+
+def _known_of(found: Findings, region: int, known: Mapping[int, RegionModel]) -> RegionModel | None:
+    """What is known of a region: by its own records where they settle it, else along the curves through all."""
+    own, settings, record = known.get(region), found.settings, found.record
+    if own is not None and own.identifiable:
+        return own
+    now_s, sign = float(record.window.t_s[-1]), record.in_force.direction
+    if own is None and len(lenders(known, sign)) < LEAST_LENDERS:
+        return None
+    return borrowed(known, region, record.table.regions, now_s, sign, settings.borrowing, settings.tracker, own)
+
+
+def _counted(request: ChangeRequest, known: Mapping[int, RegionModel]) -> ChangeRequest:
+    """What is lent rests on the records of those that lend."""
+    if not request.evidence.borrowed:
+        return request
+    records = min(model.records for model in known.values() if model.identifiable)
+    return replace(request, evidence=replace(request.evidence, records=records))
+
+
+def _far_off(found: Findings, region: int, model: RegionModel, promised: Promise) -> bool:
+    """Whether a region's gains cost far more than they need, or are over their limit on every allowed model."""
+    settings, gains = found.settings, found.record.table.gains_of(region)
+    if 0 < promised_cost(promised) < settings.borrowing.far_off:
+        return True
+    return over_limit(model.plausible, gains, settings.sample_time_s, settings.robust.believed, settings.cause.ms_high)
+
+
+def _result(model: RegionModel, wanted: RobustProposal, verdict: Verdict, promised: Promise) -> StageResult:
+    """As of a response in that region."""
+    known = model.reason if not model.records else "known by responses that passed through"
+    return StageResult(
+        verdict.code,
+        f"{known}; {wanted.diagnosis.reason}",
+        diagnosis=wanted.diagnosis,
+        proposal=wanted.tuning,
+        basis=Basis.MODEL,
+        verdict=verdict,
+        promise=promised,
+    )

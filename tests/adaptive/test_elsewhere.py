@@ -1,0 +1,114 @@
+"""Regions where the loop is not: what is known of them by now leads to gains, proved, and on trial when it comes."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from loop_bench import made, scaled
+
+from retuner.adaptive.guard import GuardSettings
+from retuner.adaptive.identification.estimate import LogModel
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.region_model.from_neighbours import BorrowingSettings, spread
+from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
+from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.rules.simc import simc
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import LoopSample, Window
+from retuner.adaptive.supervision.decision import Action, Mode
+from retuner.adaptive.supervision.elsewhere import elsewhere
+from retuner.adaptive.supervision.pipeline import decide
+from retuner.adaptive.supervision.pipeline_types import End, Findings, Question, ResponseRecord
+from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.trial import Trial
+from retuner.schedule.gains import PidGains
+from retuner.schedule.regions import Regions
+from retuner.schedule.table import GainTable, Lookup
+
+REGIONS = Regions("pv", "-", ("a", "b", "c"), 0.0, (30.0, 70.0), 100.0)
+OPENED = RetunerSettings(1.0, 100.0, Mode.AUTO, guard=GuardSettings().opened(8.0))
+
+
+def known(k: float, variance: float = 1e-4) -> RegionModel:
+    log = LogModel(np.log([k / 50.0, 5.0, 50.0]), variance * np.eye(3), 1)
+    return RegionModel((StructureModel(log, 0.0),), 3, 0.0, plausible=spread(log))
+
+
+def right(k: float) -> PidGains:
+    return simc(known(k).log.model().seen_by_controller(1.0)).gains
+
+
+def times(gains: PidGains, factor: float) -> PidGains:
+    return PidGains(gains.kp * factor, gains.ki * factor)
+
+
+def asked(*, there: PidGains, settings: RetunerSettings = OPENED, **about: Any) -> Findings:
+    """A response in region a after which nothing changes; b is known too. there : gains of c."""
+    lookup = about.get("lookup", Lookup.HARD)
+    table = GainTable("loop", REGIONS, (right(1.0), right(1.0), there), lookup)
+    samples = [LoopSample(float(t), 20.0, 20.0, 0.0, 0, 0, 20.0) for t in range(60)]
+    response = Response(10.0, 59.0, (Peak(12.0, 5.0),), Ending.QUIET, sp_changed=True, band=0.1)
+    models = about.get("models", {0: known(1.0), 1: known(1.0)})
+    record = ResponseRecord(0, response, Window.of(samples), samples, table, table, models)
+    found = Findings(Question(record, settings, 1, Trial(), about.get("free", (1, 2))))
+    learned: Any = SimpleNamespace(agreement=about.get("agreement", Agreement.AGREES))
+    ready: Any = SimpleNamespace(ready=True)
+    found.learned, found.tuning = learned, ready
+    found.in_use, found.end = models[0], End(about.get("code", "ok"), "")
+    elsewhere(found)
+    return found
+
+
+@pytest.mark.parametrize("factor", [0.25, 6.0])
+def test_gains_that_are_far_off_are_corrected_before_the_loop_comes(factor: float) -> None:
+    due = asked(there=times(right(1.0), factor)).elsewhere
+    assert list(due) == [2]
+    verdict = due[2].verdict
+    assert verdict is not None
+    assert verdict.gains is not None
+    assert "estimated from other regions: a, b" in due[2].reason
+    process = known(1.0).log.model().seen_by_controller(1.0).linear()
+    assert sensitivity_peak(process, verdict.gains) < 1.8
+    assert abs(np.log(verdict.gains.ki / right(1.0).ki)) < abs(np.log(factor))
+    assert due[2].promise is not None
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"there": right(1.0)},
+        {"there": times(right(1.0), 0.8)},  # nearly right: its own responses tell more
+        {"free": (1,)},
+        {"models": {0: known(1.0)}},  # one region shows no trend
+        {"code": "unconfirmed"},
+        {"agreement": Agreement.CONTRADICTS},
+        {"lookup": Lookup.INTERPOLATED},
+        {"settings": replace(OPENED, borrowing=BorrowingSettings(far_off=0.0))},
+    ],
+)
+def test_what_is_nearly_right_or_not_known_stays(about: dict[str, Any]) -> None:
+    assert asked(**{"there": times(right(1.0), 0.25), **about}).elsewhere == {}
+
+
+def test_it_follows_with_the_next_sample_and_is_on_trial_when_the_loop_comes() -> None:
+    bench = made(scaled(0.25, 0.25))
+    bench.run(400)
+    retuner, samples = bench.retuner, bench.samples(1000, 1.0, 0.0, 10.0)
+    question = next(step.question for step in map(retuner.step, samples) if step.question is not None)
+    found = decide(question)
+    assert found.verdict is not None
+    assert found.verdict.accepted
+    calm = replace(found, verdict=None, promise=None, code="ok", elsewhere={1: found})
+    assert retuner.enter(question, calm, retuner.sample_number).action is Action.NONE
+    decision, phase = retuner.step(next(samples)).decision, retuner.phase
+    assert decision is not None
+    assert (decision.action, decision.region) == (Action.COMMIT, retuner.table.regions.names[1])
+    assert decision.gains_after is not None
+    retuner.committed(1, decision.gains_after)
+    assert retuner.phase is phase  # what goes on where the loop is goes on
+    retuner.step(next(samples))
+    assert retuner.trials.phase(1) is TrialPhase.AWAY
+    assert retuner.table.gains_of(0) == scaled(0.25, 0.25)
