@@ -26,7 +26,6 @@ from retuner.adaptive.diagnosis.swing_checks import (
     at_own_crossover,
     foretold,
     not_seen,
-    swings_anyway,
     touches_limits,
 )
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
@@ -190,16 +189,14 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     if record.pattern is None:
         return None
     allowed = found.verdict.allowed if found.verdict else ()
-    if cause is None or not allowed:
+    if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
         return None
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     model = allowed[0].model.seen_by_controller(settings.sample_time_s)
     loop = Loop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
     said = foretold(record.response, loop, _learned_ramp_s(found))
-    reason = swings_anyway(record.response, said, settings.swing) if cause.cause == Cause.SLUGGISH else ""
-    if cause.cause in SWINGING and not _swings_wider(record, settings):
-        reason = not_seen(record.response, said, settings.swing)
+    reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
 
 
