@@ -235,3 +235,13 @@ def test_a_response_that_begins_with_a_small_peak_is_judged() -> None:
     tiny = tuple(Peak(peak.t_s, 0.01 * peak.e) for peak in inverse)
     small = judge(replace(base, response=replace(base.response, peaks=tiny)), PROMISE, BAD["kc /4"], S)
     assert small.finding is TrialFinding.INCONCLUSIVE
+
+
+def test_what_the_trial_gains_took_over_in_motion_is_not_judged_by_its_peaks() -> None:
+    """The same response speaks against the gains where it is theirs, and says nothing where they found it under way."""
+    seen = responses(Rig(PidGains(2.2 * GOOD.kp, 4 * GOOD.ki), noise=0.025), 400, **STEP)[0]
+    taken = replace(seen, response=replace(seen.response, taken_over=True))
+    assert judge(seen, PROMISE, GOOD, S).finding is TrialFinding.WORSE
+    found = judge(taken, PROMISE, GOOD, S)
+    assert found.finding is TrialFinding.INCONCLUSIVE
+    assert found.reason == "not judged by itself: the response began under other gains"
