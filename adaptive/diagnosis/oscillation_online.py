@@ -1,7 +1,7 @@
 """On line: is it the tuning at all? What swings, or what the loop by itself does not explain, is put to its rivals.
 
     swings on without a setpoint step, too few cycles yet     wait: one and a half cycles fit anything
-    the oscillation that was explained before goes on         the same cause, without new fits
+    something else was behind what these gains showed before   asked again, of all that they have shown
     swings on, cycles enough                                  the whole diagnosis (diagnose.py) of the stretch
     a response of which the linear fit leaves too much        rivals alone: stiction or a tone under the response
     otherwise                                                 the model may learn, and its margins decide
@@ -13,7 +13,7 @@ cure: what a rival explains teaches the model nothing.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import against_rivals, diagnose_window
 from retuner.adaptive.diagnosis.rival_fits import linear
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
@@ -31,8 +31,7 @@ class SwingSettings:
         0.3 to 0.9, default 0.5 (a quarter of the amplitude after a period; a well-tuned loop leaves far less).
     cycles : cycles of a swing that are waited for before anything is said; 3 to 10, default 4.
     most_cycles : cycles of the stretch that are looked at; 5 to 30, default 12.
-    alike : periods within this factor are the same oscillation; 1.05 to 1.5, default 1.5.
-    remembered_cycles : cycles for which an explained oscillation need not be explained again; default 40.
+    most_counted : responses that count at most for what else was found; 1 to 10, default 3.
     unexplained : standard deviations of the noise that a linear fit may leave before its rivals are asked; 1.1 to 3,
         default 1.5.
     lookback : lengths of a response that are looked at with it when its rivals are asked; default 3.
@@ -50,11 +49,8 @@ class SwingSettings:
     growth_explained : share of pv's variance that the model must explain of it; 0.9 to 0.999, default 0.99.
     calm : greatest error before a response over the last peak of its swing, up to which the swing began with it;
         0.1 to 0.8, default 0.4.
-    beneath : the same over the first peak of a setpoint step, up to which an oscillation that was explained does not
-        matter to it; 0.05 to 0.4, default 0.15.
     dwarfs : the same over the response's largest peak, from which earlier motion is left out of what is looked at;
         2 to 20, default 5 (half a percent of it, which no model explains, would pass for a disturbance).
-    again : the diagnosis is asked again when there are so many times as many load responses; 1 to 4, default 2.
     unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
     shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
     sluggish_decay : ratio of successive peaks that a sluggish loop does not have; 0.15 to 0.5, default 0.25.
@@ -64,8 +60,7 @@ class SwingSettings:
     damping: float = 0.5
     cycles: float = 4.0
     most_cycles: float = 12.0
-    alike: float = 1.5
-    remembered_cycles: float = 40.0
+    most_counted: int = 3
     unexplained: float = 1.5
     lookback: float = 3.0
     load_bands: float = 5.0
@@ -77,23 +72,11 @@ class SwingSettings:
     grows: float = 1.05
     growth_explained: float = 0.99
     calm: float = 0.4
-    beneath: float = 0.15
     dwarfs: float = 5.0
-    again: float = 2.0
     unseen_bands: float = 2.0
     shown: float = 0.5
     sluggish_decay: float = 0.25
     most_lookback: float = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """An oscillation with a cause that is none of tuning: which, with what period, and when it was explained."""
-
-    cause: Cause
-    period_s: float
-    t_s: float
-    reason: str
 
 
 def swings(response: Response, settings: SwingSettings) -> bool:
@@ -102,7 +85,7 @@ def swings(response: Response, settings: SwingSettings) -> bool:
     Of a clean decay overshoot and damping are equal; a tone that is slower than was waited has no third peak yet.
     """
     decay = response.overshoot if response.damping is None else response.damping
-    return not response.sp_changed and decay is not None and decay > settings.damping
+    return not (response.sp_changed or response.taken_over) and decay is not None and decay > settings.damping
 
 
 def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = True) -> list[LoopSample]:
@@ -116,44 +99,35 @@ def stretch(samples: Sequence[LoopSample], from_s: float, same_gains: bool = Tru
     return kept[::-1]
 
 
-def swing_cause(
+def too_few_cycles(samples: Sequence[LoopSample], response: Response, swing: SwingSettings) -> Diagnosis | None:
+    """That a swing is too young for any verdict, None where it is not. response : it swings (see swings)."""
+    period_s = response.period_s
+    assert period_s is not None
+    seen = stretch(samples, response.t_end_s - swing.most_cycles * period_s, swing.same_gains)
+    cycles = (response.t_end_s - seen[0].t_s) / period_s
+    if cycles >= swing.cycles:
+        return None
+    reason = f"lasting oscillation without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles needed"
+    return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason)
+
+
+def whole_cause(
     samples: Sequence[LoopSample],
     response: Response,
     gains: PidGains,
     swing: SwingSettings,
     settings: DiagnosisSettings,
-) -> tuple[Diagnosis | None, Standing | None]:
-    """Why a loop swings on without a setpoint step: a cause that may not change gains, or None; and what to remember.
+) -> Diagnosis:
+    """The whole diagnosis of what the gains in force have shown lately.
 
-    samples : kept, the newest last. response : it swings (see swings). gains : in force.
+    samples : kept, the newest last. gains : in force. Of a swing most_cycles are looked at, of any other response
+    most_lookback lengths before it.
     """
-    period_s, now_s = response.period_s, response.t_end_s
-    assert period_s is not None
-    seen = stretch(samples, now_s - swing.most_cycles * period_s, swing.same_gains)
-    cycles = (now_s - seen[0].t_s) / period_s
-    if cycles < swing.cycles:
-        reason = f"lasting oscillation without a setpoint step: {cycles:.1f} of {swing.cycles:g} cycles needed"
-        return Diagnosis(Cause.UNKNOWN, 0.5, {"period_s": period_s, "cycles": cycles}, reason), None
-    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
-    if found.cause in TUNING_CAUSES or found.cause == Cause.OK:
-        return None, None
-    return found, Standing(found.cause, period_s, now_s, found.reason)
-
-
-def goes_on(response: Response, standing: Standing | None, settings: SwingSettings) -> Diagnosis | None:
-    """The cause that was found a short while ago, for a load response while that oscillation goes on; else None."""
-    if standing is None or response.sp_changed or not is_recent(response, standing, settings):
-        return None
-    ratio = (response.period_s or standing.period_s) / standing.period_s
-    if not 1 / settings.alike < ratio < settings.alike:
-        return None
-    again = f"as at {standing.t_s:,.0f} s, and it goes on: {standing.reason}"
-    return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, again)
-
-
-def is_recent(response: Response, standing: Standing, settings: SwingSettings) -> bool:
-    """Whether an oscillation was explained so short a while before a response that it need not be explained again."""
-    return response.t_end_s - standing.t_s <= settings.remembered_cycles * standing.period_s
+    since_s = response.t_start_s - swing.most_lookback * (response.t_end_s - response.t_start_s)
+    if swings(response, swing) and response.period_s is not None:
+        since_s = response.t_end_s - swing.most_cycles * response.period_s
+    seen = stretch(samples, since_s, swing.same_gains)
+    return diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
 
 
 def hidden_cause(
@@ -162,19 +136,18 @@ def hidden_cause(
     gains: PidGains,
     swing: SwingSettings,
     settings: DiagnosisSettings,
-) -> tuple[Diagnosis | None, Standing | None]:
-    """What hides under a response that the linear fit does not explain: stiction or a tone, or None."""
+) -> tuple[Diagnosis | None, bool]:
+    """What hides under a response that the linear fit does not explain: stiction or a tone, or None; and whether it is
+    asked for again at the next response.
+    """
     length_s = response.t_end_s - response.t_start_s
     window = Window.of(stretch(samples, response.t_start_s - swing.lookback * length_s, swing.same_gains))
     found = linear(window, (gains.direction,), settings.fit.choice, settings.fit.most_samples)
     seen = screen(window, gains)
     verdict = against_rivals(found[0], seen, settings).verdict
-    if verdict is None:
-        return None, None
-    if verdict.cause == Cause.EXTERNAL and not seen.oscillates:
-        return replace(verdict, reason=RANDOM.format(**verdict.evidence)), None
-    period_s = seen.period_s or response.period_s or length_s
-    return verdict, Standing(verdict.cause, period_s, response.t_end_s, verdict.reason)
+    if verdict is not None and verdict.cause == Cause.EXTERNAL and not seen.oscillates:
+        return replace(verdict, reason=RANDOM.format(**verdict.evidence)), False
+    return verdict, verdict is not None and verdict.cause != Cause.UNKNOWN
 
 
 RANDOM = (

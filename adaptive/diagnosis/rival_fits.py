@@ -48,7 +48,7 @@ def external(fit: Candidate, frequencies: list[float], most_loads: int) -> Candi
     """
     found = []
     base = replace(fit.fit.misfit, harmonics=HARMONICS, ar=(), sigma=fit.fit.misfit.record.noise_std)
-    plain = replace(base, loads=0, rounded=False)
+    plain = replace(base, loads=0, corners=0, rounded=False)
     x = fit.fit.x
     weak = x.copy()
     weak[SLOPE] -= WEAKENED

@@ -8,8 +8,7 @@
                  limited one, mostly), and this response agrees with that model: it adds nothing and takes nothing away
     not clear    the others: a load of unknown shape taken for a step can fit any process. The whole diagnosis of the
                  stretch with its rivals and doubts must name the tuning; where no setpoint step was seen, after two
-                 load responses at the earliest. When it does not, nothing is learned from loads until there were twice
-                 as many.
+                 load responses at the earliest.
 
 What an outside sinusoid or a valve does to a loop looks like a load response for the first cycles (measured: without
 this stage 6 of 10 loops with good gains were changed).
@@ -21,7 +20,7 @@ from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
 from retuner.adaptive.diagnosis.diagnose import diagnose_window
-from retuner.adaptive.diagnosis.oscillation_online import Standing, SwingSettings, is_recent, stretch
+from retuner.adaptive.diagnosis.oscillation_online import SwingSettings, stretch
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
 from retuner.adaptive.guard import Ruling
 from retuner.adaptive.signals.response import Response
@@ -40,19 +39,17 @@ SWINGING = frozenset({Cause.AGGRESSIVE, Cause.SLOW_INTEGRATING})
 class Excitation:
     """How many responses of each kind the model of a region rests on.
 
-    asked : of the load responses, how many there were when the diagnosis last did not name the tuning; 0 for never.
     clear : of the setpoint responses, how many were clear (see is_clear). alternative : the same of what last
     contradicted it.
     """
 
     setpoints: int = 0
     loads: int = 0
-    asked: int = 0
     clear: int = 0
     alternative: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("setpoints", "loads", "asked", "clear", "alternative"):
+        for name in ("setpoints", "loads", "clear", "alternative"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be 0 or more")
 
@@ -74,10 +71,11 @@ def is_clear(
     """Whether a response needs no confirmation.
 
     samples : kept, the newest last. left : what the linear fit leaves, in noise standard deviations. loads : load steps
-    that it needed.
+    that it needed. One that other gains took over in motion goes on with what was judged when they came.
     """
     explained = left <= settings.unexplained and loads <= settings.loads_beside
-    return bool(response.sp_changed) and explained and was_at_rest(samples, response, settings)
+    from_rest = response.taken_over or was_at_rest(samples, response, settings)
+    return bool(response.sp_changed) and explained and from_rest
 
 
 def is_safer_and_known(ruling: Ruling, agrees: bool, excitation: Excitation, calm: bool, peaks: int) -> bool:
@@ -113,37 +111,12 @@ def _moved_before(samples: Sequence[LoopSample], response: Response, length_s: f
     return max((abs(s.sp - s.pv) for s in samples if since <= s.t_s < response.t_start_s), default=0.0)
 
 
-def on_top(
-    samples: Sequence[LoopSample], response: Response, standing: Standing | None, settings: SwingSettings
-) -> Diagnosis | None:
-    """A setpoint step on top of an oscillation that was explained, unless it is small against the step; else None."""
-    if standing is None or not response.sp_changed or not is_recent(response, standing, settings):
-        return None
-    step = max((abs(peak.e) for peak in response.peaks), default=0.0)
-    if _moved_before(samples, response, standing.period_s) <= max(settings.beneath * step, response.band):
-        return None
-    reason = f"the setpoint step came on top of what was seen at {standing.t_s:,.0f} s: {standing.reason}"
-    return Diagnosis(standing.cause, 0.8, {"period_s": standing.period_s}, reason)
-
-
 def was_at_rest(samples: Sequence[LoopSample], response: Response, settings: SwingSettings) -> bool:
     """Whether the error kept to its noise band before a response, for as long as the response took or as is known."""
     since = response.t_start_s - (response.t_end_s - response.t_start_s)
     before = [s for s in samples if since <= s.t_s < response.t_start_s]
     outside = sum(1 for s in before if abs(s.sp - s.pv) > response.band)
     return outside <= settings.restless * len(before)
-
-
-def thinned(response: Response, excitation: Excitation, settings: SwingSettings) -> Diagnosis | None:
-    """Why a load response need not be looked at: the diagnosis did not name the tuning a short while ago."""
-    due = settings.again * excitation.asked
-    if response.sp_changed or excitation.loads + 1 >= due:
-        return None
-    reason = (
-        f"the diagnosis after {excitation.asked} load responses gave no verdict on the tuning; it is repeated after "
-        f"{due:.0f}, or at a setpoint step"
-    )
-    return _unknown(reason, excitation)
 
 
 def unconfirmed(
@@ -154,31 +127,65 @@ def unconfirmed(
     swing: SwingSettings,
     settings: DiagnosisSettings,
     wanted: Cause | None = None,
-) -> tuple[Diagnosis | None, Excitation]:
-    """Why a case that is not clear may not change gains, None when the whole diagnosis names the tuning; what is known.
+) -> Diagnosis | None:
+    """Why a case that is not clear may not change gains, None when the whole diagnosis names the tuning.
 
     samples : kept, the newest last. gains : in force. excitation : this response included. wanted : cause for which
     they would be changed, None where no model named one.
     """
     if not excitation.setpoints and excitation.loads < swing.fewest_loads:
         reason = "one load response is not enough: another one, or a setpoint step, is needed"
-        return _unknown(reason, excitation), excitation
+        return _unknown(reason, excitation)
     peak = max((abs(p.e) for p in response.peaks), default=0.0)
     if not excitation.setpoints and peak < swing.load_bands * response.band:
         reason = (
             f"a load response of {peak / response.band:.1f} noise bands is too small to change gains; "
             f"{swing.load_bands:g} are needed, or a setpoint step"
         )
-        return _unknown(reason, excitation), excitation
+        return _unknown(reason, excitation)
     length_s = response.t_end_s - response.t_start_s
     seen = stretch(samples, response.t_start_s - swing.most_lookback * length_s, swing.same_gains)
-    found = diagnose_window(Window.of(from_rest(seen, response, swing)), gains, settings=settings).diagnosis
+    found = _diagnosed(from_rest(seen, response, swing), response, gains, swing, settings)
     if found.cause in TUNING_CAUSES and _other_way(found.cause, wanted):
         reason = f"the model of this region gives {wanted}, this record alone gives {found.cause}: {found.reason}"
         found = replace(found, cause=Cause.UNKNOWN, confidence=0.5, reason=reason)
-    if found.cause in TUNING_CAUSES:  # the settings are those of the region's model, which the guard proves
-        return None, excitation
-    return found, replace(excitation, asked=excitation.loads)
+    return None if found.cause in TUNING_CAUSES else found  # the settings are those of the region's model
+
+
+def _diagnosed(
+    seen: list[LoopSample],
+    response: Response,
+    gains: PidGains,
+    swing: SwingSettings,
+    settings: DiagnosisSettings,
+) -> Diagnosis:
+    """The diagnosis of a stretch; where it holds more than can be explained at once, that of its last two responses."""
+    found = diagnose_window(Window.of(seen), gains, settings=settings).diagnosis
+    if found.cause is not Cause.UNKNOWN or found.evidence.get("linear_left", 0.0) <= settings.explained:
+        return found
+    two = last_two(seen, response, swing)
+    if len(two) == len(seen):
+        return found
+    again = diagnose_window(Window.of(two), gains, settings=settings).diagnosis
+    return again if again.cause in TUNING_CAUSES else found
+
+
+def last_two(samples: list[LoopSample], response: Response, settings: SwingSettings) -> list[LoopSample]:
+    """From the rest before the response before this one; all, where the loop was not at rest in between."""
+    needed_s = settings.rest * (response.t_end_s - response.t_start_s)
+    rests, after_s = 0, response.t_start_s
+    moved = False
+    for i in range(len(samples) - 1, -1, -1):
+        sample = samples[i]
+        if sample.t_s >= response.t_start_s:
+            continue
+        if abs(sample.sp - sample.pv) > response.band:
+            after_s, moved = sample.t_s, True
+        elif after_s - sample.t_s >= needed_s and (moved or not rests):
+            rests, moved = rests + 1, False
+            if rests > 1:
+                return samples[i:]
+    return samples
 
 
 def _other_way(found: Cause, wanted: Cause | None) -> bool:

@@ -161,7 +161,8 @@ def slipping(linear: Candidate, most_loads: int) -> Slipping | None:
     """
     record = linear.fit.misfit.record
     misfit = replace(
-        linear.fit.misfit, type=ProcessType.FOPDT, loads=0, sigma=record.noise_std, ar=(), ramp=False, rounded=False,
+        linear.fit.misfit, type=ProcessType.FOPDT, loads=0, corners=0, sigma=record.noise_std, ar=(), ramp=False,
+        rounded=False,
         harmonics=0, most_order=WHITE,
     )  # fmt: skip
     co, found = Co(record.co), []

@@ -180,6 +180,7 @@ def sticking(linear: Candidate, period_s: float, most_loads: int) -> Sticking:
         linear.fit.misfit,
         type=ProcessType.FOPDT,
         loads=0,
+        corners=0,
         sigma=record.noise_std,
         ar=(),
         ramp=False,
@@ -200,7 +201,7 @@ def with_play(linear: Candidate, most_loads: int) -> Sticking:
     load steps; so it is tried with those of the linear explanation, and with none at first.
     """
     kept = linear.fit.misfit
-    bare = replace(kept, loads=0, rounded=False)
+    bare = replace(kept, loads=0, corners=0, rounded=False)
     rivals = [_fine(_played(linear.fit, kept, linear.fit.p))]
     if kept.loads:
         plain = _fine(_played(linear.fit, bare, linear.fit.x))

@@ -11,7 +11,9 @@ A tone from outside has no reason to lie at w180. To the fits the two look alike
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from retuner.adaptive.diagnosis.cause import Cause
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
@@ -98,25 +100,21 @@ THIRD = 3
 """Peaks that tell a swing."""
 
 
-def not_seen(
-    response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float, settings: SwingSettings
-) -> str:
+def not_seen(response: Response, foretold: Trace, settings: SwingSettings) -> str:
     """Why a response refutes a model that says the loop swings, empty when it does not.
 
     Parameters
     ----------
-    model : of the process, with the dead time of sampling. in_force : gains of the response. b, tau_f_s : weight of the
-        setpoint and filter of the derivative, s.
+    foretold : the error after an upset like this one, by the model (see `foretold`).
     """
     seen = [abs(peak.e) for peak in response.peaks]
-    trace = _traced(response, model, in_force, b, tau_f_s)
-    said = [abs(e) for e in peaks_of(trace.e)[:THIRD]]
+    said = [abs(e) for e in peaks_of(foretold.e)[:THIRD]]
     if not seen or len(said) < THIRD or not said[0]:
         return ""
     second, third = (said[i] / said[0] * seen[0] for i in (1, 2))
     least = settings.unseen_bands * response.band
     if len(seen) < THIRD:  # a swing that rides on a slow return does not cross over, and shows no peaks
-        due = _due(response, trace, said, settings) * seen[0] / said[0]
+        due = _due(response, foretold, said, settings) * seen[0] / said[0]
         missing = response.ending == Ending.QUIET and min(second, due) > least
         return f"{_says(third)}, and the error came to rest after {len(seen)}" if missing else ""
     if seen[2] + least > settings.shown * third:
@@ -137,9 +135,7 @@ def _due(response: Response, trace: Trace, said: list[float], settings: SwingSet
     return abs(by_then[0]) if by_then else 0.0
 
 
-def swings_anyway(
-    response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float, settings: SwingSettings
-) -> str:
+def swings_anyway(response: Response, foretold: Trace, settings: SwingSettings) -> str:
     """Why a response is not that of a sluggish loop, empty when it may be: a swing that the model foretells may be.
 
     An integrating process under too little gain swings slowly, and is sluggish all the same. Parameters as of not_seen.
@@ -147,20 +143,24 @@ def swings_anyway(
     decay = swing([peak.e for peak in response.peaks], response.band)[2]
     if decay <= settings.sluggish_decay:
         return ""
-    if swing(_foretold(response, model, in_force, b, tau_f_s))[2] >= settings.shown * decay:
+    if swing(peaks_of(foretold.e)[:THIRD])[2] >= settings.shown * decay:
         return ""
     return f"by the model that fits, the loop is sluggish, and its half-cycle decay ratio is {decay:.2f}"
 
 
-def _foretold(response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float) -> list[float]:
-    """The first peaks of the error after an upset like this one, by the model."""
-    return peaks_of(_traced(response, model, in_force, b, tau_f_s).e)[:THIRD]
+def foretold(response: Response, loop: Loop, ramp_s: float = 0.0) -> Trace:
+    """The error after an upset like this one, by a model.
 
-
-def _traced(response: Response, model: ProcessModel, in_force: PidGains, b: float, tau_f_s: float) -> Trace:
-    """The error after an upset like this one, by the model."""
+    loop : the model, with the dead time of sampling, under the gains of the response. ramp_s : for how long the load
+    moved; a ramp is answered by the mean of the answers to the steps that it is made of.
+    """
     upset = Upset(setpoint=1.0) if response.sp_changed else Upset(load_step=1.0)
-    return traces([Loop(model.linear(), in_force, b, tau_f_s)], [upset])[0][0]
+    trace = traces([loop], [upset])[0][0]
+    steps = min(round(ramp_s / trace.step_s), len(trace.e))
+    if response.sp_changed or steps < 1:
+        return trace
+    summed = np.concatenate([np.zeros(steps), np.cumsum(trace.e)])
+    return replace(trace, e=(summed[steps:] - summed[:-steps]) / steps)
 
 
 def _says(third: float) -> str:

@@ -27,7 +27,7 @@
 #include "engine_c/search.h"
 #include "engine_c/valves.h"
 
-#define VERSION "4"
+#define VERSION "5"
 
 /* ---------------------------------------------------------------- the door: buffers of numbers, looked at before use */
 
@@ -122,7 +122,7 @@ static int count_in(double x, int most, int *out) {
     return 0;
 }
 
-enum { DT, SPAN, SIGMA, SIGN, TYPE, LOADS, HARMONICS, RAMP, ROUNDED, MOTION, STARTS, ORDER, HEAD };
+enum { DT, SPAN, SIGMA, SIGN, TYPE, LOADS, HARMONICS, RAMP, ROUNDED, CORNERS, MOTION, STARTS, ORDER, HEAD };
 
 /* numbers : the head (see above), then the starts, the whitening filter, and the weights of the priors. */
 static int read_problem(Problem *p, const View *numbers) {
@@ -134,7 +134,8 @@ static int read_problem(Problem *p, const View *numbers) {
         return refuse("numbers: dt >= 0, span > 0, sigma > 0 and a sign of 1 or -1 are needed");
     if (count_in(x[TYPE], TYPES - 1, &p->type) || count_in(x[LOADS], MOST_LOADS, &p->loads) ||
         count_in(x[HARMONICS], MOST_HARMONICS, &p->harmonics) || count_in(x[RAMP], 1, &p->ramp) ||
-        count_in(x[ROUNDED], 1, &p->rounded) || count_in(x[MOTION], 1, &p->motion) ||
+        count_in(x[ROUNDED], 1, &p->rounded) || count_in(x[CORNERS], p->loads, &p->corners) ||
+        count_in(x[MOTION], 1, &p->motion) ||
         count_in(x[STARTS], MOST_STARTS, &p->starts) || count_in(x[ORDER], MOST_AR, &p->order))
         return -1;
     p->priors = p->starts * start_columns(p) + p->ramp;

@@ -1,7 +1,7 @@
 """The compiled engine in the terms of the house: problems packed into buffers, answers unpacked.
 
-    numbers = (dt or 0, span, sigma, sign, type, loads, harmonics, ramp, rounded, motion, starts, order of the filter,
-               the starts, the filter, the weights of the priors)
+    numbers = (dt or 0, span, sigma, sign, type, loads, harmonics, ramp, rounded, corners, motion, starts, order of
+               the filter, the starts, the filter, the weights of the priors)
 
 What each function computes, and why, stands with the numpy engine's function of the same name.
 """
@@ -41,8 +41,8 @@ def packed(misfit: Misfit) -> Packed:
     weights, starts = misfit.prior_weights(), misfit.starts
     numbers = array("d", (
         record.clock.dt_s or 0.0, record.span_s, misfit.sigma, misfit.sign, TYPES.index(misfit.type), misfit.loads,
-        misfit.harmonics, misfit.ramp, misfit.rounded, record.motion_at_start > 0, len(starts), len(misfit.ar),
-        *starts, *misfit.ar, *weights,
+        misfit.harmonics, misfit.ramp, misfit.rounded, misfit.corners, record.motion_at_start > 0, len(starts),
+        len(misfit.ar), *starts, *misfit.ar, *weights,
     ))  # fmt: skip
     return record.clock.t_s, record.pv, misfit.input, numbers
 
@@ -100,7 +100,7 @@ def searched(grid: Grid, sigma: float, most_loads: int) -> Iterator[Node]:
     shape = (len(lags) * len(thetas), most_loads + 1)
     deviance, slope, chosen = np.empty(shape), np.empty(shape), np.empty((shape[0], most_loads))
     span = float(grid.clock.t_s[-1] - grid.clock.t_s[0])
-    numbers = array("d", (grid.clock.dt_s or 0.0, span, sigma, 1, 0, 0, 0, 0, 0, 0, 0, 0))
+    numbers = array("d", (grid.clock.dt_s or 0.0, span, sigma, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0))
     _engine.search(
         grid.clock.t_s, grid.pv, grid.co, numbers, lags, thetas, grid.at_s, most_loads, deviance, slope, chosen
     )
@@ -153,7 +153,7 @@ def valve_travel(valve: Valve, co: FloatArray) -> FloatArray:
 
 def valves_scanned(record: Record, valves: Sequence[Valve], nodes: ScanNodes) -> tuple[FloatArray, FloatArray]:
     """Sum of squares and slope gain with every valve's position as input, shape (valves, nodes)."""
-    numbers = array("d", (record.clock.dt_s or 0.0, record.span_s, record.noise_std, 1, 0, 0, 0, 0, 0, 0, 0, 0))
+    numbers = array("d", (record.clock.dt_s or 0.0, record.span_s, record.noise_std, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0))
     shape = (len(valves), len(nodes.lags_s) * len(nodes.thetas_s))
     left, gain = np.empty(shape), np.empty(shape)
     _engine.scan(

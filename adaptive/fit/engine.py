@@ -14,7 +14,7 @@ from types import ModuleType
 
 VARIABLE = "RETUNER_ENGINE"
 CHOICES = ("auto", "c", "numpy")
-COMPILED_VERSION = "4"
+COMPILED_VERSION = "5"
 """Version of the compiled engine that belongs to this package."""
 
 _preferred = ["auto"]
@@ -48,7 +48,7 @@ def using(name: str) -> Iterator[None]:
 
 
 def engine_name() -> str:
-    """Name and version for the ledger: "c 4", or "numpy" with its version."""
+    """Name and version for the ledger: "c 5", or "numpy" with its version."""
     return f"numpy {import_module('numpy').__version__}" if compiled() is None else f"c {COMPILED_VERSION}"
 
 

@@ -8,9 +8,10 @@ an input at rest that is not the resting co, and the unknown co of one dead time
 impulse at the first sample, to a step one dead time later and to a ramp until then (and again at the end of each gap in
 time), with a prior, because nobody starts far from where he is; a ramp (drift) may be asked for in the same way, which
 an integrating process turns into a parabola (a load that drifts; a lag only delays it, as the start can do). Loads
-may be rounded: seen through a lag tau_d of their own, one for all. `tones` are a sinusoid and its harmonics from
-outside. All linear unknowns are projected out (variable projection, Golub & Pereyra 1973; Jacobian after Kaufman 1975);
-what is left is
+may be rounded: seen through a lag tau_d of their own, one for all; or corners, where the load's slope changes (h is
+then the response to a ramp): two of them are a load that moves from one place to another. `tones` are a sinusoid and
+its harmonics from outside. All linear unknowns are projected out (variable projection, Golub & Pereyra 1973; Jacobian
+after Kaufman 1975); what is left is
 
     p = (x of structure.py, s_1 ... s_m [, ln tau_d] [, ln w of the tones])
 
@@ -157,8 +158,9 @@ class Misfit:
     sigma : what residuals are counted in, pv units. start_spread : prior standard deviation of the start, as a share
         of pv's range. ar : coefficients a_1.. of the whitening filter 1 + a_1 z^-1 + ..., empty for white.
     harmonics : number of harmonics of the tone from outside, 0 for none. ramp : whether pv drifts along a ramp.
-    rounded : whether the loads come through a lag of their own. most_order : highest order of a whitening filter for
-        what is left.
+    rounded : whether the loads come through a lag of their own. corners : how many of the loads, the last ones, are
+        changes of the load's slope and no steps; these come through no lag.
+    most_order : highest order of a whitening filter for what is left.
     co : another input than the recorded one (a stuck valve's output), shape (n,), or None.
     """
 
@@ -172,6 +174,7 @@ class Misfit:
     harmonics: int = 0
     ramp: bool = False
     rounded: bool = False
+    corners: int = 0
     most_order: int = MOST_ORDER
     co: FloatArray | None = None
 
@@ -179,6 +182,10 @@ class Misfit:
     def size(self) -> int:
         """Length of p."""
         return SIZE[self.type] + self.loads + int(self.rounded) + int(self.harmonics > 0)
+
+    def is_corner(self, j: int) -> bool:
+        """Whether load j is a change of slope."""
+        return j >= self.loads - self.corners
 
     @property
     def unknowns(self) -> int:
@@ -230,6 +237,8 @@ class Misfit:
         """The response to one load step."""
         d = SIZE[self.type]
         since = self.record.t_s - p[d + j]
+        if self.is_corner(j):
+            return dynamics.ramp(since)
         return dynamics.rounded_step(since, math.exp(p[d + self.loads])) if self.rounded else dynamics.step(since)
 
     def solve(self, p: FloatArray) -> Projection:
@@ -336,7 +345,7 @@ def changes_of(misfit: "Misfit", at: "Projection") -> list[FloatArray]:
         since = [misfit.record.t_s - p[d + j] for j in range(misfit.loads)]
         found.append(
             _summed(at, [(at.priors + j, dynamics.rounded_step(s, lag), rounded_by_lag(dynamics, s, lag))
-                         for j, s in enumerate(since)])
+                         for j, s in enumerate(since) if not misfit.is_corner(j)])
         )  # fmt: skip
     if misfit.harmonics:
         found.append(_by_tone(misfit, at))
@@ -399,7 +408,9 @@ def _columns_by_dynamics(misfit: "Misfit", p: FloatArray, dynamics: Dynamics, by
     d = SIZE[misfit.type]
     for j in range(misfit.loads):
         since = t - p[d + j]
-        if misfit.rounded:
+        if misfit.is_corner(j):
+            yield misfit.priors + j, dynamics.ramp(since), ramp_slope(dynamics, since, by)
+        elif misfit.rounded:
             lag = math.exp(p[d + misfit.loads])
             yield misfit.priors + j, dynamics.rounded_step(since, lag), rounded_slope(dynamics, since, lag, by)
         else:
@@ -410,6 +421,8 @@ def _load_change(misfit: "Misfit", at: "Projection", dynamics: Dynamics, j: int)
     """A load step by its time."""
     d = SIZE[misfit.type]
     since = misfit.record.t_s - at.p[d + j]
+    if misfit.is_corner(j):
+        return at.priors + j, dynamics.ramp(since), -dynamics.step(since)
     if misfit.rounded:
         lag = math.exp(at.p[d + misfit.loads])
         return at.priors + j, dynamics.rounded_step(since, lag), -rounded_rise(dynamics, since, lag)

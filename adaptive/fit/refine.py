@@ -115,6 +115,13 @@ class Fit:
         d = SIZE[self.misfit.type]
         return tuple(sorted(float(s) for s in self.p[d : d + self.misfit.loads]))
 
+    @property
+    def ramp_s(self) -> float:
+        """From the first change of the load's slope to the last; 0 where there are no two."""
+        d, misfit = SIZE[self.misfit.type], self.misfit
+        corners = self.p[d + misfit.loads - misfit.corners : d + misfit.loads]
+        return float(np.ptp(corners)) if len(corners) > 1 else 0.0
+
 
 def bounds(misfit: Misfit) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest p."""

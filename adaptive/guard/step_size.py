@@ -85,7 +85,7 @@ def within_limits(
         return math.log(step_limit(parameter, more=more, settings=settings, alone=alone))
 
     share *= _share(old, new, room)
-    moved = _along(old, new, share)
+    moved = along(old, new, share)
     kc, now = abs(moved.kp), abs(old.kp)
     least, most = min(settings.kc_min, now) * (1 - ROUNDING), max(settings.kc_max, now) * (1 + ROUNDING)
     return (moved, share) if least <= kc <= most else None
@@ -93,7 +93,7 @@ def within_limits(
 
 def within_factor(old: PidGains, new: PidGains, factor: float) -> PidGains:
     """The point on the way that one limit for every parameter allows."""
-    return _along(old, new, _share(old, new, lambda _parameter, _more: math.log(factor)))
+    return along(old, new, _share(old, new, lambda _parameter, _more: math.log(factor)))
 
 
 def _share(old: PidGains, new: PidGains, room: Callable[[Parameter, bool], float]) -> float:
@@ -107,8 +107,8 @@ def _share(old: PidGains, new: PidGains, room: Callable[[Parameter, bool], float
     return share
 
 
-def _along(old: PidGains, new: PidGains, share: float) -> PidGains:
-    """The point on the way."""
+def along(old: PidGains, new: PidGains, share: float) -> PidGains:
+    """The point after this share of the way, straight in the logarithms."""
     if share >= 1.0:
         return new
     found = []

@@ -217,6 +217,7 @@ class ModelEstimate:
     alternatives : the structures, best first. coloured : order of the whitening filter that the remainder asked for.
     plausible : models that the record (and the prior) still allow, the best first.
     explained : share of pv's variance that the model explains.
+    ramp_s : for how long the load moved, where it came as a ramp; 0 for steps.
     rival : the model without load steps at setpoint changes, where the winner has such.
     """
 
@@ -230,6 +231,7 @@ class ModelEstimate:
     plausible: tuple[Plausible, ...] = ()
     explained: float = 1.0
     rival: RivalModel | None = None
+    ramp_s: float = 0.0
 
     @property
     def best(self) -> Alternative:

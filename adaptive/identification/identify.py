@@ -279,6 +279,7 @@ def estimate_of(
         around,
         explained,
         rival,
+        fit.ramp_s,
     )
 
 

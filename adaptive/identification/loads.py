@@ -95,7 +95,7 @@ def _with_ramp(at: Candidate) -> Proposal | None:
         return None
     record = misfit.record
     column = (record.t_s / record.span_s) ** (2 if misfit.type in INTEGRATING else 1)
-    if _gains(at, column[:, None])[0] < PROMISING * math.log(len(column)):
+    if linear_gains(at, column[:, None])[0] < PROMISING * math.log(len(column)):
         return None
     return replace(misfit, ramp=True), at.fit.p
 
@@ -103,7 +103,7 @@ def _with_ramp(at: Candidate) -> Proposal | None:
 def _with_rounding(at: Candidate) -> Proposal | None:
     """With loads that come through a lag."""
     misfit, p = at.fit.misfit, at.fit.p
-    if misfit.rounded or not misfit.loads:
+    if misfit.rounded or misfit.loads == misfit.corners:
         return None
     after = SIZE[misfit.type] + misfit.loads
     lag = np.log(START_ROUNDING * misfit.record.sample_time_s)
@@ -120,14 +120,15 @@ def _without_rounding(at: Candidate) -> Proposal | None:
     misfit, p, d = at.fit.misfit, at.fit.p, SIZE[at.fit.misfit.type]
     if not misfit.rounded:
         return None
-    times = np.minimum(p[d : d + misfit.loads] + math.exp(p[d + misfit.loads]), misfit.record.span_s)
+    times, steps = p[d : d + misfit.loads].copy(), misfit.loads - misfit.corners
+    times[:steps] = np.minimum(times[:steps] + math.exp(p[d + misfit.loads]), misfit.record.span_s)
     return replace(misfit, rounded=False), np.concatenate([p[:d], times, p[d + misfit.loads + 1 :]])
 
 
 def _merged(at: Candidate) -> Proposal | None:
     """The two load steps that follow each other most closely as one that comes through a lag."""
     misfit, p, d = at.fit.misfit, at.fit.p, SIZE[at.fit.misfit.type]
-    if misfit.loads < 2:
+    if misfit.loads < 2 or misfit.corners:
         return None
     times = np.sort(p[d : d + misfit.loads])
     first = int(np.argmin(np.diff(times)))
@@ -140,7 +141,9 @@ def _merged(at: Candidate) -> Proposal | None:
 def _load_elsewhere(at: Candidate, which: int) -> Proposal | None:
     """A load step taken out, and put where what is left then asks for it most."""
     misfit, d = at.fit.misfit, SIZE[at.fit.misfit.type]
-    if misfit.loads < 2 or which >= misfit.loads:  # a single one is looked for everywhere by the coarse search
+    if (
+        misfit.loads < 2 or misfit.corners or which >= misfit.loads
+    ):  # a single one is looked for everywhere by the coarse search
         return None
     without = replace(misfit, loads=misfit.loads - 1)
     left = judged(refine(without, np.delete(at.fit.p, d + which), evaluations=0))  # or the process takes its place
@@ -158,9 +161,10 @@ def _without_load(at: Candidate, which: int) -> Proposal | None:
     if which >= misfit.loads or _worth(at, which) > INDISPENSABLE * LOAD_COST * math.log(len(misfit.record.pv)):
         return None
     p = np.delete(at.fit.p, d + which)
-    if misfit.loads == 1 and misfit.rounded:
-        return replace(misfit, loads=0, rounded=False), np.delete(p, d)
-    return replace(misfit, loads=misfit.loads - 1), p
+    less = replace(misfit, loads=misfit.loads - 1, corners=misfit.corners - int(misfit.is_corner(which)))
+    if misfit.rounded and less.loads == less.corners:
+        return replace(less, rounded=False), np.delete(p, d + less.loads)
+    return less, p
 
 
 def _with_load(at: Candidate, most: int) -> Proposal | None:
@@ -168,14 +172,14 @@ def _with_load(at: Candidate, most: int) -> Proposal | None:
     misfit, p = at.fit.misfit, at.fit.p
     if misfit.loads >= most:
         return None
-    after = SIZE[misfit.type] + misfit.loads
+    after = SIZE[misfit.type] + misfit.loads - misfit.corners
     places = instants(misfit.record.span_s, SCAN)
     engine = compiled()
     if engine is not None:
         gains = engine.load_gains(misfit, p, places)
     else:
         steps = dynamics_at(misfit.type, p).step(misfit.record.t_s[:, None] - places[None, :])
-        gains = _gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
+        gains = linear_gains(at, steps / np.maximum(np.max(np.abs(steps), axis=0), np.finfo(np.float64).tiny))
     record = misfit.record
     if record.barred_s:
         gains[are_coincident(misfit.type, p, places, record.barred_s, record.span_s, record.sample_time_s)] = 0.0
@@ -185,7 +189,7 @@ def _with_load(at: Candidate, most: int) -> Proposal | None:
     return replace(misfit, loads=misfit.loads + 1), np.concatenate([p[:after], [places[best]], p[after:]])
 
 
-def _gains(at: Candidate, columns: FloatArray) -> FloatArray:
+def linear_gains(at: Candidate, columns: FloatArray) -> FloatArray:
     """How much each further column by itself would lower n ln sigma^2, everything nonlinear held, shape (columns,)."""
     misfit, n = at.fit.misfit, len(at.fit.misfit.record.pv)
     solved = at.fit.at

@@ -19,6 +19,7 @@ from retuner.adaptive.fit.refine import EXACT, Fit, refine
 from retuner.adaptive.fit.search import long_lag, starts, with_inverse, with_second_lag
 from retuner.adaptive.fit.structure import SIZE
 from retuner.adaptive.identification.candidate import Candidate, Seen, judged
+from retuner.adaptive.identification.corners import asked_for, with_corners
 from retuner.adaptive.identification.loads import improved
 from retuner.adaptive.identification.usual_dead_time import usual
 from retuner.adaptive.process.model import ProcessType
@@ -83,6 +84,9 @@ def candidates(
     for seed in _seeds(rivals):
         improved(seed, settings.most_loads, seen)
     winner = seen.best()
+    if asked_for(winner) and not np.any(np.diff(window.sp)):
+        with_corners([winner, *_few_loads(rivals)], settings.most_loads, seen)
+        winner = seen.best()
     for relative in _relatives(winner, seen, inverse=settings.inverse):
         seen.add(improved(relative, settings.most_loads, seen, RELATIVE_MOVES))
     whole = replace(Record.of(window, most_samples), barred_s=barred_s)
@@ -115,6 +119,11 @@ def _seeds(rivals: list[Candidate]) -> list[Candidate]:
     calm = [c for c in same if c.fit.misfit.loads == 0 and not c.fit.misfit.ramp][:1]
     drifting = {c.fit.misfit.type: c for c in reversed(same) if c.fit.misfit.ramp}
     return list(dict.fromkeys([*by_type[: None if far else 2], *calm, *drifting.values()]))
+
+
+def _few_loads(rivals: list[Candidate]) -> list[Candidate]:
+    """Those with a single load or a drift at most: two steps that stand for a ramp have bent the process most."""
+    return [c for c in rivals if c.fit.misfit.loads < 2]
 
 
 def _structures(record: Record, sign: int, settings: ChoiceSettings) -> list[Fit]:

@@ -13,6 +13,8 @@ from retuner.adaptive.trial.phase import TrialPhase
 
 ROOM = 2.0
 """Bumps between the setpoint and a border of the region or the end of pv's range: it overshoots."""
+ONCE = 1
+"""Records after which a region has shown its process once only: a second one is to agree."""
 WRITES = frozenset({Mode.TRIAL, Mode.AUTO})
 """Modes in which retuner may write by itself, so a setpoint as well."""
 TO_THE_SETPOINT = frozenset({"sp", "pv"})
@@ -79,7 +81,7 @@ class Nudger:
             return f'what is known of the process in region "{name}" does not carry settings'
         if not retuner.excitation.get(region, Excitation()).setpoints:
             return f'what is known of the process in region "{name}" rests on loads alone'
-        if model.records < retuner.settings.behaving_records:
+        if model.records <= ONCE:
             return f'region "{name}" has shown its process once only'
         return ""
 

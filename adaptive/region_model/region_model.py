@@ -8,7 +8,7 @@ import numpy as np
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.process.model import ProcessType
-from retuner.adaptive.signals.sample import FloatArray
+from retuner.adaptive.signals.sample import FloatArray, Window
 
 POINTS = 12
 """So many of the last records are remembered by what they said alone."""
@@ -80,6 +80,7 @@ class RegionModel:
     alternative : what the contradicting record alone said, if the last one was odd.
     points : the last POINTS records by themselves, oldest first. plausible : models that the posterior still allows,
     by likelihood, the best first. identifiable : whether settings may follow from it; reason says why or why not.
+    windows : the records themselves while they are few, for the next one to be fitted with them (together.py).
     """
 
     known: tuple[StructureModel, ...]
@@ -90,6 +91,7 @@ class RegionModel:
     plausible: tuple[Plausible, ...] = field(default=())
     identifiable: bool = True
     reason: str = ""
+    windows: tuple[Window, ...] = ()
 
     @property
     def log(self) -> LogModel:

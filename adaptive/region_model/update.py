@@ -21,7 +21,7 @@ was wrong), and the alternative takes over; when it clearly agrees with the mode
 forgotten; and when it shows too little to tell (a load tells little of a dead time), it is taken into both. Only a loop
 that is in danger by what the contradicting record says does not wait: then the record is believed, and what was known
 is the alternative. And where no settings could follow from what was known, it gives way at once to a record that
-contradicts it and settles the process by itself.
+settles the process by itself, if it contradicts that record or would leave it unsettled.
 """
 
 import math
@@ -35,6 +35,7 @@ from retuner.adaptive.identification.identify import Fits, FitSettings, estimate
 from retuner.adaptive.loop.margins import sensitivity_peak
 from retuner.adaptive.region_model.kalman import back_to_mean, gate, moved_on, surprise_of, update, widened
 from retuner.adaptive.region_model.region_model import RecordPoint, RegionModel, StructureModel, remembered
+from retuner.adaptive.region_model.together import MOST_RECORDS, joined, kept, of_the_last, unit_of
 from retuner.adaptive.signals.sample import Window
 from retuner.schedule.gains import PidGains
 
@@ -174,6 +175,11 @@ def update_region_model(
         return _first(record)
     posterior = _posterior_of(region_model.known, record.t_s - region_model.t_s, record)
     points = remembered(region_model.points, record.point(posterior.innovation))
+    together = _together(region_model, record, points, in_force)
+    if together is not None:
+        return replace(together, innovation=posterior.innovation)
+    if record.alone.identifiable and not posterior.estimate.identifiable and not _holds(region_model, record):
+        return _first(record, region_model.known if region_model.identifiable and region_model.records else None)
     if posterior.innovation <= gate(len(region_model.log.x), settings.gate):
         return _agreed(region_model, posterior, record, points)
     if not region_model.records or (record.alone.identifiable and not _holds(region_model, record)):
@@ -217,6 +223,28 @@ def _agreed(
     return Learned(now, posterior.estimate, Agreement.AGREES, posterior.innovation)
 
 
+def _together(
+    region_model: RegionModel, record: NewRecord, points: tuple[RecordPoint, ...], in_force: PidGains
+) -> Learned | None:
+    """The records so far and one that does not settle the process by itself, fitted as one; None where they are too
+    many, or not of one process.
+    """
+    few = region_model.windows and len(region_model.windows) == region_model.records
+    if record.alone.identifiable or not few:
+        return None
+    windows = (*region_model.windows, kept(record.window))
+    whole = joined(windows)
+    found = _estimate(Fits(whole, (in_force.direction,), record.fit), in_force, record.settings, record.fit)
+    alone = record.alone.residual_std / unit_of(record.window)
+    if not found.identifiable or found.residual_std > record.fit.hopeless * max(alone, 1.0):
+        return None
+    estimate = of_the_last(found, whole, windows[-1])
+    known = _led([StructureModel(scattered(a.log, record.settings), a.evidence) for a in found.alternatives], record)
+    now = _region_model(known, len(windows), record.t_s, points, estimate)
+    now = replace(now, windows=windows if len(windows) < MOST_RECORDS else ())
+    return Learned(now, estimate, Agreement.AGREES, 0.0)
+
+
 def _holds(region_model: RegionModel, record: NewRecord) -> bool:
     """Whether what was known stands up to a record that settles the process by itself."""
     if not region_model.identifiable:
@@ -231,7 +259,8 @@ def _first(record: NewRecord, alternative: tuple[StructureModel, ...] | None = N
     """The first record of a region: all that is known is what it says. alternative : what it took the place of."""
     alone = record.alone
     known = _led([StructureModel(scattered(a.log, record.settings), a.evidence) for a in alone.alternatives], record)
-    region_model = replace(_region_model(known, 1, record.t_s, (record.point(0.0),), alone), alternative=alternative)
+    region_model = _region_model(known, 1, record.t_s, (record.point(0.0),), alone)
+    region_model = replace(region_model, alternative=alternative, windows=(kept(record.window),))
     return Learned(region_model, alone, Agreement.FIRST, 0.0)
 
 

@@ -12,6 +12,7 @@ What a sample means is worked out first, as one event; then the table says where
     NEW_MAX   it passed the extreme again                  CROSS     it stands beyond the band on the other side
     QUIET     inside the band for quiet_s                  TIMEOUT   nothing of this in time
     SETPOINT  the setpoint moved by more than the band
+    GROWN     a RETREAT after a setpoint step from a second extreme several times the first: no time for a third
 
 In time means within wait_s; after the first crossing within `reach` times what it took to get there, if that is less
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
@@ -20,6 +21,9 @@ swings from the first sample on is not waited for either, once its third extreme
 
 `step` is a pure function of plain scalars; `response_of` turns the ADAPT state into a Response. A loop at rest costs
 four comparisons a sample.
+
+Other gains find the loop as the old ones left it, often far from rest. What is left then is a response of the new ones,
+and shows the process as well as a step does: it begins at once, and is looked at when it has shown enough.
 """
 
 import math
@@ -53,21 +57,22 @@ class Event(IntEnum):
     QUIET = 5
     TIMEOUT = 6
     SETPOINT = 7
+    GROWN = 8
 
 
 _L1, _V1, _L2, _V2, _L3, _V3, _AD, _SE = RecogniserPhase
 
 # fmt: off
 TABLE: tuple[tuple[RecogniserPhase, ...], ...] = (
-    # NONE START RETREAT NEW_MAX CROSS QUIET TIMEOUT SETPOINT
-    (_L1, _L1, _V1, _L1, _L2, _AD, _AD, _AD),  # LOCATE_1
-    (_V1, _V1, _V1, _L1, _L2, _AD, _AD, _AD),  # VERIFY_1
-    (_L2, _L2, _V2, _L2, _L3, _AD, _AD, _AD),  # LOCATE_2
-    (_V2, _V2, _V2, _L2, _L3, _AD, _AD, _AD),  # VERIFY_2
-    (_L3, _L3, _V3, _L3, _AD, _AD, _AD, _AD),  # LOCATE_3
-    (_V3, _V3, _V3, _L3, _AD, _AD, _AD, _AD),  # VERIFY_3
-    (_SE, _SE, _SE, _SE, _SE, _SE, _SE, _SE),  # ADAPT
-    (_SE, _L1, _SE, _SE, _SE, _L1, _L1, _L1),  # SETTLE
+    # NONE START RETREAT NEW_MAX CROSS QUIET TIMEOUT SETPOINT GROWN
+    (_L1, _L1, _V1, _L1, _L2, _AD, _AD, _AD, _L1),  # LOCATE_1
+    (_V1, _V1, _V1, _L1, _L2, _AD, _AD, _AD, _V1),  # VERIFY_1
+    (_L2, _L2, _V2, _L2, _L3, _AD, _AD, _AD, _AD),  # LOCATE_2
+    (_V2, _V2, _V2, _L2, _L3, _AD, _AD, _AD, _V2),  # VERIFY_2
+    (_L3, _L3, _V3, _L3, _AD, _AD, _AD, _AD, _L3),  # LOCATE_3
+    (_V3, _V3, _V3, _L3, _AD, _AD, _AD, _AD, _V3),  # VERIFY_3
+    (_SE, _SE, _SE, _SE, _SE, _SE, _SE, _SE, _SE),  # ADAPT
+    (_SE, _L1, _SE, _SE, _SE, _L1, _L1, _L1, _SE),  # SETTLE
 )
 # fmt: on
 """TABLE[phase][event] is the next phase."""
@@ -76,6 +81,10 @@ STAYS_OFF = 1.25
 """Longest waits after which an error that never was at rest since the beginning is looked at once, as it is."""
 SWINGS_ON = 0.7
 """Third extreme over the first from which a swing is not on its way to rest: its Ms is some 4 or more."""
+GROWN = 3.0
+"""Second extreme over the first from which a setpoint's response is not waited for any longer."""
+TAKEN_OVER = 3.0
+"""A response that other gains took over in motion is looked at after so many times the length of the one before."""
 START_BANDS = 2.0
 """A response starts when |error| exceeds this many noise bands (about EXACT's rule; range 1.5 to 4)."""
 
@@ -105,6 +114,7 @@ class RecogniserState(NamedTuple):
     SETTLE after a response, what was left of it. t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, from
     ADAPT on. event : what led to the last move.
     e_near : smallest |error| since the extreme, by which a coming back is seen; infinite outside VERIFY_1.
+    until_s : when a response that other gains took over in motion is looked at; infinite for any other.
     """
 
     phase: int
@@ -123,6 +133,7 @@ class RecogniserState(NamedTuple):
     verified: int
     event: int
     e_near: float = math.inf
+    until_s: float = math.inf
 
 
 _OUTSIDE = math.inf
@@ -133,6 +144,16 @@ def begin(t_s: float, sp: float) -> RecogniserState:
     return RecogniserState(
         RecogniserPhase.SETTLE, False, t_s, _OUTSIDE, sp, False, t_s, t_s, 0.0, t_s, 0.0, t_s, 0.0, 0, Event.NONE
     )
+
+
+def taken_over(state: RecogniserState, t_s: float, sp: float, shortest_s: float) -> RecogniserState:
+    """Other gains are in force from now on: an error that is not at rest is their response to the upset before.
+
+    shortest_s : for so long it is followed at least.
+    """
+    ended_s = state.since_s if state.phase in {RecogniserPhase.ADAPT, RecogniserPhase.SETTLE} else t_s
+    lasted_s = max(ended_s - state.t_start_s, 0.0)
+    return begin(t_s, sp)._replace(sp_changed=state.sp_changed, until_s=t_s + max(TAKEN_OVER * lasted_s, shortest_s))
 
 
 def step(law: RecogniserLaw, state: RecogniserState, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
@@ -174,12 +195,21 @@ def _event(
     if phase == RecogniserPhase.SETTLE:  # a swing is followed from where it crosses zero: its first extreme is one
         over = late and inside_s < _OUTSIDE
         return Event.TIMEOUT if over else _settle_event(law, state, t_s, e, band)
-    return Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+    found = Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
+    return Event.GROWN if found == Event.RETREAT and _has_grown(state) else found
+
+
+def _has_grown(state: RecogniserState) -> bool:
+    """Whether the second extreme after a setpoint step is several times the first, under gains that made both."""
+    own = state.phase == RecogniserPhase.LOCATE_2 and state.sp_changed and state.until_s == math.inf
+    return own and abs(state.e_peak) > GROWN * abs(state.e1)
 
 
 def _settle_event(law: RecogniserLaw, state: RecogniserState, t_s: float, e: float, band: float) -> Event:
     """Whether a new upset begins before rest; whether a motion that nobody saw begin is looked at as it is."""
     least, size = START_BANDS * band, e if e > 0 else -e
+    if state.until_s < math.inf:
+        return Event.START if size > least else Event.NONE
     if state.event != Event.NONE:
         anew = state.verified > 0 and size > abs(state.e_peak) + least
         return Event.START if anew else Event.NONE
@@ -193,6 +223,8 @@ def _settle_event(law: RecogniserLaw, state: RecogniserState, t_s: float, e: flo
 def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
     """Whether the wait has taken too long (see the head of this file)."""
     waited = t_s - state.since_s
+    if state.started and state.until_s < math.inf:  # its times are not those of a step
+        return t_s > state.until_s or t_s - state.t_start_s > law.longest_s
     if waited > law.wait_s:
         return True
     if state.phase == RecogniserPhase.SETTLE:
@@ -243,7 +275,8 @@ def _move(
     if phase == RecogniserPhase.ADAPT:
         return _end(state, event, t_s, e)
     if phase == RecogniserPhase.SETTLE:
-        return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=event)
+        kept = Event.GROWN if state.event == Event.GROWN else event
+        return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=kept, until_s=math.inf)
     if state.phase == RecogniserPhase.SETTLE:
         return begin(t_s, sp)._replace(phase=phase)
     if event == Event.CROSS:
@@ -255,13 +288,16 @@ def _move(
 
 def _upset(state: RecogniserState, event: Event, t_s: float, sp: float, e: float, band: float) -> RecogniserState:
     """An upset begins: a load, a setpoint change, or a small setpoint change that is only taken note of."""
+    moved = abs(sp - state.sp) > band
+    left = (state.until_s < math.inf or state.event == Event.GROWN) and not moved
     return state._replace(
         phase=RecogniserPhase.LOCATE_1,
         started=abs(e) > START_BANDS * band,
         since_s=t_s,
         inside_s=_OUTSIDE,
         sp=sp,
-        sp_changed=abs(sp - state.sp) > band,
+        sp_changed=moved or (left and state.sp_changed),
+        until_s=state.until_s if left else math.inf,
         t_start_s=t_s,
         t_peak_s=t_s,
         e_peak=e,
@@ -274,12 +310,12 @@ def _end(state: RecogniserState, event: Event, t_s: float, e: float) -> Recognis
 
     What is left of it is nothing at rest, the tail of one that only crept back, and the last extreme of a swing.
     """
-    verified = 3 if event == Event.CROSS else (state.phase + 1) // 2
+    verified = {Event.CROSS: 3, Event.GROWN: 2}.get(event, (state.phase + 1) // 2)
     ended = state._replace(phase=RecogniserPhase.ADAPT, since_s=t_s, inside_s=_OUTSIDE, verified=verified, event=event)
     if state.phase == RecogniserPhase.VERIFY_1:
         left = 0.0 if event == Event.QUIET else e
         return ended._replace(t1_s=state.t_peak_s, e1=state.e_peak, e_peak=left)
-    if state.phase == RecogniserPhase.VERIFY_2:
+    if state.phase == RecogniserPhase.VERIFY_2 or event == Event.GROWN:
         return ended._replace(t2_s=state.t_peak_s, e2=state.e_peak)
     return ended
 
@@ -299,6 +335,7 @@ _ENDINGS = {
     Event.QUIET: Ending.QUIET,
     Event.TIMEOUT: Ending.TIMEOUT,
     Event.SETPOINT: Ending.SETPOINT,
+    Event.GROWN: Ending.GROWN,
 }
 
 
@@ -307,8 +344,9 @@ def response_of(state: RecogniserState, band: float) -> Response | None:
     if state.phase != RecogniserPhase.ADAPT:
         return None
     peaks = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2), Peak(state.t_peak_s, state.e_peak))
+    ending, taken = _ENDINGS[Event(state.event)], state.until_s < math.inf
     return Response(
-        state.t_start_s, state.since_s, peaks[: state.verified], _ENDINGS[Event(state.event)], state.sp_changed, band
+        state.t_start_s, state.since_s, peaks[: state.verified], ending, state.sp_changed, band, taken_over=taken
     )
 
 
@@ -318,4 +356,5 @@ def so_far(state: RecogniserState, t_s: float, band: float) -> Response | None:
         return None
     passed = (Peak(state.t1_s, state.e1), Peak(state.t2_s, state.e2))[: state.phase // 2]
     peaks = (*passed, Peak(state.t_peak_s, state.e_peak))
-    return Response(state.t_start_s, t_s, peaks, Ending.UNDONE, state.sp_changed, band)
+    taken = state.until_s < math.inf
+    return Response(state.t_start_s, t_s, peaks, Ending.UNDONE, state.sp_changed, band, taken_over=taken)

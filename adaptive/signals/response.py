@@ -18,6 +18,7 @@ class Ending(StrEnum):
     QUIET = "the error came to rest"
     TIMEOUT = "no further peak within the waiting time"
     SETPOINT = "cut short by the next setpoint change"
+    GROWN = "its second extreme grew to several times the first"
     UNDONE = "cut short, because the gains on trial were rolled back"
 
 
@@ -37,6 +38,8 @@ class Response:
     ending : why it ended.
     sp_changed : the upset was a setpoint change (otherwise a load).
     band : noise band in pv units within which the error counted as zero.
+    taken_over : other gains came into force in mid-response, and this is what they made of it: its first peak is not
+    theirs alone, so its peaks are no pattern.
     """
 
     t_start_s: float
@@ -45,6 +48,7 @@ class Response:
     ending: Ending
     sp_changed: bool
     band: float
+    taken_over: bool = False
 
     @property
     def overshoot(self) -> float | None:
@@ -79,4 +83,5 @@ class Response:
             "damping": self.damping,
             "period_s": self.period_s,
             "band": self.band,
+            "taken_over": self.taken_over,
         }

@@ -9,8 +9,8 @@ open, after; and a change that follows from a case that is not clear, before the
 import math
 from dataclasses import replace
 
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import Standing, goes_on, hidden_cause, stretch, swing_cause, swings
+from retuner.adaptive.diagnosis.cause import TUNING_CAUSES, Cause, Diagnosis
+from retuner.adaptive.diagnosis.oscillation_online import hidden_cause, stretch, swings, too_few_cycles, whole_cause
 from retuner.adaptive.diagnosis.second_opinion import (
     SWINGING,
     TOWARDS_SAFETY,
@@ -18,14 +18,13 @@ from retuner.adaptive.diagnosis.second_opinion import (
     calm_before,
     is_clear,
     is_safer_and_known,
-    on_top,
     runs_away,
-    thinned,
     unconfirmed,
 )
 from retuner.adaptive.diagnosis.swing_checks import (
     FOREIGN_SWINGS,
     at_own_crossover,
+    foretold,
     not_seen,
     swings_anyway,
     touches_limits,
@@ -38,6 +37,7 @@ from retuner.adaptive.signals.sample import Window
 from retuner.adaptive.signals.to_and_fro import WHOLE_STEPS, joined, to_and_fro
 from retuner.adaptive.supervision.pipeline_types import Findings, ResponseRecord
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.adaptive.trial.batch_responses import Loop
 
 __all__ = [
     "FOREIGN",
@@ -49,7 +49,6 @@ __all__ = [
     "hidden",
     "is_sure",
     "joining",
-    "looked_at_lately",
     "not_as_modelled",
     "rested_on",
     "swings_between_limits",
@@ -117,51 +116,54 @@ FEWEST = 20
 """Samples of which a sign may be told."""
 
 
-def foreign_swing(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
-    """Why the loop swings on without a setpoint step, where that is none of tuning; what is remembered of it.
+def foreign_swing(found: Findings) -> Diagnosis | None:
+    """What else than the tuning is behind a swing without a setpoint step, or goes on behind any response.
 
-    What was said of an oscillation before does not stand against a swing that grows, or goes from limit to limit.
+    Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
+    response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
+    the former are more it is alive: nothing is learned. Unknown counts for neither, and is not remembered.
     """
     record, settings = found.record, found.settings
-    if found.growth is not None or found.joined:
-        return None, None
-    if not _reopened(record, settings):
-        again = goes_on(record.response, record.standing, settings.swing) or on_top(
-            record.samples, record.response, record.standing, settings.swing
-        )
-        if again is not None:
-            return again, record.standing
-    if not swings(record.response, settings.swing):
-        return None, None
-    cause, standing = swing_cause(record.samples, record.response, record.in_force, settings.swing, settings.diagnosis)
-    return (None, None) if _held_up(record, cause, settings) else (cause, standing)
+    swinging = swings(record.response, settings.swing)
+    if found.growth is not None or found.joined or not (swinging or record.foreign):
+        return None
+    young = None if record.foreign else too_few_cycles(record.samples, record.response, settings.swing)
+    if young is not None:
+        return None if _held_up(record, young, settings) else young
+    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
+    cause = whole_cause(*asked)
+    own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
+    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in FOREIGN)
+    found.foreign = min(max(found.foreign, 0), settings.swing.most_counted)
+    if found.foreign and own:
+        return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
+    return cause if found.foreign or (swinging and not own) else None
 
 
-def _reopened(record: ResponseRecord, settings: RetunerSettings) -> bool:
-    """Whether a cause that was found before is asked for again, because the swing goes from limit to limit by now."""
-    standing = record.standing
-    return standing is not None and standing.cause in FOREIGN_SWINGS and swings_between_limits(record, settings)
+STILL_ALIVE = (
+    "this response is the loop's own, but something else than the tuning was behind more of those under these gains; "
+    "such responses needed before it counts: {more}"
+)
+"""The reason where one response alone would be the loop's own."""
 
 
-def looked_at_lately(record: ResponseRecord, settings: RetunerSettings) -> Diagnosis | None:
-    """Why the response need not be looked at: the diagnosis did not name the tuning a short while ago."""
-    return thinned(record.response, record.excitation, settings.swing)
-
-
-def hidden(found: Findings) -> tuple[Diagnosis | None, Standing | None]:
-    """What hides under a response that its own model leaves open; what is remembered of it."""
+def hidden(found: Findings) -> Diagnosis | None:
+    """What hides under a response that its own model leaves open."""
     record, settings = found.record, found.settings
     if found.growth is not None or found.unexplained <= settings.swing.unexplained:
-        return None, None
-    cause, standing = hidden_cause(record.samples, record.response, record.in_force, settings.swing, settings.diagnosis)
-    return (None, None) if _held_up(record, cause, settings) else (cause, standing)
+        return None
+    asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
+    cause, again = hidden_cause(*asked)
+    if cause is None or _held_up(record, cause, settings):
+        return None
+    if again:
+        found.foreign = min(record.foreign + 1, settings.swing.most_counted)
+    return cause
 
 
-def _held_up(record: ResponseRecord, cause: Diagnosis | None, settings: RetunerSettings) -> bool:
+def _held_up(record: ResponseRecord, cause: Diagnosis, settings: RetunerSettings) -> bool:
     """Whether a swing taken for one from outside is held up by the output's limits: then the model decides."""
-    if cause is None or cause.cause not in FOREIGN_SWINGS:
-        return False
-    return swings_between_limits(record, settings)
+    return cause.cause in FOREIGN_SWINGS and swings_between_limits(record, settings)
 
 
 def swings_between_limits(record: ResponseRecord, settings: RetunerSettings) -> bool:
@@ -183,17 +185,25 @@ def clear_case(found: Findings, learned: Learned) -> bool:
 def not_as_modelled(found: Findings) -> Diagnosis | None:
     """Why the loop does not swing as the model says, if so; at the output's limits no linear model can say."""
     record, cause, settings = found.record, found.diagnosis, found.settings
+    if record.pattern is None:
+        return None
     allowed = found.verdict.allowed if found.verdict else ()
     if cause is None or not allowed:
         return None
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     model = allowed[0].model.seen_by_controller(settings.sample_time_s)
-    given = (record.response, model, record.in_force, settings.setpoint_weight, settings.filter_s, settings.swing)
-    reason = swings_anyway(*given) if cause.cause == Cause.SLUGGISH else ""
+    loop = Loop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
+    said = foretold(record.response, loop, _learned_ramp_s(found))
+    reason = swings_anyway(record.response, said, settings.swing) if cause.cause == Cause.SLUGGISH else ""
     if cause.cause in SWINGING and not _swings_wider(record, settings):
-        reason = not_seen(*given)
+        reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
+
+
+def _learned_ramp_s(found: Findings) -> float:
+    """For how long the load of the response moved, by the fit of its record."""
+    return found.learned.estimate.ramp_s if found.learned is not None else 0.0
 
 
 def _swings_wider(record: ResponseRecord, settings: RetunerSettings) -> bool:
@@ -224,8 +234,8 @@ def is_sure(found: Findings, verdict: Verdict, learned: Learned, model: RegionMo
     )
 
 
-def doubt_of(found: Findings, wanted_for: Cause | None = None) -> tuple[Diagnosis | None, Excitation]:
-    """Why the whole diagnosis does not confirm a change, None when it does; what the model rests on by then.
+def doubt_of(found: Findings, wanted_for: Cause | None = None) -> Diagnosis | None:
+    """Why the whole diagnosis does not confirm a change, None when it does.
 
     wanted_for : cause for which the gains would be changed, None where no model named one.
     """

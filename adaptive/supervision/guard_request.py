@@ -3,13 +3,14 @@ shown of gains on trial: what they promise, what was seen, and what is known by 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
 
 import numpy as np
 
+from retuner.adaptive.choice.expected_cost import Choosable
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.between import eased, worst_between
@@ -25,6 +26,7 @@ from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.region_model.update import SECONDS_PER_DAY, Agreement, Learned, predicted
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.signals.response import Response
+from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.admission import Ground
 from retuner.adaptive.supervision.pipeline_types import ResponseRecord, StageResult
 from retuner.adaptive.supervision.proposal_from_model import RobustProposal, propose
@@ -34,6 +36,7 @@ from retuner.adaptive.trial.judge import JudgedResponse
 from retuner.adaptive.trial.phase import TrialPhase
 from retuner.adaptive.trial.posterior_check import PosteriorCheck, check_posterior
 from retuner.adaptive.trial.trial import Trial
+from retuner.adaptive.trial.wander import wander_of
 from retuner.adaptive.trial.way_back import NOTHING_KNOWN, StillAllowed
 from retuner.schedule.gains import PidGains
 from retuner.schedule.table import GainTable, Lookup
@@ -83,6 +86,16 @@ def change_request(
     )
 
 
+def request_of(
+    record: ResponseRecord, model: RegionModel, proposal: Tuning, learned: Learned | None, settings: RetunerSettings
+) -> ChangeRequest:
+    """The same of a response and what is known with it."""
+    known, now_s = {**record.region_models, record.region: model}, float(record.window.t_s[-1])
+    damping = record.pattern.damping if record.pattern is not None else None
+    tables = (record.table, record.commissioned)
+    return change_request(proposal, record.region, tables, known, learned, now_s, settings, damping)
+
+
 def where_gains_run(
     table: GainTable, region_models: Mapping[int, RegionModel], t_s: float, settings: RetunerSettings
 ) -> Mapping[int, RegionModel]:
@@ -119,8 +132,20 @@ BEYOND = 1.05
 """Times the limit at a border above which a set is a cause: the neighbour's model moves from record to record."""
 
 
-MS_BETWEEN = "ms_between"
-"""Name of the evidence that a set is too much away from its region's middle."""
+def choosable(
+    record: ResponseRecord, region_models: Mapping[int, RegionModel], gains: PidGains, settings: RetunerSettings
+) -> Choosable:
+    """A set of the record's region as it would run there, with its Ms on the ways to the neighbours."""
+    table, region, now_s = record.table, record.region, float(record.window.t_s[-1])
+    runs = table.with_gains(region, gains).at(region, *record.at)
+    if len(table.regions) == 1:
+        return Choosable(runs)
+    model = where_gains_run(table, region_models, now_s, settings)[region]
+    known = allowed_where_gains_run(table, region_models, now_s, settings)
+    borders = borders_of(table, region, {i: models for i, models in known.items() if i != region})
+    process = predicted(model, now_s, settings.tracker).model()
+    worst = worst_between(borders, process, gains, settings.sample_time_s, settings.filter_s)
+    return Choosable(runs, worst.ms / settings.guard.ms_border if worst is not None else 0.0)
 
 
 def tuning_of(
@@ -153,7 +178,7 @@ def tuning_of(
         return found
     seen = "the loop is unstable" if math.isinf(worst.ms) else f"Ms {worst.ms:.2f} is over {high:g}"
     words = f"{seen} on the way to region {worst.to}"
-    evidence = {**found.diagnosis.evidence, MS_BETWEEN: worst.ms}
+    evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))
 
 
@@ -246,10 +271,12 @@ def promise_of(
     at: tuple[float, float],
     response: Response | None,
     settings: RetunerSettings,
+    samples: Sequence[LoopSample] = (),
 ) -> Promise | None:
     """What the accepted gains promise on the models on which they were proved; None when nothing was accepted.
 
     at : scheduling values; in an interpolated table, what runs there is a mean of several regions' sets.
+    samples : all that are kept, for how much the error moves while nothing happens.
     """
     if verdict is None or verdict.gains is None:
         return None
@@ -258,8 +285,13 @@ def promise_of(
         promised = promise(
             verdict.allowed, in_force, new, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
         )
-        return replace(promised, decay_seen=decay_seen(response))
-    return promise_without_model(response, in_force, new) if response else None
+        promised = replace(promised, decay_seen=decay_seen(response))
+    elif response:
+        promised = promise_without_model(response, in_force, new)
+    else:
+        return None
+    swung = promised.decay_seen is not None and promised.decay_seen > settings.trial.harmless_decay
+    return promised if swung else replace(promised, wander=wander_of(samples))
 
 
 def posterior_of(
@@ -273,6 +305,7 @@ def posterior_of(
     estimate = learned.estimate
     if (
         learned.agreement == Agreement.SILENT
+        or _outvoted(learned)
         or estimate.unexplained(float(np.ptp(case.window.pv))) > settings.swing.unexplained
     ):
         return None
@@ -282,6 +315,18 @@ def posterior_of(
         allowed, old, case.in_force, settings.sample_time_s, settings.setpoint_weight, settings.filter_s
     )
     return replace(found, settled=estimate.identifiable)
+
+
+AGREED = 2
+"""Records that agree, from which on one that does not identify the process says nothing against what they show."""
+
+
+def _outvoted(learned: Learned) -> bool:
+    """The record contradicts several that agree, and could not name the process by itself: its load was no step."""
+    known = learned.region_model
+    records = known.records if known is not None else 0
+    alone = learned.agreement == Agreement.CONTRADICTS and not learned.estimate.identifiable
+    return alone and records >= AGREED
 
 
 def _of_crossing(
@@ -308,4 +353,5 @@ def seen_of(case: ResponseRecord, outcome: StageResult) -> JudgedResponse:
     recent = islice(reversed(case.samples), len(window.t_s))
     limited = sum(1 for sample in recent if sample.limited) / len(window.t_s)
     outside = outcome.reason if blameless else ""
-    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed)
+    safer_due = outcome.verdict is not None and outcome.verdict.accepted and outcome.verdict.urgent
+    return JudgedResponse(case.response, window, limited, outside, outcome.posterior, case.crossed, safer_due)

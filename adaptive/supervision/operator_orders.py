@@ -24,7 +24,7 @@ from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.persons_edit import right_words, turned_words
-from retuner.adaptive.trial.phase import UNDECIDED, TrialEvent, TrialPhase
+from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.schedule.gains import PidGains
 
 WHOLE = 1.001
@@ -49,6 +49,32 @@ def approve(retuner: Retuner, proposal: Proposal, t_s: float) -> Decision:
         "approved", f"proposal {short} of {proposal.t_s:,.0f} s was approved by an operator", verdict=verdict
     )
     return retuner.ordered(region, outcome, proposal.after, promised)
+
+
+def approve_proposal(retuner: Retuner, decision: Decision, expires_after_s: float = 86400.0) -> Decision:
+    """An operator approves what a decision proposes.
+
+    Parameters
+    ----------
+    retuner : of the loop. decision : with action ADVISE. expires_after_s : how long it stands, s; default a day.
+
+    Returns
+    -------
+    Decision
+        To write it (do what it asks for, as with any decision), or why not.
+
+    Raises
+    ------
+    ValueError
+        The decision proposes nothing, it is older than that, or other gains have come into force since.
+    """
+    proposal = Proposal.of(decision)
+    if proposal is None:
+        raise ValueError("there is no proposal to approve")
+    standing = proposal.standing(retuner.table.gains_of(proposal.region), retuner.now_s, expires_after_s)
+    if standing is not ProposalStanding.OPEN:
+        raise ValueError(f"this proposal cannot be approved: {standing}")
+    return approve(retuner, proposal, retuner.now_s)
 
 
 def _proof(retuner: Retuner, region: int, proposal: Proposal, t_s: float) -> Verdict | None:
@@ -117,6 +143,48 @@ def accept(retuner: Retuner, region: int, t_s: float) -> bool:
 def unlock(retuner: Retuner, region: int, t_s: float) -> bool:
     """A person lets a locked-out region change again; whether it had been locked."""
     return retuner.trials.event(region, TrialEvent.UNLOCKED, t_s)
+
+
+def found_running(retuner: Retuner, gains: PidGains) -> Decision | None:
+    """A session goes on from the memory of an earlier one, and the controller runs these gains, as read back.
+
+    They tell how a write ended in which the earlier session did. What neither the table nor an undecided change has is
+    an operator's.
+
+    Parameters
+    ----------
+    retuner : as it was restored. gains : that the controller runs.
+
+    Returns
+    -------
+    Decision or None
+        An operator's edit (see `Retuner.edited`), or action RESTORE where other gains are to run; None where all is as
+        it was remembered.
+
+    Raises
+    ------
+    ValueError
+        The gains act in the other direction than the commissioned ones.
+    """
+    region = retuner.region
+    if region is None:
+        return None
+    trial, at = retuner.trials.of(region), (region, *retuner.scheduled)
+    tried = trial.new is not None and same_gains(retuner.table.with_gains(region, trial.new).at(*at), gains)
+    if trial.phase is TrialPhase.WRITING and tried and trial.new is not None:
+        retuner.committed(region, trial.new)
+        return None
+    if trial.phase is TrialPhase.WRITING:
+        retuner.not_written(region)
+    if trial.phase in TO_BE_SEEN and (tried or same_gains(retuner.table.at(*at), gains)):
+        again = retuner.ordered(region, StageResult("restore_again", f"a restart found it {trial.phase}"))
+        return replace(again, action=Action.RESTORE, gains_after=retuner.table.gains_of(region))
+    return retuner.edited(gains)
+
+
+def same_gains(one: PidGains, other: PidGains) -> bool:
+    """Whether two sets differ by no more than a read-back does."""
+    return one.direction == other.direction and change_factor(one, other) <= SAME_GAINS
 
 
 def acts(retuner: Retuner, gains: PidGains) -> Decision | None:

@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from retuner.adaptive.choice.expected_cost import Choice, LoopSettings, Seen, choose, outlooks
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis
 from retuner.adaptive.guard import GuardSettings, Verdict, prove
+from retuner.adaptive.guard.step_size import along
 from retuner.adaptive.region_model.across import Crossing, shown_by, taught_beside, update_across, ways_of
 from retuner.adaptive.region_model.from_neighbours import borrowed
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -28,7 +30,6 @@ from retuner.adaptive.supervision.causes import (
     hidden,
     is_sure,
     joining,
-    looked_at_lately,
     not_as_modelled,
     rested_on,
     swings_between_limits,
@@ -37,28 +38,20 @@ from retuner.adaptive.supervision.causes import (
 from retuner.adaptive.supervision.decision import Basis
 from retuner.adaptive.supervision.elsewhere import elsewhere
 from retuner.adaptive.supervision.guard_request import (
-    MS_BETWEEN,
-    change_request,
+    choosable,
     may_follow,
     posterior_of,
     promise_of,
+    request_of,
     tuning_of,
     unproved_request,
 )
 from retuner.adaptive.supervision.pipeline_types import Findings, Question, ResponseRecord, StageResult
-from retuner.adaptive.supervision.proposal_from_model import (
-    RobustProposal,
-    behaves,
-    half_seen,
-    no_gain,
-    over_limit,
-    too_bold,
-)
+from retuner.adaptive.supervision.proposal_from_model import RobustProposal, too_bold
 from retuner.adaptive.supervision.proposal_without_model import Proposed, without_model
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import decay_seen
 from retuner.adaptive.trial.phase import TrialPhase
-from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.adaptive.weighed import NO_NUMBERS
 from retuner.schedule.table import Lookup
 
@@ -102,23 +95,14 @@ def admission(found: Findings) -> None:
 
 
 def swing(found: Findings) -> None:
-    """Does the loop swing on without a setpoint step, for a cause that is none of tuning?"""
+    """Is a swing without a setpoint step, or what had another cause before, still due to none of tuning?"""
     record, settings = found.record, found.settings
     if record.crossed:
         return
     found.growth = grows(record.samples, record.response.band, settings.growth)
-    foreign, standing = foreign_swing(found)
+    foreign = foreign_swing(found)
     if foreign is not None:
-        found.explained_otherwise(foreign, standing)
-
-
-def repetition(found: Findings) -> None:
-    """Was the same looked at a short while ago, without the tuning being named?"""
-    waiting = looked_at_lately(found.record, found.settings) if found.growth is None else None
-    if waiting is not None:
-        found.diagnosis = waiting
-        found.excitation = found.record.excitation.with_response(found.record.response)
-        found.stop("waiting", waiting.reason)
+        found.explained_otherwise(foreign)
 
 
 def identification(found: Findings) -> None:
@@ -184,9 +168,9 @@ def _from_neighbours(record: ResponseRecord, settings: RetunerSettings) -> Regio
 
 def hidden_cause(found: Findings) -> None:
     """Does something else hide under the response, which its model leaves open?"""
-    foreign, standing = (None, None) if found.record.crossed else hidden(found)
+    foreign = None if found.record.crossed else hidden(found)
     if foreign is not None:
-        found.explained_otherwise(foreign, standing)
+        found.explained_otherwise(foreign)
 
 
 def region_model(found: Findings) -> None:
@@ -230,8 +214,9 @@ def without_a_model(found: Findings) -> None:
         return
     record, learned = found.record, _learned(found)
     why = found.in_use.reason if found.in_use is not None else learned.estimate.reason
-    if record.crossed:
-        found.stop(NOT_KNOWN, f"{why}; the response crossed a boundary, so its pattern is that of two sets of gains")
+    if record.pattern is None:
+        came = "crossed a boundary" if record.crossed else "began under other gains"
+        found.stop(NOT_KNOWN, f"{why}; the response {came}, so its pattern is that of two sets of gains")
         return
     locks = found.settings.locks_of(record.region)
     own = _own_fault(found)
@@ -267,7 +252,7 @@ def _small_step(found: Findings, proposed: Proposed, learned: Learned, reason: s
     """Whether the step without a model is made."""
     record, excitation = found.record, found.excitation_now
     if found.growth is None and not clear_case(found, learned):
-        doubt, excitation = doubt_of(found)
+        doubt = doubt_of(found)
         if doubt is not None:
             found.excitation, found.numbers = excitation, NO_NUMBERS
             found.doubted(doubt)
@@ -298,19 +283,13 @@ def proof(found: Findings) -> None:
 
 def _proved(found: Findings, model: RegionModel, wanted: RobustProposal, guard: GuardSettings | None = None) -> Verdict:
     """The guard's word on what the rule gives for a model. guard : its settings, None for those of the loop."""
-    record, now = found.record, float(found.record.window.t_s[-1])
-    region_models = {**record.region_models, record.region: model}
-    damping = record.pattern.damping if record.pattern is not None else None
-    tables = (record.table, record.commissioned)
-    request = change_request(
-        wanted.tuning, record.region, tables, region_models, found.learned, now, found.settings, damping
-    )
+    request = request_of(found.record, model, wanted.tuning, found.learned, found.settings)
     return prove(request, guard or found.settings.guard)
 
 
 def refutation(found: Findings) -> None:
     """Does the loop itself refute the model: is what it says of the swing not to be seen?"""
-    doubt = None if found.record.crossed else not_as_modelled(found)
+    doubt = not_as_modelled(found)
     if doubt is None:
         return
     swings_by_it = found.diagnosis is not None and found.diagnosis.cause in SWINGING
@@ -319,68 +298,73 @@ def refutation(found: Findings) -> None:
     found.doubted(doubt)
 
 
-def agreement(found: Findings) -> None:
-    """A loop that behaves is not moved on one record's word, which may be wrong by more than it knows; nor made slower
-    while a model that is as good holds it for robust; nor moved at all where neither robustness nor speed is promised.
+def worth(found: Findings) -> None:
+    """Is the change expected to cost less than staying, over all models and something else?
+
+    Weighed are the proved change and steps on its way (choice/expected_cost.py).
     """
-    verdict, settings, record = found.verdict, found.settings, found.record
-    if verdict is None or not verdict.accepted:
+    if found.verdict is None or not found.verdict.accepted:
         return
-    promised = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
-    code, reason = "one_record", ""
-    if _in_use(found).records < settings.behaving_records and not found.joined:
-        reason = behaves(record.response, verdict, promised, settings) or half_seen(
-            record.samples, record.response, verdict, settings
-        )
-        reason += f"; {settings.behaving_records} records must agree before a change" if reason else ""
-    cost = promised_cost(promised) if promised is not None else 0.0
-    if not reason:
-        code, reason = "as_good", _as_good(found, verdict, cost)
-    if not reason and _wanted(found).diagnosis.cause is not Cause.AGGRESSIVE:
-        code, reason = "no_gain", no_gain(verdict, cost, settings)
-        if reason and cost < 1.0 and _whole_way_cost(found) < settings.least_gain:
-            reason = ""
-    found.promise = promised
-    if reason:
-        found.verdict = found.basis = found.promise = None
-        found.stop(code, reason)
+    choice, verdict = _chosen(found, _in_use(found), _wanted(found), found.verdict)
+    found.numbers = choice.numbers
+    if choice.index == 0:
+        found.verdict = found.basis = None
+        found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
+        return
+    found.verdict, found.expected = verdict, choice.reason
+    found.promise = promise_of(
+        verdict, found.record.table, found.record.region, found.record.at, found.record.pattern, found.settings
+    )
 
 
-def _whole_way_cost(found: Findings) -> float:
-    """IAE after over before, as promised, of the change that the limits per change cut to the present step; 1 where no
-    more is proved. A loop on its way in small steps goes on, though each of them brings little.
-    """
+ONE_RECORD = "one_record"
+"""Code: a second record that agrees would make the change worth it."""
+NOT_WORTH = "not_worth"
+"""Code: the gains in force are expected to cost no more, or hardly more, than others."""
+
+
+def _chosen(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> tuple[Choice, Verdict]:
+    """The choice between the gains in force, the proved change and steps on its way; and the proof of the best one."""
     record, settings = found.record, found.settings
-    whole = _proved(found, _in_use(found), _wanted(found), settings.guard.whole_step())
-    promised = promise_of(whole, record.table, record.region, record.at, record.pattern, settings)
-    return promised_cost(promised) if promised is not None else 1.0
+    proved = [verdict, *_steps(found, model, wanted, verdict)]
+    whole = _proved(found, model, wanted, settings.guard.whole_step()) if verdict.step < 1.0 else None
+    sets = [record.table.gains_of(record.region), *(one.gains for one in proved), whole.gains if whole else None]
+    known = {**record.region_models, record.region: model}
+    placed = [choosable(record, known, gains, settings) for gains in sets if gains is not None]
+    decay = decay_seen(record.pattern)
+    loop = LoopSettings(settings.sample_time_s, settings.setpoint_weight, settings.filter_s)
+    looked = outlooks(verdict.allowed, placed, decay, loop, settings.choice)
+    way = looked[1 + len(proved)] if len(looked) > 1 + len(proved) else None
+    choice = choose(looked[: 1 + len(proved)], way, _seen(found, model, decay), settings.choice)
+    return choice, proved[choice.best - 1]
 
 
-def _as_good(found: Findings, verdict: Verdict, cost: float) -> str:
-    """That a change would only make the loop slower, and on some of the models need not be; empty where it is due.
+def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict: Verdict) -> list[Verdict]:
+    """Parts of a proved change that are proved as well."""
+    now, proved = found.record.table.gains_of(found.record.region), []
+    assert verdict.gains is not None
+    for share in PARTS:
+        part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
+        one = _proved(found, model, part)
+        if one.accepted:
+            proved.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s))
+    return proved
 
-    A set that retuner wrote on less than is known now was to be more robust than it turns out: what that costs is paid.
-    """
-    if verdict.urgent:
-        return ""
-    record, settings = found.record, found.settings
-    if MS_BETWEEN in _wanted(found).diagnosis.evidence:  # what is over its limit is not the middle
-        return ""
-    seen, limit = decay_seen(record.response), settings.cause.ms_high
-    calmed = _wanted(found).diagnosis.cause is Cause.AGGRESSIVE and verdict.ms_before <= limit
-    swings = seen is not None and seen > (settings.swing.damping if calmed else settings.trial.harmless_decay)
-    little = cost < settings.worth_iae and not calmed
-    if swings or little or verdict.ms_before > settings.guard.ms_worst:
-        return ""
-    now, tried = record.table.gains_of(record.region), found.question.trial
-    own = now != record.commissioned.gains_of(record.region) and tried.may_be_ours(now)
-    if own and verdict.ms_before > limit and cost <= settings.own_iae:
-        return ""
-    if over_limit(_in_use(found).plausible, record.in_force, settings.sample_time_s, settings.robust.believed, limit):
-        return ""
-    return (
-        f"no change: Ms {verdict.ms_before:.2f} is not over {limit:g} on every model, and with the new gains the IAE "
-        f"would be {cost:.2f} times as large"
+
+PARTS = (0.75, 0.5, 0.25)
+"""Shares of a proved change that are weighed beside it."""
+
+
+def _seen(found: Findings, model: RegionModel, decay: float | None) -> Seen:
+    """What bears on whether the models are a fiction."""
+    record, learned = found.record, _learned(found)
+    return Seen(
+        model.records + int(found.joined > 0),
+        found.rested_on.clear + int(found.clear),
+        len(learned.estimate.load_times_s),
+        any(sample.limited for sample in record.own),
+        found.unexplained > found.settings.swing.unexplained,
+        decay,
     )
 
 
@@ -393,13 +377,13 @@ def confirmation(found: Findings) -> None:
         found.stop("unconfirmed", "the response crossed a boundary, and more than the setpoint may be behind it")
         return
     if not (found.clear or is_sure(found, verdict, learned, _in_use(found)) or _was_known(found)):
-        doubt, found.excitation = doubt_of(found, wanted.diagnosis.cause)
+        doubt = doubt_of(found, wanted.diagnosis.cause)
         if doubt is not None:
             _not_confirmed(found, doubt)
             return
     assert found.verdict is not None
     assert found.diagnosis is not None
-    found.stop(found.verdict.ruling.name.lower(), found.diagnosis.reason)
+    found.stop(found.verdict.ruling.name.lower(), f"{found.diagnosis.reason}; {found.expected}")
 
 
 def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
@@ -407,8 +391,7 @@ def _not_confirmed(found: Findings, doubt: Diagnosis) -> None:
     if doubt.cause in FOREIGN:
         found.region_model = None
         if _learned(found).agreement in ANEW:  # what was known before stays, and what that rested on
-            counted = found.record.excitation.with_response(found.record.response)
-            found.excitation = replace(counted, asked=counted.loads)
+            found.excitation = found.record.excitation.with_response(found.record.response)
     found.doubted(doubt)
 
 
@@ -423,9 +406,13 @@ def _was_known(found: Findings) -> bool:
     if not before.identifiable or not wanted.diagnosis.retune:
         return False
     verdict = _proved(found, before, wanted)
-    if verdict.accepted:
-        found.diagnosis, found.proposal, found.verdict = wanted.diagnosis, wanted.tuning, verdict
-    return verdict.accepted
+    if not verdict.accepted:
+        return False
+    choice, best = _chosen(found, before, wanted, verdict)
+    if choice.index:
+        found.diagnosis, found.proposal, found.verdict = wanted.diagnosis, wanted.tuning, best
+        found.numbers, found.expected, found.promise = choice.numbers, choice.reason, None
+    return choice.index > 0
 
 
 def expectation(found: Findings) -> None:
@@ -437,7 +424,9 @@ def expectation(found: Findings) -> None:
         and verdict.accepted
         and may_follow(found.question.trial, settings)
     ):
-        found.promise = promise_of(verdict, record.table, record.region, record.at, record.pattern, settings)
+        found.promise = promise_of(
+            verdict, record.table, record.region, record.at, record.pattern, settings, record.samples
+        )
 
 
 def check_after_trial(found: Findings) -> None:
@@ -478,7 +467,6 @@ STAGES = (
     Stage("joining", joining),
     Stage("admission", admission),
     Stage("swing", swing),
-    Stage("repetition", repetition),
     Stage("identification", identification),
     Stage("hidden cause", hidden_cause),
     Stage("region model", region_model),
@@ -486,7 +474,7 @@ STAGES = (
     Stage("cause", cause),
     Stage("proof", proof),
     Stage("refutation", refutation),
-    Stage("agreement", agreement),
+    Stage("worth", worth),
     Stage("confirmation", confirmation),
     Stage("expectation", expectation, always=True),
     Stage("check after a trial", check_after_trial, always=True),

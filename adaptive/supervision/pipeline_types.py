@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 from retuner.adaptive.diagnosis.cause import Diagnosis
-from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.region_model.across import ways_of
@@ -44,7 +43,8 @@ class ResponseRecord:
     region : index. window : the response with some time before it. samples : all that are kept, the newest last.
     table : gains in force in every region; commissioned : as they were at first. region_models : what is known, by
     region.
-    standing : an oscillation of this region that was explained before. excitation : what its model rests on.
+    foreign : for how many more responses under the gains in force something else than the tuning won here than lost.
+    excitation : what the region's model rests on.
     at : the scheduling values at its end. entered_s : since when the loop was in the region at its end.
     """
 
@@ -55,7 +55,7 @@ class ResponseRecord:
     table: GainTable
     commissioned: GainTable
     region_models: Mapping[int, RegionModel]
-    standing: Standing | None = None
+    foreign: int = 0
     excitation: Excitation = field(default_factory=Excitation)
     at: tuple[float, float] = (0.0, 0.0)
     entered_s: float = -math.inf
@@ -93,8 +93,8 @@ class ResponseRecord:
 
     @property
     def pattern(self) -> Response | None:
-        """The response as one that the gains in force have made, None where those of two regions have."""
-        return None if self.crossed else self.response
+        """The response as one that the gains in force have made, None where those of two sets have."""
+        return None if self.crossed or self.response.taken_over else self.response
 
     @property
     def in_force(self) -> PidGains:
@@ -107,7 +107,7 @@ class StageResult:
     """What the stages found; those that were not reached are None.
 
     code : name of the reason, for machines. region_model : what is known of the region from now on, None for as before.
-    forget : what was known of the region is refuted. standing : an oscillation that is explained, to be remembered.
+    forget : what was known of the region is refuted. foreign : as in the record, with this response.
     excitation : what the region model rests on.
     promise : what the proved gains promise, worked out where they may be written at all. posterior : what the record
     says of both sets of a trial that it ran under. beside : what is known from now on of the other regions on its way.
@@ -122,7 +122,7 @@ class StageResult:
     proposal: Tuning | None = None
     basis: Basis | None = None
     verdict: Verdict | None = None
-    standing: Standing | None = None
+    foreign: int | None = None
     excitation: Excitation | None = None
     numbers: Numbers = NO_NUMBERS
     forget: bool = False
@@ -243,7 +243,7 @@ class Findings:
     in_use : what is known of the region and decides now; None where nothing is. tuning : what follows from it.
     joined : setpoint steps to and fro of which the record was made, 0 for one response as it came.
     rested_on : what in_use rested on before this response; excitation_now : with it. clear : whether the response needs
-    no second opinion. The others are those of StageResult, None for as before.
+    no second opinion. expected : why the change is worth it. The others are those of StageResult, None for as before.
     """
 
     question: Question
@@ -262,11 +262,12 @@ class Findings:
     proposal: Tuning | None = None
     basis: Basis | None = None
     verdict: Verdict | None = None
-    standing: Standing | None = None
+    foreign: int | None = None
     excitation: Excitation | None = None
     numbers: Numbers = NO_NUMBERS
     forget: bool = False
     promise: Promise | None = None
+    expected: str = ""
     posterior: PosteriorCheck | None = None
     beside: Mapping[int, RegionModel] = field(default_factory=dict)
     elsewhere: Mapping[int, StageResult] = field(default_factory=dict)
@@ -289,9 +290,9 @@ class Findings:
         together = f"{self.joined} setpoint steps to and fro, joined: " if self.joined else ""
         self.end = End(code, together + reason)
 
-    def explained_otherwise(self, cause: Diagnosis, standing: Standing | None) -> None:
-        """Something else than the tuning is behind the response: that is remembered, and nothing follows."""
-        self.diagnosis, self.standing = cause, standing
+    def explained_otherwise(self, cause: Diagnosis) -> None:
+        """Something else than the tuning is behind the response: nothing follows."""
+        self.diagnosis = cause
         self.stop(str(cause.cause), cause.reason)
 
     def doubted(self, doubt: Diagnosis) -> None:
@@ -318,7 +319,7 @@ class Findings:
             proposal=self.proposal,
             basis=self.basis,
             verdict=self.verdict,
-            standing=self.standing,
+            foreign=self.foreign,
             excitation=self.excitation,
             numbers=self.numbers,
             forget=self.forget,

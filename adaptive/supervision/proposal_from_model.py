@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
-from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.step_size import less_of_everything
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -21,11 +20,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.region_model.region_model import RegionModel
 from retuner.adaptive.rules.rule import Tuning
 from retuner.adaptive.rules.simc import without_second_lag
-from retuner.adaptive.signals.response import Response
-from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.supervision.settings import RetunerSettings
-from retuner.adaptive.trial.expectation import Promise, decay_seen
-from retuner.adaptive.trial.posterior_check import promised_cost
 from retuner.schedule.gains import PidGains
 
 LAG_DOMINANT = 8.0
@@ -110,37 +105,3 @@ def too_bold(allowed: Sequence[Plausible], in_force: PidGains, after: PidGains, 
     models = [p.model.seen_by_controller(settings.sample_time_s) for p in believed(allowed, settings.robust.believed)]
     ms = max((sensitivity_peak(model.linear(), after) for model in models), default=0.0)
     return f"on a plausible model Ms would be {ms:.2f}" if ms > settings.cause.ms_high else ""
-
-
-def behaves(response: Response, verdict: Verdict, promised: Promise | None, settings: RetunerSettings) -> str:
-    """That a loop does well enough not to be moved at once, in words; empty where it does not.
-
-    Its response did not swing, it is robust on the models, and what the change promises is not much of a gain.
-    """
-    gain = promised_cost(promised) if promised is not None else 0.0
-    seen = decay_seen(response)
-    swings = seen is not None and seen > settings.trial.harmless_decay
-    if swings or verdict.urgent or verdict.ms_before > settings.guard.ms_worst or gain < settings.behaving_gain:
-        return ""
-    return f"no change yet: the loop is acceptable (Ms {verdict.ms_before:.2f}, new IAE {gain:.0%} of the present)"
-
-
-def half_seen(samples: Sequence[LoopSample], response: Response, verdict: Verdict, settings: RetunerSettings) -> str:
-    """That a loop would be given more by a response in which its output stood at a limit; empty for any other."""
-    if verdict.urgent or verdict.ms_before > settings.cause.ms_high:
-        return ""
-    own = [sample for sample in samples if response.t_start_s <= sample.t_s <= response.t_end_s]
-    limited = sum(1 for sample in own if sample.limited)
-    return f"no change yet: the output stood at a limit for {limited / len(own):.0%} of the response" if limited else ""
-
-
-def no_gain(verdict: Verdict, cost: float, settings: RetunerSettings) -> str:
-    """That a robust loop would gain next to nothing, or come out slower, in words; empty for any other.
-
-    What limits leave of a proposal, or a larger gain at the same integral action, may cost more than they bring.
-    cost : IAE after over before, as promised; 0 where it is not known.
-    """
-    if verdict.urgent or verdict.ms_before > settings.cause.ms_high or cost < settings.least_gain:
-        return ""
-    ms = verdict.ms_before
-    return f"no change: the loop is robust (Ms {ms:.2f}), and the new IAE would be {cost:.0%} of the present"

@@ -22,6 +22,7 @@ from retuner.adaptive.signals.recogniser import (
     response_of,
     so_far,
     step,
+    taken_over,
 )
 from retuner.adaptive.signals.response import Response
 from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window, finite, plain
@@ -184,10 +185,11 @@ class ResponseFinder:
         return self._complete(new) if new[0] == RecogniserPhase.ADAPT else None
 
     def gains_changed(self) -> None:
-        """Other gains are in force: what is under way was another loop's; wait until it is at rest."""
+        """Other gains are in force: what is under way is their response from now on."""
         self._adopt_time_scale()
         if self._state and self._samples:
-            self._state = begin(self._samples[-1].t_s, self._samples[-1].sp)
+            shortest_s = self.settings.shortest_wait * self.settings.sample_time_s
+            self._state = taken_over(self._state, self._samples[-1].t_s, self._samples[-1].sp, shortest_s)
 
     def window(self, response: Response) -> Window:
         """The response with some of the time before it."""

@@ -4,12 +4,11 @@
            -> trial -> the verified set is restored
 
 The object is a thin shell round pure steps. It hands out decisions, and learns by `committed` what is then in force.
-
 A decision may take longer than a sample. `observe` makes it on the spot; whoever cannot wait takes its three steps:
-
     step(sample)                    a decision that needs no fit, or a Question, or nothing
     decide(question)                the answer: a pure function of plain values, anywhere (pipeline.py)
     enter(question, result, n)      the decision, entered at the n-th sample
+
 Between the first and the last the samples go on. One question is open at a time: a response that completes meanwhile
 is passed over. The caller chooses at which sample an answer is entered; one that came too late is refused.
 """
@@ -17,7 +16,6 @@ is passed over. The caller chooses at which sample an answer is entered; one tha
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.guard import change_factor
 from retuner.adaptive.region_model.region_model import RegionModel
@@ -58,7 +56,7 @@ from retuner.adaptive.supervision.response_finder import Completed, Left, Respon
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.trial.expectation import Promise
 from retuner.adaptive.trial.judge import Judgement, TrialFinding
-from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words
+from retuner.adaptive.trial.persons_edit import NOT_TAKEN, edit_words, require_action
 from retuner.adaptive.trial.phase import TO_BE_SEEN, UNDECIDED, TrialEvent, TrialPhase
 from retuner.adaptive.trial.supervisor import TrialSupervisor
 from retuner.adaptive.trial.way_back import StillAllowed
@@ -83,7 +81,7 @@ class Retuner:
         self.table = table
         self.commissioned = commissioned or table
         self.region_models: dict[int, RegionModel] = {}
-        self.standing: dict[int, Standing] = {}
+        self.foreign: dict[int, int] = {}
         self.excitation: dict[int, Excitation] = {}
         self._finder = ResponseFinder(table.regions, self._gains_at, settings)
         self._observe = self._finder.step
@@ -201,20 +199,20 @@ class Retuner:
         gains : as read back from the controller (after its rounding).
         """
         given_up = self.trials.phase(region) in TO_BE_SEEN  # such a write may come through after all
-        if self.trials.written(region, gains, self._now_s) or not given_up:
+        if self.trials.written(region, gains, self.now_s) or not given_up:
             self._change(region, gains)
         return self.table
 
     def not_written(self, region: int) -> None:
         """Take note that a change was not written, and that the controller runs what it ran."""
-        self.trials.event(region, TrialEvent.NOT_WRITTEN, self._now_s)
+        self.trials.event(region, TrialEvent.NOT_WRITTEN, self.now_s)
 
     def abort(self, cause: TrialEvent) -> Decision | None:
         """Something happened that may end undecided trials; the decision on what is to run, None when there was none.
 
         The table has those sets when this returns. Action RESTORE: write them, and tell by `restored` that they run.
         """
-        ended = self.trials.abort(cause, self._now_s)
+        ended = self.trials.abort(cause, self.now_s)
         return self._give_up(dict.fromkeys(ended, cause)) if ended else None
 
     def edited(self, gains: PidGains) -> Decision | None:
@@ -222,10 +220,11 @@ class Retuner:
 
         They are a person's: the table takes them over, an undecided trial there is over, and for a stated time nothing
         but proposals follows (TrialSettings.edit_hold_s). None where they are what the table has, or before a sample.
+        ValueError where they act in the other direction (see operator_orders.acts): no table holds such gains.
         """
-        region = self.region
-        if region is None:
+        if (region := self.region) is None:
             return None
+        require_action(gains, self.commissioned.gains[0])
         ours, at = self.table.gains_of(region), self._finder.scheduled
         if change_factor(self.table.at(region, *at), gains) <= SAME_GAINS:
             return None
@@ -234,14 +233,14 @@ class Retuner:
             return self._decision(region, StageResult("edit_not_taken", NOT_TAKEN))
         on_trial = self.trials.phase(region) in UNDECIDED
         self._change(region, stored)
-        self.trials.edited(region, stored, ours, self._now_s)
-        trial = self.trials.of(region)
-        words = edit_words(ours, stored, self._still_allowed(region), trial.until_s - self._now_s, on_trial=on_trial)
+        self.trials.edited(region, stored, ours, self.now_s)
+        hold_s = self.trials.of(region).until_s - self.now_s
+        words = edit_words(ours, stored, self._still_allowed(region), hold_s, on_trial=on_trial)
         return replace(self._decision(region, StageResult("edited", words)), gains_before=ours, gains_after=None)
 
     def restored(self) -> tuple[int, ...]:
         """Take note that the controller runs the table's gains, as read back; the regions where that was awaited."""
-        return self.trials.restored(self._now_s)
+        return self.trials.restored(self.now_s)
 
     def ordered(
         self, region: int, outcome: StageResult, gains: PidGains | None = None, promised: Promise | None = None
@@ -251,7 +250,7 @@ class Retuner:
         promised : what the gains are held to on trial; without a promise they are written and not on trial.
         """
         unpromised = promised is None
-        free = self.trials.may_change(region, self._now_s, urgent=unpromised, ordered=not unpromised)
+        free = self.trials.may_change(region, self.now_s, urgent=unpromised, ordered=not unpromised)
         phase = self.trials.phase(region)
         free = free or (unpromised and phase in {TrialPhase.LOCKED, TrialPhase.HELD})
         if gains is not None and (self.turned or not free):
@@ -261,7 +260,7 @@ class Retuner:
         if gains is None:
             return decision
         if promised is not None:
-            self.trials.begin(region, decision.gains_before, gains, promised, self._now_s, ordered=True)
+            self.trials.begin(region, decision.gains_before, gains, promised, self.now_s, ordered=True)
         phase = self.trials.phase(region)
         return replace(decision, action=Action.COMMIT, gains_after=gains, promise=promised, trial=str(phase))
 
@@ -269,17 +268,17 @@ class Retuner:
         """A person wants the change back that is undecided, or waits for approval; None when there is none."""
         if reason := self.trials.no_way_back(region):
             return self.ordered(region, StageResult("revert_refused", f"rollback refused: {reason}"))
-        back = self.trials.event(region, TrialEvent.ORDERED_BACK, self._now_s)
+        back = self.trials.event(region, TrialEvent.ORDERED_BACK, self.now_s)
         return self._give_up({region: TrialEvent.ORDERED_BACK}) if back else None
 
     @property
-    def _now_s(self) -> float:
-        """Time of the newest sample."""
+    def now_s(self) -> float:
+        """Time of the newest sample, s; 0 before the first."""
         return self._finder.samples[-1].t_s if self._finder.samples else 0.0
 
     def _still_allowed(self, region: int) -> StillAllowed:
         """What is known of a region's process now."""
-        return known_of(self.region_models, self.table, region, self._now_s, self.settings)
+        return known_of(self.region_models, self.table, region, self.now_s, self.settings)
 
     def _person_decides(self, region: int) -> bool:
         """Whether a person has the next word on what is tried in a region."""
@@ -290,20 +289,20 @@ class Retuner:
         if self.table.gains_of(region) != gains:
             self._change(region, gains)
 
-    def _change(self, region: int, gains: PidGains) -> None:
-        """The one place where the table changes; an oscillation that was explained is to be explained anew."""
-        self.table = self.table.with_gains(region, gains)
-        self.standing.pop(region, None)
-        if region == self.region or self.table.lookup is not Lookup.HARD:
-            self._finder.gains_changed()
-
     def _gains_at(self, region: int, x: float, x2: float) -> PidGains:
         """The gains in force there."""
         return self.table.at(region, x, x2)
 
+    def _change(self, region: int, gains: PidGains) -> None:
+        """The one place where the table changes; what was behind a response under other gains is asked anew."""
+        self.table = self.table.with_gains(region, gains)
+        self.foreign.pop(region, None)
+        if region == self.region or self.table.lookup is not Lookup.HARD:
+            self._finder.gains_changed()
+
     def _step_on_trial(self, sample: LoopSample) -> Step:
         """A sample while a change is undecided, or being taken back."""
-        w, last_s, following = self._finder, self._now_s, self._finder.recogniser
+        w, last_s, following = self._finder, self.now_s, self._finder.recogniser
         seen = self._observe(sample)
         self.sample_number += 1
         gap_s = self.settings.gap_samples * self.settings.sample_time_s
@@ -378,8 +377,8 @@ class Retuner:
         if outcome.region_model is not None:
             self.region_models[region] = outcome.region_model
         self.region_models.update(outcome.beside)
-        if outcome.standing is not None:
-            self.standing[region] = outcome.standing
+        if outcome.foreign is not None:
+            self.foreign[region] = outcome.foreign
         if outcome.excitation is not None:
             self.excitation[region] = outcome.excitation
         if outcome.forget:
@@ -398,7 +397,7 @@ class Retuner:
         if decision.action != Action.COMMIT or now is None or promised is None:
             return decision
         urgent = verdict is not None and verdict.urgent
-        self.trials.begin(region, decision.gains_before, now, promised, self._now_s, urgent=urgent)
+        self.trials.begin(region, decision.gains_before, now, promised, self.now_s, urgent=urgent)
         return replace(decision, trial=str(self.trials.phase(region)))
 
     def _forget(self, region: int) -> None:
@@ -413,9 +412,9 @@ class Retuner:
             return None
         if outcome.code == Ground.SATURATED.name.lower():
             silent = Judgement(TrialFinding.INCONCLUSIVE, outcome.reason, outcome.numbers)
-            return self.trials.silent(case.region, silent, self._now_s)
+            return self.trials.silent(case.region, silent, self.now_s)
         ask = self._person_decides(case.region)
-        return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self._now_s, ask=ask)
+        return self.trials.judge(case.region, seen_of(case, outcome), case.in_force, self.now_s, ask=ask)
 
     def _case(self, seen: Completed) -> ResponseRecord:
         """Everything that the decision depends on."""
@@ -428,7 +427,7 @@ class Retuner:
             self.table,
             self.commissioned,
             dict(self.region_models),
-            self.standing.get(seen.region),
+            self.foreign.get(seen.region, 0),
             self.excitation.get(seen.region, Excitation()),
             w.scheduled,
             seen.entered_s,
@@ -438,7 +437,7 @@ class Retuner:
         self, region: int, outcome: StageResult, question: Question | None = None, judgement: Judgement | None = None
     ) -> Decision:
         """Put the record together. question : that this answers, if any."""
-        now_s, urgent = self._now_s, bool(outcome.verdict and outcome.verdict.urgent)
+        now_s, urgent = self.now_s, bool(outcome.verdict and outcome.verdict.urgent)
         proposes = self.trials.held_by_a_person(region, now_s)
         phase_allows = self.trials.may_change(region, now_s, urgent=urgent) or proposes
         if not phase_allows:
@@ -448,7 +447,7 @@ class Retuner:
         promised = outcome.promise
         if accepted and promised is None:
             at, pattern = (question.record.at, question.record.pattern) if question else (self._finder.scheduled, None)
-            promised = promise_of(outcome.verdict, self.table, region, at, pattern, self.settings)
+            promised = promise_of(outcome.verdict, self.table, region, at, pattern, self.settings, self._finder.samples)
         made = self._recorded(region, outcome, response, judgement, promised if accepted else None, accepted=accepted)
         made = proposing(made, self.trials.of(region), now_s) if proposes else made
         if question is None or question.sample_number == self.sample_number:
@@ -486,7 +485,7 @@ class Retuner:
             estimate=learned.estimate if learned else None,
             agreement=learned.agreement if learned else None,
             records=region_model.records if region_model else 0,
-            known=predicted(region_model, self._now_s, self.settings.tracker) if region_model else None,
+            known=predicted(region_model, self.now_s, self.settings.tracker) if region_model else None,
             diagnosis=outcome.diagnosis,
             basis=outcome.basis,
             proposal=outcome.proposal,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from retuner.adaptive.choice.settings import ChoiceSettings
 from retuner.adaptive.diagnosis.cause import CauseSettings
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
 from retuner.adaptive.diagnosis.settings import DiagnosisSettings
@@ -47,12 +48,7 @@ class RetunerSettings:
         (ms_third 1.85, hidden_share 0.1), because it is seen again and again.
     setpoint_weight, filter_s : b of the controller and the filter time of its derivative, for what a change promises.
     units : how the controller keeps gains; None for one that keeps them as they are.
-    behaving_records : records that must be in the model before a loop that behaves is moved; 1 to 10, default 2.
-    behaving_gain : share of the IAE above which what a change would leave is not much of a gain; 0 to 1, default 0.6.
-    worth_iae : IAE after over before from which a loop that does not swing is made slower only if it is over its Ms
-        limit on every model; 1 to 2, default 1.02. own_iae : the same of a set that retuner wrote; default 1.1.
-    least_gain : IAE after over before from which a robust loop is not moved; 0.5 to 1, default 0.9: every change is
-        a risk, and no record knows a loop better.
+    choice : what a change must be expected to bring, and how surely.
     gap_samples : a pause in the samples longer than this ends a response; default 8: where one sample in five is
         lost, so long a pause comes once in 400,000.
     """
@@ -74,11 +70,6 @@ class RetunerSettings:
     history: int = 4000
     lead_share: float = 0.25
     lead_samples: int = 20
-    behaving_records: int = 2
-    behaving_gain: float = 0.6
-    worth_iae: float = 1.02
-    own_iae: float = 1.1
-    least_gain: float = 0.9
     gap_samples: int = 8
     setpoint_weight: float = 1.0
     filter_s: float = 0.0
@@ -97,6 +88,7 @@ class RetunerSettings:
     )
     guard: GuardSettings = field(default_factory=GuardSettings)
     trial: TrialSettings = field(default_factory=TrialSettings)
+    choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     pv_range: tuple[float, float] = EVERYWHERE
     units: VendorUnits | None = None
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from retuner.adaptive.diagnosis.cause import Cause
-from retuner.adaptive.diagnosis.oscillation_online import Standing
 from retuner.adaptive.diagnosis.second_opinion import Excitation
 from retuner.adaptive.identification.estimate import LogModel
 from retuner.adaptive.identification.plausible import Plausible
@@ -20,13 +18,16 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.region_model.region_model import Drift, RecordPoint, RegionModel, StructureModel
 from retuner.adaptive.signals.noise import NoiseState
 from retuner.adaptive.signals.recogniser import RecogniserState
-from retuner.adaptive.signals.sample import LoopSample
+from retuner.adaptive.signals.sample import LoopSample, Window
 from retuner.adaptive.supervision.pipeline_types import RetunerState
 from retuner.adaptive.supervision.response_finder import FinderState
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.schedule.document import from_toml, to_toml
 from retuner.schedule.regions import RegionState
+
+SERIES = ("t_s", "sp", "pv", "co")
+"""What a record is made of."""
 
 # What is known of a region as plain JSON values, and back, checked on the way in.
 
@@ -45,6 +46,7 @@ def region_model_out(region_model: RegionModel) -> dict[str, object]:
         "plausible": [{"model": p.model.to_dict(), "excess": p.excess} for p in region_model.plausible],
         "identifiable": region_model.identifiable,
         "reason": region_model.reason,
+        "windows": [_window_out(window) for window in region_model.windows],
     }
 
 
@@ -69,7 +71,19 @@ def region_model_in(body: Mapping[str, Any]) -> RegionModel:
         tuple(Plausible(_model_in(p["model"]), float(p["excess"])) for p in body["plausible"]),
         bool(body["identifiable"]),
         str(body["reason"]),
+        tuple(_window_in(window) for window in body.get("windows", ())),
     )
+
+
+def _window_out(window: Window) -> dict[str, object]:
+    """A record as it is kept."""
+    return {name: getattr(window, name).tolist() for name in SERIES} | {"noise_std": window.noise_std}
+
+
+def _window_in(body: Mapping[str, Any]) -> Window:
+    """And back."""
+    t_s, sp, pv, co = (np.array(body[name], dtype=np.float64) for name in SERIES)
+    return Window(t_s, sp, pv, co, float(body["noise_std"]))
 
 
 def _known_out(known: Sequence[StructureModel]) -> list[dict[str, object]]:
@@ -119,12 +133,22 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
     )
 
 
-VERSION = 8
+VERSION = 9
 """Of this layout; newer ones are refused."""
 
 
 def remember(retuner: Retuner) -> dict[str, object]:
-    """The memory as a dict of plain JSON values (infinities and NaN as strings)."""
+    """What a retuner must not lose over a restart.
+
+    Parameters
+    ----------
+    retuner : at any moment; a question that is open is not remembered.
+
+    Returns
+    -------
+    dict
+        Plain JSON values (infinities and NaN as strings), for `restore`.
+    """
     state = retuner.state()
     finder = state.finder
     return {
@@ -141,18 +165,24 @@ def remember(retuner: Retuner) -> dict[str, object]:
         "decisions": state.decisions,
         "samples_observed": state.samples,
         "trials": retuner.trials.to_dict(),
-        "standing": {
-            str(region): [str(s.cause), s.period_s, s.t_s, s.reason] for region, s in retuner.standing.items()
-        },
+        "foreign": {str(region): count for region, count in retuner.foreign.items()},
         "excitation": {
-            str(region): [e.setpoints, e.loads, e.asked, e.clear, e.alternative]
-            for region, e in retuner.excitation.items()
+            str(region): [e.setpoints, e.loads, e.clear, e.alternative] for region, e in retuner.excitation.items()
         },
     }
 
 
 def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     """A retuner that goes on where the remembered one stood.
+
+    Parameters
+    ----------
+    memory : what `remember` gave. settings : as they were then, or others.
+
+    Returns
+    -------
+    Retuner
+        Tell it by `found_running` what the controller runs by now.
 
     Raises
     ------
@@ -166,10 +196,7 @@ def restore(memory: Mapping[str, Any], settings: RetunerSettings) -> Retuner:
     try:
         retuner = Retuner(from_toml(memory["table"]), settings, from_toml(memory["commissioned"]))
         retuner.region_models = {int(region): region_model_in(body) for region, body in memory["region_models"].items()}
-        retuner.standing = {
-            int(region): Standing(Cause(cause), float(period_s), float(t_s), str(reason))
-            for region, (cause, period_s, t_s, reason) in memory["standing"].items()
-        }
+        retuner.foreign = {int(region): int(count) for region, count in memory["foreign"].items()}
         retuner.excitation = {
             int(region): Excitation(*(int(count) for count in counts))
             for region, counts in memory["excitation"].items()

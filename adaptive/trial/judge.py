@@ -12,8 +12,9 @@ the peaks.) It is WORSE as well when the old gains were surely better on the mod
 the upset was (posterior_check.py). It is judged only if the upset was one that the promise speaks of; otherwise it is
 INCONCLUSIVE, which costs time but undoes nothing, unless it is known by then that the tried set is robust:
 
-    all peaks within seen_bands of noise; no rest before the setpoint's step; cut short by the next one (but what is
-    worse by then will not get better: IAE only grows)
+    all peaks within seen_bands of noise, or within seen_wanders of what the error did while nothing happened;
+    begun under other gains; no rest before the setpoint's step; cut short by the next one (but what is worse by then
+    will not get better: IAE only grows)
     a setpoint that went on moving; another cause than the tuning was found behind it (oscillation from outside, valve)
     IAE only: a load that came and went (its integral is small against its IAE); output at a limit for a while
 
@@ -117,7 +118,8 @@ class JudgedResponse:
     limited_share : share of the samples with the output at a limit. outside : the sentence of another cause than the
     tuning that was found behind the response, empty when none was. crossed : part of it ran in another region, under
     other gains, so that its own numbers speak for neither. posterior : what the models that are still allowed
-    say of both sets, None where there are none.
+    say of both sets, None where there are none. safer_due : by this response the tried set swings, and a safer one is
+    proved.
     """
 
     response: Response
@@ -126,6 +128,7 @@ class JudgedResponse:
     outside: str = ""
     posterior: PosteriorCheck | None = None
     crossed: bool = False
+    safer_due: bool = False
 
 
 class _Swings(NamedTuple):
@@ -145,13 +148,14 @@ class _Costs(NamedTuple):
 def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: TrialSettings) -> Judgement:
     """Judge a response that ran under `gains`."""
     peaks = float(len(seen.response.peaks))
-    nothing = _says_nothing(seen, settings)
+    nothing = _says_nothing(seen, promised, settings)
     if nothing:
         return Judgement(TrialFinding.INCONCLUSIVE, nothing, TrialNumbers(peaks))
     objection = against(seen.posterior, promised, settings) if seen.posterior else None
     worse, posterior = objection or ("", None)
     setpoint = seen.response.sp_changed
     unlike = _unlike_a_step(seen, settings) if setpoint else ""
+    unlike = "not judged by itself: the response began under other gains" if seen.response.taken_over else unlike
     unlike = "not judged by itself: the response crossed a boundary" if seen.crossed else unlike
     if unlike and worse:
         return Judgement(TrialFinding.WORSE, worse, TrialNumbers(peaks, posterior))
@@ -160,10 +164,11 @@ def judge(seen: JudgedResponse, promised: Promise, gains: PidGains, settings: Tr
     now, then = (
         (promised.setpoint, promised.setpoint_before) if setpoint else (promised.load_step, promised.load_before)
     )
-    swings = _swings(seen.response, now, promised.decay_before(setpoint), settings)
+    sigma = sigma_of(seen.response.band, promised)
+    swings = _swings(seen.response, now, promised.decay_before(setpoint), sigma, settings)
     ran_away = promised.decay_seen is not None and promised.decay_seen > max(now.decay.high, settings.harmless_decay)
     before = then.iae.best if math.isfinite(then.iae.best) or ran_away else 0.0
-    costs = _costs(seen, gains, now, before, settings)
+    costs = _costs(seen, gains, now, before, sigma, settings)
     numbers = TrialNumbers(peaks, posterior, swings.numbers, costs.numbers)
     if swings.words or costs.words or worse:
         return Judgement(TrialFinding.WORSE, "; ".join(filter(None, (swings.words, costs.words, worse))), numbers)
@@ -192,14 +197,27 @@ def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings
     return Judgement(TrialFinding.AS_PROMISED, f"{good}; {why}", numbers)
 
 
-def _says_nothing(seen: JudgedResponse, settings: TrialSettings) -> str:
+def sigma_of(band: float, promised: Promise) -> float:
+    """Standard deviation of what moves pv beside the upset: noise, or a load that never rests. band : noise band."""
+    return max(band / NOISE_RISES, promised.wander)
+
+
+def _says_nothing(seen: JudgedResponse, promised: Promise, settings: TrialSettings) -> str:
     """Why the response says nothing at all, if so."""
     response = seen.response
     if seen.outside:
         return f"not judged: {seen.outside}"
-    least = settings.seen_bands * response.band
-    if max((abs(peak.e) for peak in response.peaks), default=0.0) < least:
+    if response.taken_over:  # as small as it has become, the models judge it
+        return ""
+    least, largest = settings.seen_bands * response.band, max((abs(peak.e) for peak in response.peaks), default=0.0)
+    if largest < least:
         return f"not judged: the peaks are below {settings.seen_bands:g} noise bands ({least:.3g} in units of pv)"
+    wanders, least = settings.seen_wanders, settings.seen_wanders * promised.wander
+    if largest < least:
+        return (
+            f"not judged: the peaks are below {wanders:g} standard deviations of the error before the change "
+            f"({least:.3g} in units of pv)"
+        )
     return ""
 
 
@@ -223,11 +241,11 @@ def _unlike_a_step(seen: JudgedResponse, settings: TrialSettings) -> str:
     return ""
 
 
-def _swings(response: Response, now: Expected, before: float, settings: TrialSettings) -> _Swings:
+def _swings(response: Response, now: Expected, before: float, sigma: float, settings: TrialSettings) -> _Swings:
     """What speaks against the swing, if anything."""
     peaks = [peak.e for peak in response.peaks]
     limit = max(now.decay.high + settings.decay_slack, settings.harmless_decay)
-    sure = _surely(peaks, response.band, settings.level) if len(peaks) > 1 else None
+    sure = _surely(peaks, response.band, sigma, settings.level) if len(peaks) > 1 else None
     numbers = SwingNumbers(*swing(peaks, response.band), limit, now.decay.best, before, sure)
     if sure is None or sure <= limit or sure <= before:
         return _Swings("", numbers)
@@ -238,10 +256,9 @@ def _swings(response: Response, now: Expected, before: float, settings: TrialSet
     return _Swings(words, numbers)
 
 
-def _surely(peaks: list[float], band: float, level: float) -> float:
-    """The decay less `level` standard deviations that noise on the peaks gives it."""
+def _surely(peaks: list[float], band: float, sigma: float, level: float) -> float:
+    """The decay less `level` standard deviations that noise on the peaks, of deviation sigma, gives it."""
     first, second, third = three(peaks, band)
-    sigma = band / NOISE_RISES
     damping, last = (third - second) / (first - second), abs(third / second)
     return min(
         damping - level * sigma * math.hypot(1.0, 1.0, damping) / abs(first - second),
@@ -249,14 +266,16 @@ def _surely(peaks: list[float], band: float, level: float) -> float:
     )
 
 
-def _costs(seen: JudgedResponse, gains: PidGains, now: Expected, before: float, settings: TrialSettings) -> _Costs:
+def _costs(
+    seen: JudgedResponse, gains: PidGains, now: Expected, before: float, sigma: float, settings: TrialSettings
+) -> _Costs:
     """What speaks against the IAE, if anything."""
     response, window = seen.response, seen.window
     during = _during(seen)
     e, t = (window.sp - window.pv)[during], window.t_s[during]
     if len(t) < 3 or seen.limited_share > LIMITED:
         return _Costs()
-    noise = MEAN_OF_NOISE * response.band / NOISE_RISES * float(t[-1] - t[0])
+    noise = MEAN_OF_NOISE * sigma * float(t[-1] - t[0])
     iae = max(_area(np.abs(e), t) - noise, 0.0)
     unit = _unit(seen, gains, e, t, iae / settings.iae_slack)
     if unit <= 0:

@@ -9,6 +9,20 @@ NOT_TAKEN = (
 )
 
 
+def require_action(gains: PidGains, commissioned: PidGains) -> None:
+    """Refuse gains that turn negative feedback into positive: no table holds them.
+
+    Raises
+    ------
+    ValueError
+        They act in the other direction than the commissioned ones.
+    """
+    if gains.direction != commissioned.direction:
+        raise ValueError(
+            f"{_set(gains)} acts in the other direction than the configured {_set(commissioned)}: nothing is changed"
+        )
+
+
 def turned_words(ours: PidGains, now: PidGains, *, on_trial: bool) -> str:
     """Gains of the other sign run: what is held, and the two ways out."""
     return (

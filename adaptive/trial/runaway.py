@@ -1,6 +1,7 @@
 """The watch over a trial, sample by sample: a set that makes the loop run away is undone in mid-response.
 
-Half waves of the error beyond twice the noise band are followed; r is the ratio of one's extreme to the last one's.
+Half waves of the error beyond twice the noise band are followed, and beyond what a load that never rests did of itself
+before the change; r is the ratio of one's extreme to the last one's.
 
     r >= grows twice in a row          RUNAWAY   three half waves, each larger than the last (the third one need not
                                                  have reached its extreme)
@@ -35,13 +36,14 @@ TWICE = 2
 
 
 class RunawayLaw(NamedTuple):
-    """Thresholds (see the head of this file); limited_s in seconds."""
+    """Thresholds (see the head of this file); limited_s in seconds, least in pv units."""
 
     grows: float
     stays: float
     stays_for: int
     limit_swings: int
     limited_s: float
+    least: float = 0.0
 
 
 class RunawayState(NamedTuple):
@@ -76,6 +78,7 @@ def law_of(promised: Promise, settings: TrialSettings, shortest_s: float) -> Run
         settings.stays_for,
         settings.limit_swings,
         max(settings.limited_settles * patience, shortest_s),
+        settings.seen_wanders / 2 * promised.wander,
     )
 
 
@@ -96,7 +99,7 @@ def runaway_step(
     if sample.t_s - state.since_s >= law.limited_s:
         return state, TrialEvent.SATURATED
     e = sample.sp - sample.pv
-    if abs(e) <= SEEN_BANDS * band:
+    if abs(e) <= max(SEEN_BANDS * band, law.least):
         return state if math.isfinite(state.inside_s) else state._replace(inside_s=sample.t_s), None
     state = _follow(law, _rested(state, sample), e, sample.t_s)
     growing = state.grown + (state.last != 0 and abs(state.extreme) >= law.grows * abs(state.last))

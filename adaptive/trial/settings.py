@@ -17,6 +17,8 @@ class TrialSettings:
     harmless_ms : an Ms up to this on the models that a trial leaves allowed is never called worse; 1.5 to 3, default
         2.1 (as the guard's for the worst model).
     seen_bands : noise bands that the largest peak must have to be judged; 2 to 20, default 4.
+    seen_wanders : standard deviations of the error before the change, while nothing happened, that the largest peak
+        must have to be judged; half as many begin a half cycle that may be a runaway; 2 to 10, default 6.
     rest_share : share of a setpoint step that may be left of the upset before it; 0 to 0.1, default 0.05.
     cool_down_s : no change for this long after an abort, s; None takes cool_down_tau_i times tau_I of the restored set.
     cool_down_tau_i : default 20. cool_down_most : most doublings of it by undos; default 6.
@@ -45,6 +47,7 @@ class TrialSettings:
     harmless_decay: float = 0.25
     harmless_ms: float = 2.1
     seen_bands: float = 4.0
+    seen_wanders: float = 6.0
     rest_share: float = 0.05
     cool_down_s: float | None = None
     cool_down_tau_i: float = 20.0
@@ -68,6 +71,7 @@ class TrialSettings:
             ("harmless_decay", 0.1, 0.5),
             ("harmless_ms", 1.5, 3),
             ("seen_bands", 2, 20),
+            ("seen_wanders", 2, 10),
             ("rest_share", 0, 0.1),
             ("cool_down_tau_i", 1, 1000),
             ("cool_down_most", 0, 20),

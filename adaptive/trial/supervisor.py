@@ -275,21 +275,24 @@ class TrialSupervisor:
             if kept >= self.settings.responses:
                 self._move(region, E.PASSED_FOR_APPROVAL if ask else E.PASSED, t_s)
         else:
-            return self.silent(region, found, t_s)
+            return self.silent(region, found, t_s, enough=seen.safer_due and not ask)
         return found
 
-    def silent(self, region: int, found: Judgement, t_s: float) -> Judgement:
-        """A response said nothing for or against: enough of them end the trial. found : why it did not; with that."""
+    def silent(self, region: int, found: Judgement, t_s: float, *, enough: bool = False) -> Judgement:
+        """A response said nothing for or against: enough of them end the trial. found : why it did not; with that.
+
+        enough : this one does, because a change towards safety is due that must not wait for others.
+        """
         trial = self.of(region)
         if trial.phase != P.TRIAL:
             return found
         self._trials[region] = replace(trial, silent=trial.silent + 1)
-        if trial.silent + 1 < self.settings.inconclusive or not self._end(region, E.TIMED_OUT, t_s):
+        few = trial.silent + 1 < self.settings.inconclusive and not enough
+        if few or not self._end(region, E.TIMED_OUT, t_s):
             return found
         what = AFTER_SILENCE.get(self.phase(region), "stay")
-        return replace(
-            found, reason=f"{found.reason}; {trial.silent + 1} responses were inconclusive, the trial gains {what}"
-        )
+        why = "a safer change is due" if enough else f"{trial.silent + 1} responses were inconclusive"
+        return replace(found, reason=f"{found.reason}; {why}, the trial gains {what}")
 
     def to_dict(self) -> dict[str, object]:
         """All that later decisions depend on, in plain JSON values."""

@@ -12,7 +12,8 @@ not Ms that decides. The commissioned set has no privilege, nor has the one befo
 Models on which the tried set is robust do not count after evidence against it: they are refuted. Nor do models that
 now say of the set before what neither was seen of it nor was known when the change was proved: it has worked. Where
 both are no robust sets, those that ran before are asked as well. Without a model the set before has been seen to work
-and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything.
+and the tried one has not, unless the one before was seen to swing on and the tried one is less of everything;
+and the tried one stays where many responses were watched under it and none spoke against it.
 So what runs after it is never less robust, on the models that are still allowed, than what ran before it.
 """
 
@@ -130,7 +131,9 @@ def way_back(cause: TrialEvent, ran: SetsThatRan, known: StillAllowed, settings:
 
 
 def _without_model(cause: TrialEvent, ran: SetsThatRan, tried: PidGains) -> WayBack:
-    """What was seen is all there is."""
+    """What was seen is all there is: responses that were watched to no end have spoken for neither set."""
+    if cause is TrialEvent.TIMED_OUT:
+        return WayBack(tried, stays=True, reason="no response spoke against the trial gains")
     swung = ran.swung is not None and ran.swung >= SWINGS_ON
     if cause not in UNDOS and swung and less_of_everything(ran.before, tried):
         words = (

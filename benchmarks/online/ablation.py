@@ -35,13 +35,10 @@ class Piece(NamedTuple):
 
 
 PIECES = (
-    Piece("goes_on", f"{SUPERVISION}.causes", "goes_on"),
-    Piece("on_top", f"{SUPERVISION}.causes", "on_top"),
-    Piece("reopened", f"{SUPERVISION}.causes", "_reopened", neutral=False),
     Piece("growth", f"{SUPERVISION}.pipeline", "grows"),
-    Piece("swing", f"{SUPERVISION}.causes", "swing_cause", (None, None)),
-    Piece("thinned", f"{SUPERVISION}.causes", "thinned"),
-    Piece("hidden", f"{SUPERVISION}.causes", "hidden_cause", (None, None)),
+    Piece("young", f"{SUPERVISION}.causes", "too_few_cycles"),
+    Piece("swing", f"{SUPERVISION}.pipeline", "foreign_swing"),
+    Piece("hidden", f"{SUPERVISION}.causes", "hidden_cause", (None, False)),
     Piece("held_up", f"{SUPERVISION}.causes", "_held_up", neutral=False),
     Piece("limit_known", f"{SUPERVISION}.pipeline", "_known_of_limit_swing"),
     Piece("at_rest", "retuner.adaptive.diagnosis.second_opinion", "was_at_rest", neutral=True),
@@ -54,8 +51,6 @@ PIECES = (
     Piece("was_known", f"{SUPERVISION}.pipeline", "_was_known", neutral=False),
     Piece("confirming", f"{SUPERVISION}.causes", "unconfirmed"),
 )
-CONFIRMED = "confirming"
-"""The piece whose neutral answer depends on what it was asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +86,7 @@ def _changed(without: str, said: Counter[str]) -> Iterator[None]:
 
 
 def _absent(piece: Piece) -> Callable[..., Any]:
-    return (lambda *given: (None, given[3])) if piece.name == CONFIRMED else (lambda *_: piece.neutral)
+    return lambda *_: piece.neutral
 
 
 def _heard(piece: Piece, now: Callable[..., Any], said: Counter[str]) -> Callable[..., Any]:
@@ -99,8 +94,7 @@ def _heard(piece: Piece, now: Callable[..., Any], said: Counter[str]) -> Callabl
 
     def heard(*given: Any) -> Any:  # noqa: ANN401  whatever it takes and gives
         found = now(*given)
-        nothing = found[0] is None if piece.name == CONFIRMED else found == piece.neutral
-        said[piece.name] += not nothing
+        said[piece.name] += found != piece.neutral
         return found
 
     return heard

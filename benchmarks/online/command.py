@@ -86,11 +86,12 @@ def _tours(options: argparse.Namespace) -> tuple[list[tours.Row], bool]:
 
 def _injected(options: argparse.Namespace) -> tuple[list[injected.Row], bool]:
     kinds = injected.KINDS if options.kind == "all" else (options.kind,)
-    tasks = [task for kind in kinds for task in injected.tasks(options.seed, kind, options.loops)][
+    tasks = [task for kind in kinds for task in injected.tasks(options.seed, kind, options.loops, options.wander)][
         options.offset :: options.every
     ]
     rows, whole = collect(injected.run, tasks, options.jobs, options.out, injected.line)
-    _say([f"bad changes injected, seed {options.seed}", *injected.table(rows)])
+    under = f", under a load that wanders: {options.wander}" if options.wander else ""
+    _say([f"changes injected, seed {options.seed}{under}", *injected.table(rows)])
     return rows, whole
 
 
@@ -275,6 +276,7 @@ def _parser() -> argparse.ArgumentParser:
     five = parts.add_parser("injected", parents=[common], help="deliberately bad changes on trial")
     five.add_argument("--kind", choices=("all", *injected.KINDS), default="all")
     five.add_argument("--loops", type=int, default=40, help="changes of each kind")
+    five.add_argument("--wander", choices=loads.WANDERING, default="", help="a load that goes on all the time")
     eight = parts.add_parser("loads", parents=[common], help="loads of every kind and no setpoint step, gains off")
     eight.add_argument("--kind", choices=("all", *loads.KINDS), default="all")
     eight.add_argument("--loops", type=int, default=20, help="loops of each kind")

@@ -14,6 +14,11 @@ integral    tau_I too short by 4 to 10
 both        Kc too large by 2 to 4 and tau_I too short by 2 to 4
 sluggish    Kc too small by 4 to 10
 mild        Kc too large by 1.5 to 2: out of spec, stable, and near enough to a promise to pass for kept
+right       the settings are right, and replace Kc too small by 2 to 4 on a model that is off by up to 30 % in each
+            number: the trial should take none back ("wrong model" in every run)
+
+wander : a load of benchmarks/online/loads.py (walk, coloured, sinusoid, calm walk, ...) goes on all the time, before
+the write too.
 
 Time runs from the write to the moment at which the controller runs the old set again. Excursion is the largest
 |sp - pv| in that time, over the same under the old set with the same upsets and noise.
@@ -21,6 +26,7 @@ Time runs from the write to the moment at which the controller runs the old set 
 
 import math
 import statistics
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -32,6 +38,7 @@ from cases.setting import Loop, draw_loop, scaled
 
 from online.counting import counted
 from online.judge import Judge
+from online.loads import PERIODS, load_of
 from online.loop import FixedGains, LostLoop, WatchedLoop
 from online.supervisors import Watching, one_region, settings
 from retuner.adaptive.identification.plausible import Plausible
@@ -40,10 +47,11 @@ from retuner.adaptive.process.reduction import half_rule
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.expectation import promise
 from retuner.adaptive.trial.phase import TrialPhase
+from retuner.adaptive.trial.wander import wander_of
 from retuner.schedule.gains import PidGains
 
 Row = dict[str, Any]
-KINDS = ("gain", "integral", "both", "sluggish", "mild")
+KINDS = ("gain", "integral", "both", "sluggish", "mild", "right")
 LIES = ("wrong model", "wrong set")
 UPSETS = 6
 LENGTH_THETA = 60.0
@@ -53,6 +61,8 @@ PV_SPAN = 10.0
 AT_REST = 20
 """Samples from the write to the first step."""
 TRIES = 100
+INEXACT = 1.3
+"""Factor by which the model of a right set may be off."""
 LOST = 100.0
 """A loop further from its setpoint than this many steps has been lost."""
 
@@ -64,11 +74,22 @@ class Task:
     kind: str
     seed: int
     index: int
+    wander: str = ""
 
 
-def tasks(seed: int, kind: str, count: int) -> list[Task]:
+def tasks(seed: int, kind: str, count: int, wander: str = "") -> list[Task]:
     """The first `count` changes of a kind."""
-    return [Task(kind, seed, index) for index in range(count)]
+    return [Task(kind, seed, index, wander) for index in range(count)]
+
+
+@dataclass(frozen=True, slots=True)
+class Injected:
+    """A change. old, new : the sets. believed, said : the model and the set of the prediction."""
+
+    old: PidGains
+    new: PidGains
+    believed: Plausible
+    said: PidGains
 
 
 class OnTrial(Watching):
@@ -82,12 +103,13 @@ class OnTrial(Watching):
         self.cause = ""
         self.passed = False
 
-    def inject(self, bad: PidGains, believed: Plausible, said: PidGains) -> None:
+    def inject(self, change: Injected) -> None:
         """Put a set on trial with the promise that a model makes for the set that it is said to be."""
         old = self.retuner.table.gains_of(0)
-        promised = promise([believed], old, said, self.retuner.settings.sample_time_s)
-        self.retuner.trials.begin(0, old, bad, promised, self.t_s)
-        self.due = bad
+        promised = promise([change.believed], old, change.said, self.retuner.settings.sample_time_s)
+        promised = replace(promised, wander=wander_of(self.retuner.state().finder.samples))
+        self.retuner.trials.begin(0, old, change.new, promised, self.t_s)
+        self.due = change.new
 
     def observe(self, sample: LoopSample) -> tuple[int, PidGains] | None:
         """As live; after the trial of the injected set nothing more is written, so that what follows is its doing."""
@@ -122,28 +144,29 @@ class OnTrial(Watching):
 def run(task: Task) -> Row:
     """One injected change; keys rolled_back, passed, theta (time in effective dead times), loops, excursion, cause."""
     rng = np.random.default_rng([task.seed, task.index, KINDS.index(task.kind), 32])
-    loop, bad, wrong = drawn(task.kind, rng)
+    loop, change = drawn(task.kind, rng, LIES[task.index % len(LIES)])
     judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
-    trial = OnTrial(loop.best, loop.dt_s)
+    trial = OnTrial(change.old, loop.dt_s)
     n = int(LENGTH_THETA * SAMPLES_PER_THETA)
     noise = [(NOISE * rng.standard_normal(n)).tolist() for _ in range(UPSETS + 1)]
     load = judge.load_like_setpoint()
-    lie = LIES[task.index % len(LIES)]
-    if lie == "wrong set":
-        believed, said = Plausible(half_rule(loop.process), 0.0), loop.best
-    else:
-        believed, said = wrong, bad
-    tried = watched(loop, trial, noise, load, (bad, believed, said))
-    usual = watched(loop, None, noise, load, None)
+    loads = np.zeros((UPSETS + 1, n))
+    if task.wander:
+        more = math.ceil(n * (UPSETS + 1) / PERIODS)
+        loads = load * load_of(task.wander, rng, more, SAMPLES_PER_THETA)[: loads.size].reshape(loads.shape)
+    course = Course(noise, loads.tolist(), load)
+    tried = watched(loop, trial, course, change)
+    usual = watched(loop, None, course, change)
     upto = len(tried) if trial.restored_s is None else int(trial.restored_s / loop.dt_s)
     excursion = max(tried[:upto], default=0.0) / max(usual[: max(upto, n + 1)], default=1.0)
     back = trial.restored_s is not None
     took_s = trial.restored_s - (n - AT_REST) * loop.dt_s if trial.restored_s is not None else math.nan
-    verdict = judge.of(bad)
+    verdict = judge.of(change.new)
     return {
         "part": "injected",
         "kind": task.kind,
-        "lie": lie,
+        "lie": "wrong model" if change.said == change.new else "wrong set",
+        "wander": task.wander,
         "seed": task.seed,
         "index": task.index,
         "family": loop.family,
@@ -157,12 +180,12 @@ def run(task: Task) -> Row:
         "theta": took_s / loop.theta_s,
         "upsets": took_s / (n * loop.dt_s),
         "excursion": excursion,
-        "verified": trial.retuner.table.gains_of(0) == loop.best,
+        "verified": trial.retuner.table.gains_of(0) == change.old,
     }
 
 
-def drawn(kind: str, rng: np.random.Generator) -> tuple[Loop, PidGains, Plausible]:
-    """A loop in spec, a bad set, and the wrong model that calls it good."""
+def drawn(kind: str, rng: np.random.Generator, lie: str) -> tuple[Loop, Injected]:
+    """A loop in spec and a bad set with its lie; or a sluggish loop and the right set."""
     for _ in range(TRIES):
         family = str(rng.choice([x for x in FAMILIES if x != "oscillatory"]))
         loop = draw_loop(rng, family, (SAMPLES_PER_THETA, SAMPLES_PER_THETA + 1e-9))
@@ -172,8 +195,12 @@ def drawn(kind: str, rng: np.random.Generator) -> tuple[Loop, PidGains, Plausibl
             continue  # no wrong lag makes an integrating process ask for a short tau_I
         judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
         bad = scaled(loop.best, kc, tau_i)
+        if kind == "right" and judge.of(loop.best).in_spec:
+            return loop, Injected(bad, loop.best, Plausible(_inexact(model, rng), 0.0), loop.best)
         if judge.of(loop.best).in_spec and not judge.of(bad).in_spec:
-            return loop, bad, Plausible(_wrong(model, kc, tau_i), 0.0)
+            if lie == "wrong set":
+                return loop, Injected(loop.best, bad, Plausible(model, 0.0), loop.best)
+            return loop, Injected(loop.best, bad, Plausible(_wrong(model, kc, tau_i), 0.0), bad)
     raise RuntimeError(f"no loop fits {kind} in {TRIES} draws")
 
 
@@ -185,6 +212,7 @@ def _factors(kind: str, rng: np.random.Generator) -> tuple[float, float]:
         "both": lambda: (log_uniform(rng, 2.0, 4.0), 1 / log_uniform(rng, 2.0, 4.0)),
         "sluggish": lambda: (1 / log_uniform(rng, 4.0, 10.0), 1.0),
         "mild": lambda: (log_uniform(rng, 1.5, 2.0), 1.0),
+        "right": lambda: (1 / log_uniform(rng, 2.0, 4.0), 1.0),
     }[kind]()
 
 
@@ -195,26 +223,43 @@ def _wrong(model: ProcessModel, kc: float, tau_i: float) -> ProcessModel:
     return replace(model, k=model.k * tau_i / kc, tau1_s=model.tau1_s * tau_i, theta_s=model.theta_s * tau_i)
 
 
-def watched(
-    loop: Loop,
-    trial: OnTrial | None,
-    noise: list[list[float]],
-    load: float,
-    bad: tuple[PidGains, Plausible, PidGains] | None,
-) -> list[float]:
+def _inexact(model: ProcessModel, rng: np.random.Generator) -> ProcessModel:
+    """The model with every number off by its own factor."""
+    k, theta, tau1, tau2 = (log_uniform(rng, 1 / INEXACT, INEXACT) for _ in range(4))
+    tau1_s = model.tau1_s * tau1
+    tau2_s = min(model.tau2_s * tau2, tau1_s) if tau1_s else model.tau2_s * tau2
+    return replace(model, k=model.k * k, theta_s=model.theta_s * theta, tau1_s=tau1_s, tau2_s=tau2_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """noise, loads : a stretch between two steps each. load : size of a load step."""
+
+    noise: list[list[float]]
+    loads: list[list[float]]
+    load: float
+
+    def stretches(self) -> Iterator[tuple[list[float], list[float]]]:
+        """Noise and load; the write comes after the first of them."""
+        yield self.noise[0][:-AT_REST], self.loads[0][:-AT_REST]
+        yield self.noise[0][-AT_REST:], self.loads[0][-AT_REST:]
+        yield from zip(self.noise[1:], self.loads[1:], strict=True)
+
+
+def watched(loop: Loop, trial: OnTrial | None, course: Course, change: Injected) -> list[float]:
     """|sp - pv| without noise of every sample, the change written at the end of the first of the stretches."""
     process: LinearProcess = loop.process
     supervisor = trial or FixedGains()
-    watched_loop = WatchedLoop(HeldPlant(process, loop.dt_s), one_region(loop.best), loop.dt_s, supervisor, lost=LOST)
+    watched_loop = WatchedLoop(HeldPlant(process, loop.dt_s), one_region(change.old), loop.dt_s, supervisor, lost=LOST)
     errors: list[float] = []
     sp = now = 0.0
     try:
-        for i, stretch in enumerate([noise[0][:-AT_REST], noise[0][-AT_REST:], *noise[1:]]):
-            if i == 1 and trial and bad:
-                trial.inject(*bad)
+        for i, (stretch, wanders) in enumerate(course.stretches()):
+            if i == 1 and trial:
+                trial.inject(change)
             if i > 1:
-                sp, now = (sp, load - now) if i % 2 else (1.0 - sp, now)
-            trace = watched_loop.run(sp, now, stretch)
+                sp, now = (sp, course.load - now) if i % 2 else (1.0 - sp, now)
+            trace = watched_loop.run(sp, [now + more for more in wanders], stretch)
             errors += [abs(sp - pv + more) for (pv, _), more in zip(trace, stretch, strict=True)]
             if trial and trial.decided:
                 break

@@ -21,6 +21,7 @@ from pathlib import Path
 from online.runner import collect, rows_of
 
 from plants_of_others import eastman, session
+from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
 from plants_of_others.temperature_lab import TemperatureLab
 from plants_of_others.truth import StepTest, Truth, truth
@@ -31,10 +32,12 @@ PLANTS: dict[str, Callable[[], Plant]] = {
     "lab": TemperatureLab,
     "eastman": eastman.Eastman,
     "wastewater": Wastewater,
+    **{name: partial(Distillation, name) for name in COLUMNS},
 }
 TESTS: dict[str, Callable[[str], StepTest]] = {
     "lab": lambda _loop: StepTest(2400.0, 1500.0),
     "wastewater": lambda _loop: StepTest(0.5 * 24 * HOUR, HOUR, 0.02),
+    **{name: lambda _loop: StepTest(HOUR, 5 * HOUR, 0.01, "search") for name in COLUMNS},
     "eastman": lambda loop: StepTest(
         6 * HOUR, eastman.LOOPS[loop].answer_h * HOUR, 0.005, "published" if loop == "reactor_temperature" else "search"
     ),
@@ -59,19 +62,17 @@ def _measure(options: argparse.Namespace) -> int:
     truths = {loop: _truth(options.part, plant, plant.cards[loop]) for loop in loops}
     starts = [start for start in session.STARTS if options.start in {"all", start}]
     tasks = [
-        session.Task(loop, start, options.seed + more, options.opened, not options.live, options.verbose)
+        session.Task(
+            loop, start, options.seed + more, options.opened, not options.live, options.verbose, options.together
+        )
         for loop in loops
         for start in starts
         for more in range(options.sessions)
     ]
-    work = partial(_work, plant, truths)
+    work = partial(session.run, plant, truths)
     rows, whole = collect(work, tasks[options.offset :: options.every], 1, options.out, session.line)
     _say(session.table(rows) if rows else ["no runs"])
     return 0 if rows and whole else 1
-
-
-def _work(plant: Plant, truths: dict[str, Truth], task: session.Task) -> session.Row:
-    return session.run(plant, truths[task.loop], task)
 
 
 def _truth(part: str, plant: Plant, card: Card) -> Truth:
@@ -112,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--loop", default="all")
         part.add_argument("--start", choices=("all", *session.STARTS), default="all")
         part.add_argument("--opened", action="store_true", help="limits of a change at x8 instead of the defaults")
+        part.add_argument("--together", action="store_true", help="all loops start off and are retuned at once")
         part.add_argument("--live", action="store_true", help="no replays under gains that stay")
         part.add_argument("--every", type=int, default=1, help="only every n-th session")
         part.add_argument("--offset", type=int, default=0, help="and the first of these")

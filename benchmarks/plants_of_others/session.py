@@ -20,7 +20,7 @@ from retuner import PidGains
 Row = dict[str, Any]
 FACTOR = 4.0
 AFTER = (1, 3, 6)
-REPLAYED: dict[tuple[str, str, int, PidGains], Row] = {}
+REPLAYED: dict[tuple[object, ...], Row] = {}
 """Sessions under gains that stay: the same for every start."""
 STARTS = {"published": None, "low": (1 / FACTOR, 1.0), "high": (FACTOR, 1.0), "slow": (1 / FACTOR, FACTOR)}
 """Kc and tau_I as factors of the best."""
@@ -28,7 +28,7 @@ STARTS = {"published": None, "low": (1 / FACTOR, 1.0), "high": (FACTOR, 1.0), "s
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One session."""
+    """One session. together : all loops of the plant start off, and are retuned at the same time."""
 
     loop: str
     start: str
@@ -36,6 +36,7 @@ class Task:
     opened: bool = False
     replays: bool = True
     verbose: bool = False
+    together: bool = False
 
 
 def begins_with(card: Card, truth: Truth, start: str) -> PidGains:
@@ -47,22 +48,33 @@ def begins_with(card: Card, truth: Truth, start: str) -> PidGains:
     return PidGains(best.kp * factors[0], best.ki * factors[0] / factors[1], 0.0)
 
 
-def run(plant: Plant, truth: Truth, task: Task) -> Row:
+Sets = dict[str, PidGains]
+"""The gains of each loop that is ours."""
+
+
+def run(plant: Plant, truths: dict[str, Truth], task: Task) -> Row:
     """The session and its replays."""
-    card = plant.cards[task.loop]
-    first = begins_with(card, truth, task.start)
-    live, tripped = _session(plant, task, first, watched=True)
+    mine = list(truths) if task.together else [task.loop]
+    first = {loop: begins_with(plant.cards[loop], truths[loop], task.start) for loop in mine}
+    all_live, tripped = _session(plant, task, first, watched=True)
+    live, truth = all_live[task.loop], truths[task.loop]
     if task.verbose:
         tell(live, truth)
-    last = live.gains[-1]
-    sets = {"start": first, "end": last, "published": card.published, "best": truth.judge.best}
-    replays = {name: _replayed(plant, task, gains) for name, gains in sets.items()} if task.replays else {}
+    everybody = {
+        "start": first,
+        "end": {loop: control.gains[-1] for loop, control in all_live.items()},
+        "published": {loop: plant.cards[loop].published for loop in mine},
+        "best": {loop: truths[loop].judge.best for loop in mine},
+    }
+    replays = {who: _replayed(plant, task, gains) for who, gains in everybody.items()} if task.replays else {}
+    sets = {who: gains[task.loop] for who, gains in everybody.items()}
     return {
         "plant": plant.name,
         "loop": task.loop,
         "start": task.start,
         "seed": task.seed,
         "opened": task.opened,
+        "together": task.together,
         "tripped": tripped,
         "misfit": truth.misfit,
         "gains": {name: [gains.kp, gains.ki] for name, gains in sets.items()},
@@ -75,21 +87,23 @@ def run(plant: Plant, truth: Truth, task: Task) -> Row:
     }
 
 
-def _session(plant: Plant, task: Task, gains: PidGains, *, watched: bool) -> tuple[Controlled, str]:
-    card = plant.cards[task.loop]
-    control = Controlled(card, gains, plant.rest(task.loop), watched=watched, opened=task.opened)
+def _session(plant: Plant, task: Task, sets: Sets, *, watched: bool) -> tuple[dict[str, Controlled], str]:
+    controls = {
+        loop: Controlled(plant.cards[loop], gains, plant.rest(loop), watched=watched, opened=task.opened)
+        for loop, gains in sets.items()
+    }
     try:
-        plant.session({task.loop: control}, task.loop, task.seed)
+        plant.session(controls, task.loop, task.seed)
     except Tripped as why:
-        return control, str(why)
-    return control, ""
+        return controls, str(why)
+    return controls, ""
 
 
-def _replayed(plant: Plant, task: Task, gains: PidGains) -> Row:
-    key = (plant.name, task.loop, task.seed, gains)
+def _replayed(plant: Plant, task: Task, sets: Sets) -> Row:
+    key = (plant.name, task.loop, task.seed, *sets.items())
     if key not in REPLAYED:
-        control, tripped = _session(plant, task, gains, watched=False)
-        REPLAYED[key] = {**measured(control), "tripped": tripped}
+        controls, tripped = _session(plant, task, sets, watched=False)
+        REPLAYED[key] = {**measured(controls[task.loop]), "tripped": tripped}
     return REPLAYED[key]
 
 

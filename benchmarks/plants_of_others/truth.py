@@ -114,11 +114,17 @@ def _held_to(process: LinearProcess, tau_i: float) -> PidGains:
     """With that integral time, the largest kc with Ms up to MS_BEST."""
     sign = math.copysign(1.0, process.k)
     size = float(np.abs(process.response(np.array([_turned(process)])))[0])
-    for kc in np.geomspace(2.0, 0.01, 60) / size:
-        gains = PidGains(float(sign * kc), float(sign * kc / tau_i), 0.0)
-        if robustness(process, gains).ms <= MS_BEST:
-            return gains
-    return gains
+    kcs = np.geomspace(2.0, 0.01, 30) / size
+
+    def gains(kc: float) -> PidGains:
+        return PidGains(float(sign * kc), float(sign * kc / tau_i), 0.0)
+
+    first = next(i for i, kc in enumerate(kcs) if robustness(process, gains(kc)).ms <= MS_BEST or i == len(kcs) - 1)
+    low, high = float(kcs[first]), float(kcs[max(first - 1, 0)])
+    for _ in range(6):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if robustness(process, gains(middle)).ms <= MS_BEST else (low, middle)
+    return gains(low)
 
 
 def fitted(seen: FloatArray, h_s: float) -> tuple[LinearProcess, float]:
@@ -148,6 +154,8 @@ def _guesses(seen: FloatArray, h_s: float) -> Iterator[LinearProcess]:
         yield LinearProcess(last, (rise, rise / 4, rise / 16), (lead,), quick / 4)
         yield LinearProcess(ramp, (rise, rise / 4), (lead,), quick / 4, 1)
         yield LinearProcess(ramp, (rise, rise / 16, rise / 32), (lead,), quick / 4, 1)
+    for slow in (2.0, 8.0):  # the other loops of the plant answer as well
+        yield LinearProcess(last, (slow * rise, rise, rise / 4), (slow * rise * 0.8, rise / 2), quick)
 
 
 def _fit(guess: LinearProcess, seen: FloatArray, h_s: float) -> tuple[LinearProcess, float]:

@@ -29,8 +29,12 @@ if TYPE_CHECKING:
     from retuner.adaptive.supervision.decision import Action as Action
     from retuner.adaptive.supervision.decision import Decision as Decision
     from retuner.adaptive.supervision.decision import Mode as Mode
+    from retuner.adaptive.supervision.operator_orders import approve_proposal as approve_proposal
+    from retuner.adaptive.supervision.operator_orders import found_running as found_running
     from retuner.adaptive.supervision.retuner import Retuner as Retuner
     from retuner.adaptive.supervision.settings import RetunerSettings as RetunerSettings
+    from retuner.adaptive.supervision.state_file import remember as remember
+    from retuner.adaptive.supervision.state_file import restore as restore
     from retuner.adaptive.trial.phase import TrialEvent as TrialEvent
     from retuner.api import Identification as Identification
     from retuner.api import RecordDiagnosis as RecordDiagnosis
@@ -82,8 +86,10 @@ __all__ = [
     "RetunerSettings",
     "TrialEvent",
     "TuneResult",
+    "approve_proposal",
     "design_schedule",
     "diagnose",
+    "found_running",
     "gains_of",
     "identify",
     "load_config",
@@ -92,6 +98,8 @@ __all__ = [
     "process_of",
     "read",
     "reduce",
+    "remember",
+    "restore",
     "to_control",
     "to_ideal",
     "to_scipy",
@@ -106,8 +114,10 @@ _HOMES = {
     "adaptive.process.reduction": ("reduce",),
     "adaptive.signals.sample": ("LoopSample",),
     "adaptive.supervision.decision": ("Action", "Decision", "Mode"),
+    "adaptive.supervision.operator_orders": ("approve_proposal", "found_running"),
     "adaptive.supervision.retuner": ("Retuner",),
     "adaptive.supervision.settings": ("RetunerSettings",),
+    "adaptive.supervision.state_file": ("remember", "restore"),
     "adaptive.trial.phase": ("TrialEvent",),
     "api": ("Identification", "RecordDiagnosis", "diagnose", "identify", "read"),
     "config": ("load_config",),

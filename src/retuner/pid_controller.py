@@ -18,7 +18,6 @@ from typing import Any
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision import operator_orders
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.pending_proposal import Proposal, ProposalStanding
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
 from retuner.adaptive.supervision.state_file import remember, restore
@@ -37,8 +36,6 @@ MEMORY = 1
 HARD = Lookup.HARD
 LONGEST_S = 1e9
 """Longest time between two steps: 30 years, and less than the time of day counted from 1970."""
-PROPOSAL_S = 86400.0
-"""How long a proposal may be approved: a day, as in the configuration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,14 +215,9 @@ class PidController:
             There is no proposal, it is older than a day, or other gains have come into force since.
         """
         advised = decision or self._proposed
-        proposal = Proposal.of(advised) if advised is not None else None
-        if proposal is None or self._place is None:
+        if advised is None or self._place is None:
             raise ValueError("there is no proposal to approve")
-        in_force = self._retuner.table.gains_of(proposal.region)
-        standing = proposal.standing(in_force, self._place.t_s, PROPOSAL_S)
-        if standing is not ProposalStanding.OPEN:
-            raise ValueError(f"this proposal cannot be approved: {standing}")
-        return self._obey(operator_orders.approve(self._retuner, proposal, self._place.t_s))
+        return self._obey(operator_orders.approve_proposal(self._retuner, advised))
 
     def take_back(self, region: int | str = 0) -> Decision | None:
         """Take a change back that is on trial or waits for a person; None when there is none."""
@@ -238,7 +230,8 @@ class PidController:
         Raises
         ------
         ValueError
-            The controller has made no step yet, or the table cannot hold these gains there.
+            The controller has made no step yet, the table cannot hold these gains there, or they act in the other
+            direction; nothing is changed.
         """
         if self._place is None:
             raise ValueError("the controller has made no step yet; make it with these gains")

@@ -1,4 +1,5 @@
-"""What any waves would explain is no oscillation: a load that moves at random is told as that, and not remembered."""
+"""What any waves would explain is no oscillation: a load that moves at random is told as that, and not
+asked for again."""
 
 from types import SimpleNamespace
 
@@ -18,13 +19,13 @@ RESPONSE = Response(10.0, 59.0, (Peak(20.0, 1.0),), Ending.QUIET, False, 0.1)
 
 
 @pytest.mark.parametrize("regular", [True, False])
-def test_only_a_regular_swing_is_remembered(regular: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_regular_swing_is_asked_for_again(regular: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oscillation_online, "linear", lambda *_: [None])
     monkeypatch.setattr(oscillation_online, "against_rivals", lambda *_: SimpleNamespace(verdict=TONE))
     seen = SimpleNamespace(oscillates=regular, period_s=12.0)
     monkeypatch.setattr(oscillation_online, "screen", lambda *_: seen)
-    found, standing = hidden_cause(SAMPLES, RESPONSE, PidGains(1.0, 0.1), SwingSettings(), DiagnosisSettings())
+    found, again = hidden_cause(SAMPLES, RESPONSE, PidGains(1.0, 0.1), SwingSettings(), DiagnosisSettings())
     assert found is not None
     assert found.cause is Cause.EXTERNAL
-    assert (standing is not None) is regular
+    assert again is regular
     assert ("without a regular period: the model leaves 1.6 times the noise" in found.reason) is not regular

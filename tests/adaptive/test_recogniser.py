@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retuner.adaptive.signals.recogniser import TABLE, Event, RecogniserLaw, RecogniserPhase, begin, response_of, step
+from retuner.adaptive.signals.recogniser import (
+    TABLE,
+    Event,
+    RecogniserLaw,
+    RecogniserPhase,
+    RecogniserState,
+    begin,
+    response_of,
+    step,
+    taken_over,
+)
 from retuner.adaptive.signals.response import Ending, Response
 
 LAW = RecogniserLaw(wait_s=60.0, quiet_s=8.0)
@@ -58,6 +68,53 @@ def test_an_overdamped_setpoint_response_has_one_peak_and_ends_quiet() -> None:
     assert len(response.peaks) == 1
     assert response.overshoot is None
     assert response.damping is None
+
+
+def test_a_setpoint_response_whose_second_extreme_grows_is_not_waited_for() -> None:
+    """A swing that grows sixfold a half cycle is handed out two half cycles after its step, not three."""
+    t = [0.1 * i for i in range(1200)]
+    sp = [1.0 if x >= 20 else 0.0 for x in t]
+    error = [math.exp(0.3 * (x - 20)) * math.cos(0.5 * (x - 20)) if x >= 20 else 0.0 for x in t]
+    response, *_ = run([a - e for a, e in zip(sp, error, strict=True)], sp, 0.1, band=0.02)
+    assert response.ending == Ending.GROWN
+    assert len(response.peaks) == 2
+    assert response.overshoot is not None
+    assert response.overshoot == pytest.approx(math.exp(0.6 * math.pi), rel=0.01)
+    assert response.t_end_s < 20 + 3 * math.pi  # before the third half cycle
+
+
+def test_what_other_gains_take_over_in_motion_is_their_response() -> None:
+    """The error stands at 3 when the gains change, and creeps back: one response, of the setpoint step before."""
+    state, law = _in_mid_response(), RecogniserLaw(wait_s=600.0, quiet_s=8.0)
+    state = taken_over(state, 30.0, 5.0, shortest_s=20.0)
+    found = []
+    for i in range(1, 2000):
+        state = step(law, state, 30.0 + 0.1 * i, 5.0, 3.0 * math.exp(-0.02 * i * 0.1), 0.05)
+        found += [response_of(state, 0.05)] if response_of(state, 0.05) else []
+    (response,) = found
+    assert response.taken_over
+    assert response.sp_changed
+    assert response.t_start_s == pytest.approx(30.1)
+    assert response.t_end_s == pytest.approx(60.0, abs=0.2)  # three times the ten seconds since the step
+    assert response.ending == Ending.TIMEOUT
+
+
+def test_gains_taken_over_at_rest_begin_no_response() -> None:
+    state = taken_over(_in_mid_response(), 30.0, 5.0, shortest_s=20.0)
+    for i in range(1, 2000):
+        state = step(LAW, state, 30.0 + 0.1 * i, 5.0, 0.0, 0.05)
+        assert response_of(state, 0.05) is None
+    assert state == begin(state.t_start_s, 5.0)._replace(phase=RecogniserPhase.LOCATE_1)
+
+
+def _in_mid_response() -> RecogniserState:
+    """At 30 s, ten seconds after a setpoint step of 5."""
+    state = begin(0.0, 0.0)._replace(phase=RecogniserPhase.LOCATE_1)
+    for i in range(1, 301):
+        sp = 5.0 if i >= 200 else 0.0
+        state = step(LAW, state, 0.1 * i, sp, 4.0 if sp else 0.0, 0.05)
+    assert state.started
+    return state
 
 
 def test_a_load_response_is_not_taken_for_a_setpoint_change() -> None:

@@ -197,7 +197,7 @@ def test_a_restored_memory_decides_as_if_never_stopped() -> None:
 def test_what_a_belief_rests_on_is_remembered() -> None:
     bench = made(GOOD)
     bench.run(10)
-    bench.retuner.excitation = {0: Excitation(setpoints=1, loads=2, asked=3, clear=4, alternative=5)}
+    bench.retuner.excitation = {0: Excitation(setpoints=1, loads=2, clear=4, alternative=5)}
     again = restore(json.loads(json.dumps(remember(bench.retuner))), bench.retuner.settings)
     assert again.excitation == bench.retuner.excitation
 

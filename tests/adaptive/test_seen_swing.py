@@ -1,12 +1,14 @@
 """What a response shows of the swing that a model says the loop has."""
 
+import numpy as np
 import pytest
 
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
-from retuner.adaptive.diagnosis.swing_checks import not_seen, swings_anyway
+from retuner.adaptive.diagnosis.swing_checks import foretold, not_seen, swings_anyway
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.trial.batch_responses import Loop
 from retuner.schedule.gains import PidGains
 
 MODEL = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
@@ -18,7 +20,8 @@ SWING = SwingSettings()
 
 def said(gains: PidGains, *errors: float, ending: Ending = Ending.QUIET, setpoint: bool = True) -> str:
     peaks = tuple(Peak(10.0 * i, e) for i, e in enumerate(errors))
-    return not_seen(Response(0.0, 100.0, peaks, ending, setpoint, BAND), MODEL, gains, 1.0, 0.0, SwingSettings())
+    response = Response(0.0, 100.0, peaks, ending, setpoint, BAND)
+    return not_seen(response, foretold(response, Loop(MODEL.linear(), gains)), SWING)
 
 
 def test_a_loop_that_came_to_rest_refutes_a_swing() -> None:
@@ -44,7 +47,7 @@ def test_a_swing_that_may_still_come_or_is_too_small_to_be_seen_is_not_refuted()
 def test_a_slow_swing_may_pass_its_band_for_longer_than_rest_takes(end_s: float, setpoint: bool, refuted: bool) -> None:
     slow = PidGains(0.3 * GOOD.kp, 1.2 * GOOD.ki)  # its third peak comes some 150 s after a setpoint step
     response = Response(0.0, end_s, (Peak(10.0, 1.0), Peak(60.0, -0.5)), Ending.QUIET, setpoint, 0.02)
-    assert bool(not_seen(response, MODEL, slow, 1.0, 0.0, SWING)) is refuted
+    assert bool(not_seen(response, foretold(response, Loop(MODEL.linear(), slow)), SWING)) is refuted
 
 
 @pytest.mark.parametrize(("third", "refuted"), [(1.2, False), (0.6, False), (0.1, True)])
@@ -57,7 +60,7 @@ def test_three_peaks_show_how_it_swings(third: float, refuted: bool) -> None:
 )
 def test_a_loop_that_swings_is_not_sluggish(peaks: tuple[float, ...], swinging: bool) -> None:
     response = Response(0.0, 100.0, tuple(Peak(10.0 * i, e) for i, e in enumerate(peaks)), Ending.QUIET, True, BAND)
-    assert bool(swings_anyway(response, MODEL, GOOD, 1.0, 0.0, SwingSettings())) is swinging
+    assert bool(swings_anyway(response, foretold(response, Loop(MODEL.linear(), GOOD)), SWING)) is swinging
 
 
 def test_a_slow_swing_that_the_model_foretells_may_be_that_of_a_sluggish_loop() -> None:
@@ -67,5 +70,17 @@ def test_a_slow_swing_that_the_model_foretells_may_be_that_of_a_sluggish_loop() 
     peaks = (Peak(0.0, 1.0), Peak(10.0, -0.45), Peak(20.0, 0.15))
     response = Response(0.0, 100.0, peaks, Ending.QUIET, True, BAND)
 
-    assert swings_anyway(response, integrator, weak, 1.0, 0.0, SwingSettings()) == ""
-    assert "ratio" in swings_anyway(response, integrator, best, 1.0, 0.0, SwingSettings())
+    by_weak, by_best = (foretold(response, Loop(integrator.linear(), gains)) for gains in (weak, best))
+    assert swings_anyway(response, by_weak, SWING) == ""
+    assert "ratio" in swings_anyway(response, by_best, SWING)
+
+
+def test_a_load_that_comes_as_a_ramp_makes_a_loop_swing_less() -> None:
+    response = Response(0.0, 300.0, (Peak(10.0, 1.0), Peak(20.0, -0.1)), Ending.QUIET, sp_changed=False, band=0.02)
+    loop = Loop(MODEL.linear(), PidGains(2.2 * GOOD.kp, 4 * GOOD.ki))
+    sharp, ramp = foretold(response, loop), foretold(response, loop, ramp_s=200.0)
+
+    assert "came to rest" in not_seen(response, sharp, SWING)
+    assert not_seen(response, ramp, SWING) == ""
+    rising = np.arange(len(sharp.e)) * sharp.step_s < 200.0
+    np.testing.assert_allclose(ramp.e[rising], np.cumsum(sharp.e)[rising] / round(200.0 / sharp.step_s))

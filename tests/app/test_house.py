@@ -21,7 +21,7 @@ ORDER = (
     *(f"adaptive.{name}" for name in (
         "setting", "shown", "weighed", "signals", "process", "loop", "rules", "indexes", "controller_settings",
         "experiments",
-        "fit", "identification", "schedule_design", "schedule_choice", "region_model", "guard", "trial",
+        "fit", "identification", "schedule_design", "schedule_choice", "region_model", "guard", "trial", "choice",
         "diagnosis", "without_model",
         "supervision", "pretune", "nudge", "audit",
     )),
@@ -56,7 +56,8 @@ PURE_OF_SYS = {"float_info", "maxsize"}
 MOST_FILES = 15  # in a package, beside its __init__.py
 LONGEST_FILE = 500  # lines: one whole story
 LONGEST_FUNCTION = 30  # lines of code without docstring, comments and blank lines
-DECIDING = ("guard", "trial", "without_model", "supervision")  # what they weigh are typed values (adaptive/weighed.py)
+# what these weigh are typed values (adaptive/weighed.py)
+DECIDING = ("guard", "trial", "choice", "without_model", "supervision")
 EDGE = {"to_dict", "gains_dict", "_seen_out"}  # functions that write the plain form
 
 

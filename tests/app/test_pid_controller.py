@@ -106,12 +106,12 @@ def test_gains_set_by_hand_are_kept() -> None:
     assert pid.gains == mine
 
 
-def test_gains_of_the_other_sign_are_not_taken_for_the_same() -> None:
+def test_gains_of_the_other_sign_are_refused() -> None:
     pid = controller()
     pid.step(1.0, 0.0)
-    turned = PidGains(-WEAK.kp, -WEAK.ki)
-    assert pid.set_gains(turned) is not None
-    assert pid.gains == turned
+    with pytest.raises(ValueError, match="acts in the other direction"):
+        pid.set_gains(PidGains(-WEAK.kp, -WEAK.ki))
+    assert pid.gains == WEAK
 
 
 @pytest.mark.parametrize(

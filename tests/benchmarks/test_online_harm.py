@@ -103,14 +103,35 @@ def test_an_unstable_set_on_trial_is_taken_back_to_the_verified_one():
     assert 1 < row["excursion"] < 20
 
 
-@pytest.mark.parametrize("kind", injected.KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in injected.KINDS if kind != "right"])
 def test_bad_sets_are_bad_and_the_wrong_model_calls_them_good(kind):
     for index in range(4):
-        loop, bad, wrong = injected.drawn(kind, np.random.default_rng([5, index]))
-        truth = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s)).of(bad)
+        loop, change = injected.drawn(kind, np.random.default_rng([5, index]), "wrong model")
+        truth = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s)).of(change.new)
         assert not truth.in_spec
-        believed = Judge(wrong.model.linear(), loop.dt_s).of(bad)
+        believed = Judge(change.believed.model.linear(), loop.dt_s).of(change.said)
         assert believed.ms < 2.1
+        assert change.said == change.new
+        _, other = injected.drawn(kind, np.random.default_rng([5, index]), "wrong set")
+        assert other.said != other.new
+
+
+def test_a_right_set_takes_the_place_of_a_sluggish_one():
+    for index in range(4):
+        loop, change = injected.drawn("right", np.random.default_rng([5, index]), "wrong set")
+        judge = Judge(loop.process, loop.dt_s, (loop.best, loop.theta_s))
+        assert judge.of(change.new).in_spec
+        assert not judge.of(change.old).in_spec
+        assert change.said == change.new
+
+
+@pytest.mark.slow
+def test_a_load_that_wanders_takes_back_no_right_set_and_hides_no_unstable_one():
+    right = injected.run(injected.Task("right", 31, 3, "walk"))
+    assert not right["rolled_back"]
+    wrong = injected.run(injected.Task("gain", 31, 0, "walk"))
+    assert math.isinf(wrong["ms"])
+    assert wrong["rolled_back"]
 
 
 def test_a_walk_stays_in_its_range_and_is_the_same_for_everybody():

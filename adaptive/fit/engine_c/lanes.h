@@ -19,7 +19,7 @@ typedef struct {
     Py_ssize_t n, rows;
     const double *t, *pv, *u;
     double dt, span, sigma, sign;
-    int type, loads, harmonics, ramp, rounded, motion, starts, order;
+    int type, loads, harmonics, ramp, rounded, corners, motion, starts, order;
     int size, columns, priors;
     double start[MOST_STARTS], ar[MOST_AR], weight[MOST_COLUMNS];
 } Problem;
@@ -46,6 +46,9 @@ typedef struct {
     double swing, cost;
     double *memory;
 } Work;
+
+/* Whether load j is a change of the load's slope: the last ones are. */
+static int is_corner(const Problem *p, int j) { return j >= p->loads - p->corners; }
 
 static int start_columns(const Problem *p) { return 1 + (SECOND[p->type] >= 0) + 2 * p->motion; }
 
@@ -236,6 +239,8 @@ static void read_parameters(Work *w, const double *p, double least) {
 static void put_basis(Work *w, int j, double at, const Modes *m, const Interval *steps, int rounded) {
     Basis *basis = &w->basis[j];
     basis->at = at, basis->first = first_at(&w->p, at);
+    if (!rounded)
+        basis->c = basis->a; /* not used, but read */
     run_step(&w->p, m, steps, basis->a, basis->b, at, basis->first);
     if (rounded) {
         Modes lag = modes_of(0, w->rate, 0);
@@ -257,9 +262,11 @@ static void run_lanes(Work *w, const double *p, double least, int slopes) {
         put_basis(w, j, q->start[j], &w->modes, w->steps, 0);
     for (int j = 0; q->motion && j < q->starts; j++)
         put_basis(w, q->starts + j, q->start[j] + w->theta, &w->modes, w->steps, 0);
-    for (int j = 0; j < q->loads; j++)
-        put_basis(w, 2 * q->starts + j, p[SIZE[q->type] + j], &w->load_modes, q->rounded ? w->load_steps : w->steps,
-                  q->rounded);
+    for (int j = 0; j < q->loads; j++) {
+        int rounded = q->rounded && !is_corner(q, j);
+        put_basis(w, 2 * q->starts + j, p[SIZE[q->type] + j], rounded ? &w->load_modes : &w->modes,
+                  rounded ? w->load_steps : w->steps, rounded);
+    }
     run_late(w, slopes);
 }
 
@@ -337,7 +344,7 @@ static void put_columns(Work *w) {
     }
     k += p->ramp;
     for (int j = 0; j < p->loads; j++)
-        put_form(w, k, &w->basis[2 * p->starts + j], load), make_unit(w, k++);
+        put_form(w, k, &w->basis[2 * p->starts + j], is_corner(p, j) ? ramp : load), make_unit(w, k++);
     if (p->harmonics)
         put_tones(w, k);
     k += 2 * p->harmonics;

@@ -177,7 +177,7 @@ static void change_by_dynamics(Work *w, int q, double *change) {
     }
     k += p->ramp;
     for (int j = 0; j < p->loads; j++)
-        add_change(w, k++, &w->basis[2 * p->starts + j], load, NULL, NO_FORM, change);
+        add_change(w, k++, &w->basis[2 * p->starts + j], is_corner(p, j) ? ramp : load, NULL, NO_FORM, change);
 }
 
 static void change_by_theta(Work *w, double *change) {
@@ -203,7 +203,9 @@ static void change_by_theta(Work *w, double *change) {
 static int first_load(const Problem *p) { return p->priors; }
 
 static void change_by_load_time(Work *w, int j, double *change) {
-    Form rise = w->p.rounded ? rounded_rise(&w->load_modes, w->rate) : impulse_form(&w->modes);
+    Form rise = is_corner(&w->p, j) ? step_form(&w->modes)
+                : w->p.rounded      ? rounded_rise(&w->load_modes, w->rate)
+                                    : impulse_form(&w->modes);
     memset(change, 0, (size_t)w->p.n * sizeof *change);
     add_change(w, first_load(&w->p) + j, &w->basis[2 * w->p.starts + j], scaled_form(rise, -1), NULL, NO_FORM, change);
 }
@@ -211,7 +213,7 @@ static void change_by_load_time(Work *w, int j, double *change) {
 static void change_by_load_lag(Work *w, double *change) {
     Form slope = rounded_by_lag(&w->load_modes, w->rate);
     memset(change, 0, (size_t)w->p.n * sizeof *change);
-    for (int j = 0; j < w->p.loads; j++)
+    for (int j = 0; j < w->p.loads - w->p.corners; j++)
         add_change(w, first_load(&w->p) + j, &w->basis[2 * w->p.starts + j], slope, NULL, NO_FORM, change);
 }
 

@@ -17,7 +17,7 @@ from retuner.adaptive.fit.search import Grid, _searched
 from retuner.adaptive.fit.slopes import told_apart
 from retuner.adaptive.fit.structure import SIZE, dynamics_at
 from retuner.adaptive.identification.candidate import judged
-from retuner.adaptive.identification.loads import _gains
+from retuner.adaptive.identification.loads import linear_gains
 from retuner.adaptive.process.model import ProcessType
 from retuner.adaptive.signals.sample import FloatArray, Window
 
@@ -57,6 +57,7 @@ def drawn(rng: np.random.Generator, type_: ProcessType) -> tuple[Misfit, FloatAr
         harmonics=int(rng.integers(1, 4)) if rng.random() < 0.15 else 0,
         ramp=bool(rng.random() < 0.3),
         rounded=bool(loads and rng.random() < 0.4),
+        corners=int(rng.integers(0, loads + 1)) if rng.random() < 0.4 else 0,
     )
     low, high = bounds(misfit)
     d, span = SIZE[type_], record.span_s
@@ -118,7 +119,7 @@ def test_a_refinement_ends_in_the_same_optimum(type_: ProcessType, with_prior: b
     rng = np.random.default_rng(7)
     for _ in range(6):
         misfit, p = drawn(rng, type_)
-        misfit = replace(misfit, harmonics=0, rounded=False, loads=min(misfit.loads, 1))
+        misfit = replace(misfit, harmonics=0, rounded=False, corners=0, loads=min(misfit.loads, 1))
         start, d = p[: misfit.size], SIZE[type_]
         prior = Prior.of(start[:d] + 0.1, 0.3 * np.eye(d)) if with_prior else None
         with engine.using("numpy"):
@@ -161,7 +162,7 @@ def test_a_further_load_step_brings_the_same() -> None:
         at = judged(refine(misfit, p, evaluations=3))
         instants = np.linspace(0, misfit.record.span_s, 32)[1:-1]
         steps = dynamics_at(type_, at.fit.p).step(misfit.record.t_s[:, None] - instants[None, :])
-        expected = _gains(at, steps / np.max(np.abs(steps), axis=0))
+        expected = linear_gains(at, steps / np.max(np.abs(steps), axis=0))
         found = compiled.load_gains(misfit, at.fit.p, instants)
         np.testing.assert_allclose(found, expected, atol=1e-7 * np.max(expected) + 1e-9)
 

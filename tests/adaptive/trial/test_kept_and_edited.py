@@ -16,7 +16,7 @@ from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.region_model.region_model import RegionModel, StructureModel
 from retuner.adaptive.signals.sample import LoopMode, LoopSample
 from retuner.adaptive.supervision.decision import Action, Decision, Mode
-from retuner.adaptive.supervision.operator_orders import approve
+from retuner.adaptive.supervision.operator_orders import approve, approve_proposal, found_running
 from retuner.adaptive.supervision.pending_proposal import Proposal
 from retuner.adaptive.supervision.pipeline_types import StageResult
 from retuner.adaptive.supervision.retuner import Retuner
@@ -144,6 +144,65 @@ def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() ->
     taken = approve(stand.retuner, proposal, stand.rig.t_s)
     assert taken.action is Action.COMMIT
     assert stand.retuner.trials.phase(0) is P.WRITING
+
+
+def test_gains_of_the_other_sign_are_refused_at_the_door() -> None:
+    stand = Stand(GOOD)
+    with pytest.raises(ValueError, match="acts in the other direction than the configured Kc"):
+        stand.retuner.edited(PidGains(-GOOD.kp, -GOOD.ki))
+    assert stand.retuner.table.gains == (GOOD,)
+    assert stand.retuner.trials.phase(0) is P.IDLE
+
+
+def again(stand: Stand) -> Retuner:
+    """The retuner of a session that goes on from the memory of this one."""
+    return restore(json.loads(json.dumps(remember(stand.retuner))), stand.retuner.settings)
+
+
+@pytest.mark.parametrize("came_about", [True, False])
+def test_a_write_in_which_a_session_died_is_known_by_what_runs(*, came_about: bool) -> None:
+    stand = Stand(UNSTABLE)
+    stand.retuner.ordered(0, StageResult("injected", "for a test"), GOOD, PROMISE)
+    after = again(stand)
+    assert after.trials.phase(0) is P.WRITING
+    assert found_running(after, GOOD if came_about else UNSTABLE) is None
+    assert after.trials.phase(0) is (P.TRIAL if came_about else P.IDLE)
+    assert after.table.gains == (GOOD if came_about else UNSTABLE,)
+
+
+def test_what_nobody_of_ours_wrote_meanwhile_is_a_persons() -> None:
+    for stand in (Stand(GOOD), Stand(UNSTABLE).cure()):
+        after = again(stand)
+        told = found_running(after, WEAK)
+        assert told is not None
+        assert told.code == "edited"
+        assert after.table.gains == (WEAK,)
+    assert found_running(after, WEAK) is None
+
+
+def test_a_rollback_in_which_a_session_died_is_asked_for_again() -> None:
+    stand = Stand(GOOD)
+    stand.retuner.ordered(0, StageResult("injected", "for a test"), UNSTABLE, PROMISE)
+    stand.retuner.committed(0, UNSTABLE)
+    assert stand.retuner.taken_back(0) is not None
+    after = again(stand)
+    told = found_running(after, UNSTABLE)
+    assert told is not None
+    assert (told.action, told.gains_after) == (Action.RESTORE, GOOD)
+    assert after.restored() == (0,)
+    assert found_running(after, GOOD) is None
+
+
+def test_a_proposal_is_approved_while_it_stands() -> None:
+    stand = Stand(WEAK, Mode.ADVISE)
+    stand.rig.change(WEAK)
+    stand.rig.sp = 5.0
+    (proposed,) = [d for d in stand.samples(1500) if d.gains_after]
+    with pytest.raises(ValueError, match="it has expired"):
+        approve_proposal(stand.retuner, proposed, expires_after_s=1.0)
+    assert approve_proposal(stand.retuner, proposed).action is Action.COMMIT
+    with pytest.raises(ValueError, match="no proposal"):
+        approve_proposal(stand.retuner, stand.retuner.ordered(0, StageResult("injected", "for a test")))
 
 
 def test_after_its_time_the_loop_is_retuned_again_from_there() -> None:

@@ -10,7 +10,7 @@ from rig import BAD, GOOD, MODEL, Rig, responses
 
 from retuner.adaptive.identification.plausible import Plausible
 from retuner.adaptive.loop.margins import sensitivity_peak
-from retuner.adaptive.region_model.update import Agreement
+from retuner.adaptive.region_model.update import Agreement, Learned
 from retuner.adaptive.supervision import pipeline
 from retuner.adaptive.supervision.decision import Action, Mode
 from retuner.adaptive.supervision.guard_request import posterior_of
@@ -214,3 +214,12 @@ def test_only_a_record_that_shows_the_process_is_asked(monkeypatch: pytest.Monke
     assert with_(plausible=()) is None
     assert with_(residual_std=1e3) is None
     assert posterior_of(case, None, trial, settings) is None
+
+    def odd(records: int, *, identifiable: bool) -> PosteriorCheck | None:
+        known = replace(learned.region_model, records=records)
+        estimate = replace(learned.estimate, identifiable=identifiable)
+        return posterior_of(case, Learned(known, estimate, Agreement.CONTRADICTS, 9.0), trial, settings)
+
+    assert odd(2, identifiable=False) is None  # two that agree stand against what cannot name the process
+    assert odd(1, identifiable=False) == unsettled
+    assert odd(2, identifiable=True) == usual

@@ -1,0 +1,1 @@
+"""Whether a change is worth its risk: what each set of gains is expected to cost. See expected_cost.py."""

@@ -1,0 +1,274 @@
+"""One decision: which set of gains is expected to cost least, over all that may be behind a response.
+
+    expected(set) = (1 - p) sum_m w_m cost(set, m)  +  p cost(set, something else)
+
+    cost(set, m) = ln J + out(ln J / 1.25) + slope softplus(ln Ms / 1.8) + out(ln Ms / 1.8)
+    out(x)       = cost of being out of specification / (1 + e^(-x / width))
+    w_m          ~ e^(-excess / (2 temper)),      odds of something else = product over what the records are like
+
+m are the models that the records still allow, excess the rise of their deviance (plausible.py), tempered because the
+remainders of real records are not white. J is the mean over a setpoint and a load step of IAE over that of SIMC on the
+same model (Grimholt & Skogestad 2012). The limits are those by which settings are judged, Ms of 1.8 and J of 1.25. Each
+is as wide as models are wrong, so that nothing hangs on the second digit of an Ms. Nothing costs more than a stated
+most, for what an unstable loop costs is not known.
+
+Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
+did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. Less action costs its
+IAE, 1/ki after a load, and helps a loop that swung.
+
+A change is made where it is expected to cost less than staying, by more than the price of a change. The worst case is
+no part of this: that is the guard's (guard/proof.py), and only what it proved is weighed here.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from retuner.adaptive.choice.settings import ChoiceSettings
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.loop.margins import sensitivity_peak
+from retuner.adaptive.process.model import LinearProcess, ProcessModel
+from retuner.adaptive.rules.simc import simc, without_second_lag
+from retuner.adaptive.trial.batch_responses import Loop, Upset
+from retuner.adaptive.trial.response_numbers import shapes, storable
+from retuner.adaptive.weighed import Numbers
+from retuner.schedule.gains import PidGains
+
+MOST_MODELS = 16
+"""Models, the most likely ones, over which a cost is expected."""
+UPSETS = (Upset(setpoint=1.0), Upset(load_step=1.0))
+FARTHEST = 50.0
+"""Where an exponential is 0 for every purpose here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What bears on whether the models are a fiction.
+
+    records : that agree, in the model. clear : how many of them are setpoint steps from rest that the loop explains.
+    loads : load steps that the fit of this one needed. limited : its output stood at a limit. left : more than noise
+    is left of it.
+    decay : half-cycle decay ratio of the response; None where it does not tell.
+    """
+
+    records: int
+    clear: int = 0
+    loads: int = 0
+    limited: bool = False
+    left: bool = False
+    decay: float | None = None
+
+
+def doubt(seen: Seen, settings: ChoiceSettings) -> float:
+    """Probability that something else than any of the models is behind the records."""
+    s = settings
+    agrees = s.doubt_agrees if seen.clear else s.doubt_alike
+    odds = (
+        s.doubt * agrees ** min(max(seen.records - 1, 0), s.most_agree) * s.doubt_load ** min(seen.loads, s.most_agree)
+    )
+    odds *= s.doubt_clear if seen.clear else 1.0
+    odds *= (s.doubt_limited if seen.limited else 1.0) * (s.doubt_left if seen.left else 1.0)
+    return odds / (1.0 + odds)
+
+
+@dataclass(frozen=True, slots=True)
+class Choosable:
+    """A set that may run. gains : what runs. between : largest Ms on the ways to the neighbours, as a share of its
+    limit; 0 where nobody asks.
+    """
+
+    gains: PidGains
+    between: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What a set is expected to do.
+
+    cost : on the models, see the head of this file. unknown : over the set in force where they are a fiction.
+    j : IAE over that of SIMC. ms, ms_most : Ms. Both on the most likely model, ms_most on the worst; may be infinite.
+    """
+
+    cost: float
+    unknown: float
+    j: float
+    ms: float
+    ms_most: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """Of the controller: sampling time in seconds, setpoint weight, filter time of the derivative in seconds."""
+
+    sample_time_s: float
+    b: float = 1.0
+    tau_f_s: float = 0.0
+
+
+def outlooks(
+    allowed: Sequence[Plausible],
+    sets: Sequence[Choosable],
+    decay: float | None,
+    loop: LoopSettings,
+    settings: ChoiceSettings,
+) -> list[Outlook]:
+    """What each set is expected to do; the first is the one in force.
+
+    Parameters
+    ----------
+    allowed : at least one model. decay : see Seen.
+    """
+    found = sorted(allowed, key=lambda model: model.excess)[:MOST_MODELS]  # stable: the best one stays first
+    sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]
+    weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
+    processes, rules = [model.linear() for model in sampled], [_of_rule(model) for model in sampled]
+    made = []
+    for choosable, row in zip(sets, _j_of_all(processes, rules, sets, loop), strict=True):
+        ms = [sensitivity_peak(process, choosable.gains, loop.tau_f_s) for process in processes]
+        between = over(choosable.between, settings) if choosable.between else 0.0
+        costs = [cost(j, now, settings) for j, now in zip(row, ms, strict=True)]
+        mean = sum(w * c for w, c in zip(weights, costs, strict=True)) / sum(weights) + between
+        unknown = if_unknown(sets[0].gains, choosable.gains, decay, settings)
+        made.append(Outlook(mean, unknown, row[0], ms[0], max(ms)))
+    return made
+
+
+def _of_rule(model: ProcessModel) -> PidGains:
+    """SIMC settings that J is over."""
+    return simc(model, without_second_lag(model).theta_s).gains
+
+
+def _j_of_all(
+    processes: Sequence[LinearProcess], rules: Sequence[PidGains], sets: Sequence[Choosable], loop: LoopSettings
+) -> list[list[float]]:
+    """J by set and process."""
+    pairs = [(process, choosable.gains) for choosable in sets for process in processes]
+    loops = [Loop(p, gains, loop.b, loop.tau_f_s) for p, gains in (*pairs, *zip(processes, rules, strict=True))]
+    iae, n = [[shape.iae for shape in row] for row in shapes(loops, UPSETS)], len(processes)
+    of_rule = iae[-n:]
+    return [[_j(iae[i * n + k], of_rule[k]) for k in range(n)] for i in range(len(sets))]
+
+
+def _j(now: Sequence[float], rule: Sequence[float]) -> float:
+    """Mean of the ratios; infinite where a loop never comes to rest, 1 where the rule's does not."""
+    if not all(map(math.isfinite, now)):
+        return math.inf
+    if not all(map(math.isfinite, rule)) or not all(rule):
+        return 1.0
+    return sum(a / b for a, b in zip(now, rule, strict=True)) / len(now)
+
+
+def cost(j: float, ms: float, settings: ChoiceSettings) -> float:
+    """Of a set on one model (see the head of this file)."""
+    if not math.isfinite(ms) or not math.isfinite(j):
+        return settings.most
+    late = math.log(j / settings.j_limit)
+    slow = math.log(j) + settings.out * _step(late / settings.j_width)
+    return min(slow + over(ms / settings.ms_limit, settings), settings.most)
+
+
+def over(ratio: float, settings: ChoiceSettings) -> float:
+    """Cost of an Ms that is so many times its limit."""
+    if not math.isfinite(ratio):
+        return settings.most
+    x = math.log(ratio) / settings.ms_width
+    rise = settings.ms_slope * settings.ms_width * (math.log1p(math.exp(x)) if x < FARTHEST else x)
+    return rise + settings.out * _step(x)
+
+
+def _step(x: float) -> float:
+    """A step from 0 to 1 at 0, one unit wide."""
+    return 1.0 / (1.0 + math.exp(-max(min(x, FARTHEST), -FARTHEST)))
+
+
+def if_unknown(now: PidGains, new: PidGains, decay: float | None, settings: ChoiceSettings) -> float:
+    """Cost of new gains over those in force where nothing is known but the response."""
+    swung, s = decay or 0.0, settings
+    ways = [math.log(abs(b) / abs(a)) for a, b in ((now.kp, new.kp), (now.ki, new.ki)) if a and b]
+    more, less = max([*ways, 0.0]), -min([*ways, 0.0])
+    risk = s.most_risk * -math.expm1(-more * (s.risk + s.risk_swing * swung) / s.most_risk)
+    slower = max(math.log(abs(now.ki) / abs(new.ki)), 0.0) if now.ki and new.ki else 0.0
+    helped = s.relief * max(swung - s.calm_decay, 0.0) * less
+    return max(min(risk + slower - helped, s.most), -s.most)
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceNumbers(Numbers):
+    """What was weighed, of the best set that may be written.
+
+    gain : expected, as a natural logarithm of IAE, with its price. doubt : probability of something else.
+    iae : J over J in force on the most likely model. ms, ms_most : Ms there and on the worst one; ms_before : in force.
+    -1 where it is not known or unstable.
+    """
+
+    gain: float
+    price: float
+    doubt: float
+    iae: float
+    ms: float
+    ms_most: float
+    ms_before: float
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """index : of the set to run, 0 for the one in force. best : of the best other one. waits : one more record that
+    agrees would be enough. numbers : what was weighed. reason : in words.
+    """
+
+    index: int
+    best: int
+    waits: bool
+    numbers: ChoiceNumbers
+    reason: str = field(default="")
+
+
+def choose(found: Sequence[Outlook], way: Outlook | None, seen: Seen, settings: ChoiceSettings) -> Choice:
+    """Which set shall run.
+
+    Parameters
+    ----------
+    found : the set in force first, then at least one that is proved.
+    way : of the whole way on which limits allow a step only; such a step need not bring its price by itself.
+    """
+    p = doubt(seen, settings)
+    gains = [_gain(found[0], outlook, p) for outlook in found]
+    best = max(range(1, len(found)), key=lambda i: gains[i])
+    brings = max(gains[best], _gain(found[0], way, p) if way is not None else 0.0)
+    goes = gains[best] > 0.0 and brings > settings.price
+    more = doubt(_once_more(seen), settings)
+    waits = not goes and _gain(found[0], found[best], more) > settings.price
+    now, then = found[0], found[best]
+    iae = then.j / now.j if math.isfinite(now.j) and math.isfinite(then.j) else -1.0
+    numbers = ChoiceNumbers(brings, settings.price, p, iae, storable(then.ms), storable(then.ms_most), storable(now.ms))
+    return Choice(best if goes else 0, best, waits, numbers, _words(numbers, goes=goes, waits=waits))
+
+
+def _gain(now: Outlook, then: Outlook, p: float) -> float:
+    """What a set is expected to cost less than the one in force."""
+    return (1.0 - p) * (now.cost - then.cost) - p * then.unknown
+
+
+def _once_more(seen: Seen) -> Seen:
+    """With another record like it."""
+    return Seen(seen.records + 1, seen.clear, seen.loads, seen.limited, seen.left, seen.decay)
+
+
+def _words(numbers: ChoiceNumbers, *, goes: bool, waits: bool) -> str:
+    """The choice for people."""
+    iae = f"IAE {numbers.iae:.0%} of the present" if numbers.iae >= 0 else "IAE not comparable"
+    then = f"Ms {_ms(numbers.ms)} (at most {_ms(numbers.ms_most)}) instead of {_ms(numbers.ms_before)}"
+    sure = f"{numbers.doubt:.0%} that something else is behind the records"
+    if goes:
+        return f"expected: {iae}, {then}; {sure}"
+    why = (
+        "a second record must agree before a change"
+        if waits
+        else f"worth {numbers.gain:.0%}, {numbers.price:.0%} are needed"
+    )
+    return f"no change{' yet' if waits else ''}: expected {iae}, {then}; {sure}; {why}"
+
+
+def _ms(ms: float) -> str:
+    """An Ms, or that the loop is unstable."""
+    return f"{ms:.2f}" if ms >= 0 else "unstable"

@@ -1,0 +1,42 @@
+"""How much the error moves while nothing happens: what a load that never rests, or slow noise, adds to any response.
+
+    wander = quantile over blocks of the standard deviation of sp - pv about a straight line
+
+over blocks of BLOCK samples of those that ran under the gains in force. A quarter of the blocks lie below the quantile:
+upsets that come and go leave quiet blocks, a load that wanders leaves none. The line takes away what a slow integral
+has still to bring back, which is no wandering. A loop that swings by its own fault leaves no quiet block either, so
+that what is seen of such a loop is no measure (see expectation.py).
+"""
+
+from collections.abc import Sequence
+from itertools import islice, takewhile
+
+import numpy as np
+
+from retuner.adaptive.signals.sample import LoopSample
+
+BLOCK = 100
+"""Samples of a block: some dead times of a loop that is sampled as it should be."""
+FEWEST = 4
+"""Blocks without which nothing is said."""
+QUIET = 0.25
+"""Share of the blocks in which less happens than in the others."""
+
+
+def wander_of(samples: Sequence[LoopSample]) -> float:
+    """Standard deviation of the error within the quieter blocks, pv units; 0 where it is not known.
+
+    samples : the newest last; those under other gains than the newest one's do not count.
+    """
+    if not samples:
+        return 0.0
+    revision = samples[-1].revision
+    own = list(takewhile(lambda sample: sample.revision == revision, reversed(samples)))
+    blocks = len(own) // BLOCK
+    if blocks < FEWEST:
+        return 0.0
+    error = np.array([sample.sp - sample.pv for sample in islice(own, blocks * BLOCK)]).reshape(blocks, BLOCK)
+    line = np.stack([np.full(BLOCK, BLOCK**-0.5), np.linspace(-1.0, 1.0, BLOCK)])
+    line[1] /= np.linalg.norm(line[1])
+    left = error - error @ line.T @ line
+    return float(np.quantile(np.std(left, axis=1), QUIET))

@@ -1,0 +1,165 @@
+"""Which set of gains is expected to cost least: on the models, where they are a fiction, and in a loop that runs."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_bench import GOOD, Bench, scaled, table
+
+from retuner.adaptive.choice.expected_cost import (
+    Choosable,
+    LoopSettings,
+    Outlook,
+    Seen,
+    choose,
+    cost,
+    doubt,
+    if_unknown,
+    outlooks,
+    over,
+)
+from retuner.adaptive.choice.settings import ChoiceSettings
+from retuner.adaptive.identification.plausible import Plausible
+from retuner.adaptive.process.model import ProcessModel, ProcessType
+from retuner.adaptive.supervision.decision import Decision, Mode
+from retuner.adaptive.supervision.retuner import Retuner
+from retuner.adaptive.supervision.settings import RetunerSettings
+
+SETTINGS = ChoiceSettings()
+USUAL = RetunerSettings(1.0, 10.0, Mode.AUTO)
+PLANT = ProcessModel(ProcessType.FOPDT, 1.0, 50.0, 0.0, 5.0)
+LOOP = LoopSettings(0.0)
+COSTS = st.floats(0.3, 5.0)
+PEAKS = st.floats(1.0, 6.0)
+
+
+@given(COSTS, COSTS, PEAKS, PEAKS)
+def test_more_iae_and_more_ms_never_cost_less_and_nothing_costs_more_than_the_most(
+    j: float, k: float, ms: float, peak: float
+) -> None:
+    dear = cost(max(j, k), max(ms, peak), SETTINGS)
+    assert cost(min(j, k), min(ms, peak), SETTINGS) <= dear <= SETTINGS.most
+
+
+def test_an_unstable_loop_costs_the_most_and_a_robust_one_its_iae() -> None:
+    assert cost(1.0, math.inf, SETTINGS) == cost(math.inf, 1.5, SETTINGS) == SETTINGS.most
+    assert cost(0.7, 1.3, SETTINGS) == pytest.approx(math.log(0.7), abs=0.001)
+    assert over(1.0, SETTINGS) == pytest.approx(
+        0.5 * SETTINGS.out + SETTINGS.ms_slope * SETTINGS.ms_width * math.log(2)
+    )
+    assert over(math.inf, SETTINGS) == SETTINGS.most
+
+
+@given(st.integers(1, 8), st.integers(0, 8), st.integers(0, 5), st.booleans(), st.booleans())
+def test_records_that_agree_make_something_else_less_likely_and_oddities_more(
+    records: int, clear: int, loads: int, limited: bool, left: bool
+) -> None:
+    seen = Seen(records, min(clear, records), loads, limited, left)
+    p = doubt(seen, SETTINGS)
+    assert 0.0 < p < 1.0
+    assert doubt(replace(seen, records=records + 1), SETTINGS) <= p
+    assert doubt(replace(seen, clear=seen.clear + 1), SETTINGS) <= p
+    for odder in (replace(seen, loads=loads + 1), replace(seen, limited=True), replace(seen, left=True)):
+        assert doubt(odder, SETTINGS) >= p
+
+
+def test_loads_that_come_back_alike_prove_less_than_a_setpoint_step() -> None:
+    assert doubt(Seen(4), SETTINGS) > 2 * doubt(Seen(2, 1), SETTINGS)
+
+
+@given(st.floats(0.2, 5.0), st.floats(0.0, 1.0))
+def test_where_nothing_is_known_more_action_is_a_risk_and_less_helps_only_a_loop_that_swung(
+    factor: float, decay: float
+) -> None:
+    found = if_unknown(GOOD, scaled(factor, factor), decay, SETTINGS)
+    assert abs(found) <= SETTINGS.most
+    if factor > 1.0:
+        assert 0.0 <= found <= SETTINGS.most_risk
+    elif decay <= SETTINGS.calm_decay:
+        assert found == pytest.approx(min(-math.log(factor), SETTINGS.most))
+    elif decay > SETTINGS.calm_decay + 1.0 / SETTINGS.relief:
+        assert found <= 0.0
+    assert if_unknown(GOOD, GOOD, decay, SETTINGS) == 0.0
+
+
+def test_the_rule_has_the_iae_of_the_rule_and_half_of_it_twice_that_of_a_load() -> None:
+    """SIMC, tau_c = theta: Ms 1.59; the load's IAE is 1/ki."""
+    models = (Plausible(PLANT, 0.0),)
+    rule, half = outlooks(models, [Choosable(GOOD), Choosable(scaled(0.5, 0.5))], None, LOOP, SETTINGS)
+    assert (rule.j, rule.ms) == (pytest.approx(1.0), pytest.approx(1.6, abs=0.02))
+    assert rule.unknown == 0.0
+    assert half.j == pytest.approx(2.0, rel=0.1)
+    assert half.cost - rule.cost == pytest.approx(math.log(half.j) + SETTINGS.out, abs=0.05)
+
+
+def test_less_likely_models_count_less_and_a_way_to_a_neighbour_counts() -> None:
+    other = replace(PLANT, k=2.0)
+    sets = [Choosable(GOOD)]
+    near, far = (
+        outlooks((Plausible(PLANT, 0.0), Plausible(other, excess)), sets, None, LOOP, SETTINGS)[0].cost
+        for excess in (1.0, 6.0)
+    )
+    assert near > far
+    beside = outlooks((Plausible(PLANT, 0.0),), [Choosable(GOOD, 1.2)], None, LOOP, SETTINGS)[0]
+    assert beside.cost == pytest.approx(
+        outlooks((Plausible(PLANT, 0.0),), sets, None, LOOP, SETTINGS)[0].cost + over(1.2, SETTINGS)
+    )
+
+
+def look(gain: float, unknown: float = 0.0, ms: float = 1.6) -> Outlook:
+    return Outlook(-gain, unknown, math.exp(-gain), ms, ms + 0.2)
+
+
+@pytest.mark.parametrize(("gain", "goes"), [(0.05, False), (0.09, False), (0.13, True)])
+def test_a_change_is_made_where_it_brings_its_price(gain: float, goes: bool) -> None:
+    choice = choose([look(0.0), look(gain)], None, Seen(3, 1), SETTINGS)
+    assert (choice.index > 0) is goes
+    assert ("no change" in choice.reason) is not goes
+
+
+def test_of_several_the_best_is_made_and_what_costs_more_never_is() -> None:
+    assert choose([look(0.0), look(0.2), look(0.5), look(0.3)], None, Seen(3, 1), SETTINGS).index == 2
+    assert choose([look(0.0), look(-0.2)], look(0.9), Seen(3, 1), SETTINGS).index == 0
+
+
+def test_a_step_is_weighed_by_the_way_that_it_is_of() -> None:
+    assert choose([look(0.0), look(0.04)], None, Seen(3, 1), SETTINGS).index == 0
+    assert choose([look(0.0), look(0.04)], look(0.6), Seen(3, 1), SETTINGS).index == 1
+
+
+def test_what_a_second_record_would_make_due_waits_for_it() -> None:
+    first = choose([look(0.0), look(0.3, 0.6)], None, Seen(1, 1, limited=True), SETTINGS)
+    assert (first.index, first.waits) == (0, True)
+    assert "second record" in first.reason
+    assert choose([look(0.0), look(0.3, 0.6)], None, Seen(2, 1), SETTINGS).index == 1
+
+
+# In a loop that runs.
+
+
+def decided(settings: RetunerSettings, share: float) -> list[Decision]:
+    """Of a loop with so many times the rule's gain, over several upsets."""
+    return Bench(Retuner(table(scaled(share, share)), settings), seed=2).exercise()
+
+
+def test_a_loop_in_order_is_left_alone() -> None:
+    """A little under its limit of Ms, and slower by what the rule gives."""
+    found = decided(USUAL, 1.05)
+    assert "commit" not in {str(d.action) for d in found}
+
+
+def test_a_loop_that_is_over_its_limit_is_made_slower() -> None:
+    assert "commit" in {str(d.action) for d in decided(USUAL, 2.0)}
+
+
+def test_small_steps_are_weighed_by_the_way_that_they_are_of() -> None:
+    """Each of them brings less than a change must; together they bring much."""
+    small = replace(USUAL, guard=replace(USUAL.guard, step_up_max=1.1))
+    written = [
+        d for d in Bench(Retuner(table(scaled(0.4, 0.4)), small), seed=2).exercise(4) if d.gains_after is not None
+    ]
+    assert len(written) >= 2
+    assert all(d.gains_after.kp == pytest.approx(1.1 * d.gains_before.kp) for d in written if d.gains_after)
+    assert all("expected: IAE" in d.reason and d.numbers.to_dict()["doubt"] < 0.5 for d in written)

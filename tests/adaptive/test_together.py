@@ -1,0 +1,74 @@
+"""The first records of a region as one: one process whatever the unit, the gains and the time between them."""
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from retuner.adaptive.identification.identify import FitSettings, identify_window
+from retuner.adaptive.region_model import together
+from retuner.adaptive.region_model.update import Agreement, TrackerSettings, update_region_model
+from retuner.adaptive.signals.sample import Window
+from retuner.adaptive.supervision.state_file import region_model_in, region_model_out
+from retuner.schedule.gains import PidGains
+
+FIT, UP = FitSettings(), PidGains(2.0, 0.05)
+TRUTH = {"k": 1.0, "tau1": 50.0, "theta": 5.0}
+
+
+def two(loop: Callable, load: float = 3.0) -> list[Window]:
+    """A setpoint step, and a load an hour later."""
+    shapes = ({"sp": 1.0}, {"load": load})
+    return [loop(noise=0.02, **shape).run(seed=i, t0=3600.0 * i) for i, shape in enumerate(shapes)]
+
+
+def in_unit(window: Window, unit: float) -> Window:
+    return Window(window.t_s, window.sp * unit, window.pv * unit, window.co * unit, window.noise_std * unit)
+
+
+def test_two_records_of_one_process_are_one_record_of_it(loop: Callable) -> None:
+    model = identify_window(together.joined(two(loop)), 1, None, FIT).log.model().to_dict()
+    assert {name: model[name] for name in TRUTH} == pytest.approx(TRUTH, rel=0.05)
+
+
+def test_the_unit_of_a_record_does_not_matter(loop: Callable) -> None:
+    first, second = two(loop)
+    plain, other = (together.joined([first, record]) for record in (second, in_unit(second, 1000.0)))
+    np.testing.assert_allclose(other.pv, plain.pv, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(other.co, plain.co, rtol=1e-9, atol=1e-9)
+
+
+def test_what_a_later_record_repeats_is_left_out(loop: Callable) -> None:
+    whole = two(loop)[0]
+    half = len(whole.t_s) // 2
+    one = together.joined([whole.part(slice(0, half + 20)), whole.part(slice(half - 20, None))])
+    assert len(one.t_s) == len(whole.t_s)
+    assert np.max(np.diff(one.t_s)) == pytest.approx(together.GAP_SAMPLES * whole.sample_time_s)
+
+
+def test_a_long_record_is_kept_in_few_samples(loop: Callable) -> None:
+    record = two(loop)[0]
+    t_s = record.t_s[0] + record.sample_time_s * np.arange(3000)
+    long = Window(t_s, *(np.resize(values, 3000) for values in (record.sp, record.pv, record.co)))
+    short = together.kept(long)
+    assert len(short.t_s) <= together.MOST_SAMPLES
+    assert short.sample_time_s == pytest.approx(4 * record.sample_time_s)
+
+
+def test_a_record_that_settles_nothing_alone_is_fitted_with_the_first(loop: Callable) -> None:
+    """A small load says too little; with the step before it enough is said, and the memory brings it back alike."""
+    first, second = two(loop, load=1.0)
+    strict = FitSettings(gain_std_limit=0.03)
+    begun = update_region_model(None, first, UP, TrackerSettings(), strict).region_model
+    assert begun is not None
+    assert len(begun.windows) == 1
+    alone = identify_window(second, 1, None, strict)
+    assert not alone.identifiable
+    kept = region_model_in(json.loads(json.dumps(region_model_out(begun))))
+    learned, again = (update_region_model(known, second, UP, TrackerSettings(), strict) for known in (begun, kept))
+    assert learned.agreement is again.agreement is Agreement.AGREES
+    assert learned.region_model is not None
+    assert again.region_model is not None
+    np.testing.assert_array_equal(learned.region_model.log.x, again.region_model.log.x)
+    assert len(learned.region_model.windows) == 2  # fitted as one, not folded into the other

@@ -1,0 +1,75 @@
+"""What moves the error while nothing happens: measured before a change, and no evidence against it afterwards."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig import PROMISE
+
+from retuner.adaptive.signals.sample import LoopMode, LoopSample
+from retuner.adaptive.trial.expectation import Promise
+from retuner.adaptive.trial.judge import sigma_of
+from retuner.adaptive.trial.phase import TrialEvent
+from retuner.adaptive.trial.runaway import law_of, runaway_begin, runaway_step
+from retuner.adaptive.trial.settings import TrialSettings
+from retuner.adaptive.trial.wander import BLOCK, FEWEST, wander_of
+
+
+def samples(errors: list[float], revision: int = 0) -> list[LoopSample]:
+    return [LoopSample(float(i), 1.0, 1.0 - e, 0.0, LoopMode.AUTO, 0, 1.0, revision) for i, e in enumerate(errors)]
+
+
+def walk(n: int, std: float, seed: int = 1) -> list[float]:
+    """First order, a correlation time of ten samples."""
+    rng, x, out = np.random.default_rng(seed), 0.0, []
+    for _ in range(n):
+        x = 0.9 * x + std * math.sqrt(1 - 0.81) * float(rng.standard_normal())
+        out.append(x)
+    return out
+
+
+def test_a_load_that_never_rests_is_measured_and_upsets_that_end_are_not() -> None:
+    assert 0.15 < wander_of(samples(walk(2000, 0.3))) < 0.3
+    upset = [0.01 * (-1) ** i for i in range(2000)]
+    for at in range(0, 2000, 500):
+        upset[at : at + 200] = [math.exp(-i / 40) for i in range(200)]
+    assert wander_of(samples(upset)) == pytest.approx(0.01, rel=0.05)
+    slow = [math.exp(-i / 800) + 0.01 * (-1) ** i for i in range(2000)]
+    assert wander_of(samples(slow)) == pytest.approx(0.01, rel=0.1)
+
+
+def test_only_what_ran_under_the_gains_in_force_counts_and_little_says_nothing() -> None:
+    calm = samples([0.01 * (-1) ** i for i in range(FEWEST * BLOCK)], revision=1)
+    assert wander_of(samples([(-1.0) ** i for i in range(3000)]) + calm) == pytest.approx(0.01, rel=1e-3)
+    assert wander_of(calm[1:]) == 0.0
+    assert wander_of([]) == 0.0
+
+
+def ran(promised: Promise, errors: list[float]) -> int | None:
+    """The sample at which it is a runaway."""
+    law, state = law_of(promised, TrialSettings(), 60.0), runaway_begin(1.0)
+    for i, sample in enumerate(samples(errors)):
+        state, found = runaway_step(law, state, sample, 0.01)
+        if found is TrialEvent.RUNAWAY:
+            return i
+    return None
+
+
+def test_what_went_on_before_is_no_runaway_and_what_outgrows_it_is() -> None:
+    errors = [0.2 * (1 + 0.15 * (i // 20 % 4)) * math.sin(math.pi * i / 20) for i in range(400)]
+    assert ran(PROMISE, errors) is not None
+    known = replace(PROMISE, wander=0.2)
+    assert ran(known, errors) is None
+    growing = [0.2 * math.exp(i / 80) * math.sin(math.pi * i / 20) for i in range(600)]
+    assert ran(known, growing) is not None
+
+
+def test_noise_is_the_least_of_it_and_it_is_remembered() -> None:
+    known = replace(PROMISE, wander=0.2)
+    assert sigma_of(0.4, PROMISE) == pytest.approx(0.1)
+    assert sigma_of(0.4, known) == pytest.approx(0.2)
+    assert Promise.from_dict(known.to_dict()).wander == 0.2
+    before = known.to_dict()
+    del before["wander"]
+    assert Promise.from_dict(before).wander == 0.0

@@ -1,0 +1,87 @@
+"""examples/own_loop.py: a loop of one's own with a person beside it, over restarts, and over a death at any moment."""
+
+import asyncio
+import importlib.util
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import NoReturn
+
+import pytest
+
+from retuner import BackgroundRetuner, PidGains, Retuner
+from retuner.decisions.decider import DecideHere
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_loop.py"
+PERSONS = PidGains(kp=0.7, ki=0.25)
+
+
+@pytest.fixture(scope="module")
+def example() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("own_loop", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def here(retuner: Retuner) -> BackgroundRetuner:
+    """Decisions five samples after the question, whatever the machine does."""
+    return BackgroundRetuner(retuner, decider=DecideHere(5))
+
+
+def test_it_retunes_respects_the_person_goes_on_and_takes_back(
+    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    memory, rig = tmp_path / "rig.json", example.Rig(example.COMMISSIONED.gains_of(0), float("inf"))
+    asyncio.run(example.session(rig, memory, 95.0, None, here))
+    assert 1.0 < rig.gains.kp < 1.6  # SIMC for 2 e^-0.55s / (3 s + 1): 1.36
+    rig.write(PERSONS)
+    asyncio.run(example.session(rig, memory, 230.0, {205.0: "approve", 208.0: "undo"}, here))
+    assert rig.gains == PERSONS
+    told = capsys.readouterr().out
+    order = [
+        "written: Kc 0.6",
+        "an operator replaced",
+        "| proposed: Kc 0.7",
+        "approved by an operator",
+        "rolled back to",
+    ]
+    assert [told.find(one) for one in order] == sorted(told.find(one) for one in order)
+    assert min(told.find(one) for one in order) > 0
+
+
+@pytest.mark.parametrize("written", [False, True])
+def test_a_process_that_dies_in_a_write_leaves_gains_that_the_next_one_knows(
+    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], *, written: bool
+) -> None:
+    memory, rig = tmp_path / "rig.json", example.Rig(example.COMMISSIONED.gains_of(0), float("inf"))
+    write, at_death = rig.write, tmp_path / "at_death.json"
+
+    def dies(gains: PidGains) -> NoReturn:
+        shutil.copy(memory, at_death)
+        if written:
+            write(gains)
+        rig.write = write
+        raise ConnectionError("the process is gone")
+
+    rig.write = dies
+    with pytest.raises(ConnectionError):
+        asyncio.run(example.session(rig, memory, 95.0, None, here))
+    at_death.replace(memory)
+    asyncio.run(example.session(rig, memory, 160.0, None, here))
+    assert "an operator" not in capsys.readouterr().out
+    assert 1.0 < rig.gains.kp < 1.6
+
+
+@pytest.mark.slow
+@pytest.mark.uncounted
+def test_it_runs_as_printed() -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-W", "error", EXAMPLE, "--speed", "200"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("nobody watches") == 2
+    assert "an operator replaced" in done.stdout
