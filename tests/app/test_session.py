@@ -111,13 +111,16 @@ class DecidingRetuner(Retuner):
     """Decides when the test says so; everything else is the real one."""
 
     wish: PidGains | None = None
+    wished_in: int | None = None
+    """Region of the wish; where the loop is, if nothing is said."""
 
     def step(self, sample: LoopSample) -> Step:
         found = super().step(sample)
         if self.wish is None or self.region is None:
             return found
         wish, self.wish = self.wish, None
-        name = self.table.regions.names[self.region]
+        at = self.region if self.wished_in is None else self.wished_in
+        name = self.table.regions.names[at]
         wished = Decision(
             1,
             sample.t_s,
@@ -127,7 +130,7 @@ class DecidingRetuner(Retuner):
             Action.COMMIT,
             "accepted",
             "because",
-            self.table.gains_of(self.region),
+            self.table.gains_of(at),
             wish,
         )
         return Step(wished)
@@ -273,6 +276,18 @@ def test_a_schedule_write_that_failed_is_tried_again_after_a_while() -> None:
     assert stage.log.kinds().count("begin_write") == 1
     stage.tick(sp=80.0, n=4)
     assert stage.log.kinds().count("begin_write") == 2
+
+
+def test_a_decision_for_a_region_where_the_loop_is_not_changes_the_table_and_is_written_when_it_comes() -> None:
+    stage = Stage()
+    stage.tick()
+    stage.retuner.wish, stage.retuner.wished_in = BETTER, 1
+    stage.tick(n=2)
+    assert stage.log.kinds() == ["decision", "committed"]
+    assert "when it comes" in str(stage.log.lines[-1][1]["reason"])
+    assert (stage.session.table.gains_of(0), stage.session.table.gains_of(1)) == (LOW, BETTER)
+    stage.tick(sp=80.0)
+    assert stage.log.lines[-1] == ("begin_write", BETTER)
 
 
 def test_a_decision_for_a_region_that_was_left_meanwhile_is_dropped() -> None:

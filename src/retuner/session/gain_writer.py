@@ -4,6 +4,7 @@
     2  a decision of the retuner, when the loop is still in its region and the link has been sound for a while
     3  the schedule: another region, other gains
 
+A decision on a region where the loop is not changes the table alone: the schedule writes its set when the loop comes.
 While a set is being taken back the table has the verified one already, so no way leads to the tried one.
 """
 
@@ -35,6 +36,7 @@ HOLD_SAMPLES = 30
 
 
 BACK = "the gains before are being restored"
+LATER = "the loop is in another region; the schedule writes them when it comes"
 
 
 class Why(StrEnum):
@@ -99,13 +101,17 @@ OPEN = frozenset({P.FOLLOWING, P.FOLLOWING_ASKED, P.CHANGING, P.RESTORING})
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A set that should run. stored : what the region's place in the table holds then, for a decision."""
+    """A set that should run. stored : what the region's place in the table holds then, for a decision.
+
+    later : it was decided on while the loop was in another region, so that it runs when the loop comes.
+    """
 
     why: Why
     region: int
     gains: PidGains
     decision: Decision | None = None
     stored: PidGains | None = None
+    later: bool = False
 
 
 class GainWriter:
@@ -161,7 +167,8 @@ class GainWriter:
         if decision.gains_after is None:
             return
         region = self.retuner.table.regions.names.index(decision.region)
-        wanted = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after)
+        later = region != self.retuner.region and self.retuner.table.lookup is Lookup.HARD
+        wanted = Wanted(Why.RETUNE, region, decision.gains_after, decision, decision.gains_after, later)
         if self.machine.take(WriterInput.ASK):
             self._pending = wanted
         elif self.machine.phase is WriterPhase.RESTORING:
@@ -213,8 +220,20 @@ class GainWriter:
             body["stored"] = gains_dict(stored)
         self._record("committed", self.t_s, body)
         self._newest = write.why
-        if write.why != Why.RETUNE:
-            return
+        if write.why == Why.RETUNE:
+            self._in_table_now(write, stored)
+
+    def _for_later(self, write: Wanted) -> None:
+        """A set of a region where the loop is not: the table has it from now on."""
+        self._pending = None
+        self.machine.take(WriterInput.DROP)
+        gains = self.retuner.settings.held(write.gains)
+        body = {"why": write.why, "region": self._name(write.region), "gains": gains_dict(gains), "reason": LATER}
+        self._record("committed", self.t_s, body)
+        self._in_table_now(write, gains)
+
+    def _in_table_now(self, write: Wanted, stored: PidGains) -> None:
+        """What was decided on is in the table, and on trial."""
         before = self.retuner.table
         if self.retuner.committed(write.region, stored) is before:  # given up meanwhile; it is being taken back
             return
@@ -356,6 +375,8 @@ class GainWriter:
                 self._drop("it was given up before it could be written")
             elif self._pending.region == region and not held and not self.frozen:
                 return self._here(self._pending)
+            elif self._pending.later and not held and not self.frozen:
+                self._for_later(self._pending)
             else:
                 self._drop(f"too soon after: {self._holding}" if held else "the loop has left the region")
         if self.t_s < self._retry_at_s:

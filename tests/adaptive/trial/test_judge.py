@@ -55,8 +55,20 @@ def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
     from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 1.0)
     seen = responses(Rig(ringing), 400, load=10.0)[0]
-    assert judge(seen, from_unstable, ringing, S).finding is not TrialFinding.WORSE
+    kept = judge(seen, from_unstable, ringing, S)
+    assert kept.finding is not TrialFinding.WORSE
+    assert kept.reason.startswith("not as predicted, but no worse than the previous gains: half-cycle decay ratio")
+    assert "; previous gains " in kept.reason
     assert judge(seen, PROMISE, ringing, S).finding is TrialFinding.WORSE
+
+
+def test_a_decay_beyond_its_limit_by_noise_alone_is_told_so() -> None:
+    seen = responses(Rig(GOOD), 400, load=10.0)[0]
+    peaks = tuple(Peak(peak.t_s, 0.3 * (-0.35) ** i) for i, peak in enumerate((*seen.response.peaks,) * 3))[:3]
+    noisy = replace(seen, response=replace(seen.response, peaks=peaks, band=0.07))
+    found = judge(noisy, PROMISE, GOOD, S)
+    assert found.finding is TrialFinding.AS_PROMISED
+    assert "; at least 0." in found.reason
 
 
 @pytest.mark.parametrize("seconds", [5, 10, 20, 40])
