@@ -160,6 +160,12 @@ def tuning_cause(
     return Diagnosis(cause, _confidence(found, room, cause, gain_uncertainty, settings), evidence, reason)
 
 
+def over_words(ms: float, limit: float) -> str:
+    """That Ms is over its limit, with as many digits as it takes to see it."""
+    digits = next((digits for digits in (2, 3) if round(ms, digits) > limit), 4)
+    return f"Ms {ms:.{digits}f} is over {limit:g}"
+
+
 def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) -> tuple[Cause, str]:
     """The table at the head of this file, with the sentence."""
     if not found.stable:
@@ -167,10 +173,10 @@ def _name(found: Margins, slack: float, weak: float, settings: CauseSettings) ->
     if found.ms > settings.ms_high:
         if found.gm > settings.gm_large:
             return Cause.SLOW_INTEGRATING, (
-                f"Ms {found.ms:.2f} is over {settings.ms_high:g} with a gain margin of "
+                f"{over_words(found.ms, settings.ms_high)} with a gain margin of "
                 f"{found.gm:.1f}: integral action too strong for the gain"
             )
-        return Cause.AGGRESSIVE, f"Ms {found.ms:.2f} is over {settings.ms_high:g}, gain margin {found.gm:.2f}"
+        return Cause.AGGRESSIVE, f"{over_words(found.ms, settings.ms_high)}, gain margin {found.gm:.2f}"
     if slack > settings.slack:
         return (
             Cause.SLUGGISH,

@@ -53,7 +53,6 @@ class SwingSettings:
         2 to 20, default 5 (half a percent of it, which no model explains, would pass for a disturbance).
     unseen_bands : noise bands that a peak by the model must have to be missed; 1 to 10, default 2.
     shown : share of the peak by the model, below which the one that was seen refutes it; 0.2 to 0.8, default 0.5.
-    sluggish_decay : ratio of successive peaks that a sluggish loop does not have; 0.15 to 0.5, default 0.25.
     most_lookback : lengths of a response that are looked at before such a change; 2 to 30, default 10.
     """
 
@@ -75,7 +74,6 @@ class SwingSettings:
     dwarfs: float = 5.0
     unseen_bands: float = 2.0
     shown: float = 0.5
-    sluggish_decay: float = 0.25
     most_lookback: float = 10.0
 
 

@@ -22,7 +22,7 @@ from retuner.adaptive.process.model import ProcessModel
 from retuner.adaptive.signals.response import Ending, Response
 from retuner.adaptive.signals.sample import LoopSample
 from retuner.adaptive.trial.batch_responses import Loop, Trace, Upset, traces
-from retuner.adaptive.trial.response_numbers import peaks_of, swing
+from retuner.adaptive.trial.response_numbers import peaks_of
 from retuner.schedule.gains import PidGains
 
 MOST_HALVINGS = 8
@@ -83,14 +83,11 @@ def _crossover(model: ProcessModel, gains: PidGains) -> tuple[float, float]:
     return 0.0, math.inf
 
 
-# Does a response show the swing that a model says the loop has, and none that it does not have?
-#
-# A loop that came to rest is not unstable, and one that swings is not sluggish.
+# Does a response show the swing that a model says the loop has?
 #
 #     e1, e2, e3    peaks of the model's response under the gains in force, in units of the first
 #     refuted       the error came to rest, and no third peak was seen that should have stood out of the noise by then
 #                   three peaks were seen, and the last is far smaller than the model's
-#     not sluggish  successive peaks in a ratio of more than `sluggish_decay`, and none such that the model foretells
 #
 # An upset of unknown shape on top of a step is fitted best by a process that all but swings: with two loads beside it,
 # such a process explains any response to the noise. What it says of the loop itself can be looked at.
@@ -133,19 +130,6 @@ def _due(response: Response, trace: Trace, said: list[float], settings: SwingSet
     looked = trace.e[: int((response.t_end_s - response.t_start_s) / trace.step_s) + 1]
     by_then = peaks_of(looked)[THIRD - 1 : THIRD]
     return abs(by_then[0]) if by_then else 0.0
-
-
-def swings_anyway(response: Response, foretold: Trace, settings: SwingSettings) -> str:
-    """Why a response is not that of a sluggish loop, empty when it may be: a swing that the model foretells may be.
-
-    An integrating process under too little gain swings slowly, and is sluggish all the same. Parameters as of not_seen.
-    """
-    decay = swing([peak.e for peak in response.peaks], response.band)[2]
-    if decay <= settings.sluggish_decay:
-        return ""
-    if swing(peaks_of(foretold.e)[:THIRD])[2] >= settings.shown * decay:
-        return ""
-    return f"by the model that fits, the loop is sluggish, and its half-cycle decay ratio is {decay:.2f}"
 
 
 def foretold(response: Response, loop: Loop, ramp_s: float = 0.0) -> Trace:

@@ -17,7 +17,8 @@ What a sample means is worked out first, as one event; then the table says where
 In time means within wait_s; after the first crossing within `reach` times what it took to get there, if that is less
 (a loop with a long integral time that has crossed early shows nothing more for hours); before it, while an error comes
 back by a band at a time, the wait begins anew (a sluggish loop takes many of its short integral times). A loop that
-swings from the first sample on is not waited for either, once its third extreme is about as large as its first.
+swings from the first sample on is not waited for either, once its third extreme is about as large as its first. After a
+response that ended in such a swing it is a dozen of its own periods, not wait_s, until the swing is followed again.
 
 `step` is a pure function of plain scalars; `response_of` turns the ADAPT state into a Response. A loop at rest costs
 four comparisons a sample.
@@ -81,6 +82,11 @@ STAYS_OFF = 1.25
 """Longest waits after which an error that never was at rest since the beginning is looked at once, as it is."""
 SWINGS_ON = 0.7
 """Third extreme over the first from which a swing is not on its way to rest: its Ms is some 4 or more."""
+PEAKS = 3
+"""Peaks of a whole response."""
+SWINGS_FOR = 12.0
+"""Periods after which a swing that is not on its way to rest is followed again: what began it is out of sight by then.
+A tone that was looked at after three of them passed for a loop that a load had set swinging."""
 GROWN = 3.0
 """Second extreme over the first from which a setpoint's response is not waited for any longer."""
 TAKEN_OVER = 3.0
@@ -113,7 +119,8 @@ class RecogniserState(NamedTuple):
     the upset was a setpoint change. t_start_s : first sample of the upset. t_peak_s, e_peak : the extreme followed; in
     SETTLE after a response, what was left of it. t1_s, e1, t2_s, e2 : peaks passed. verified : how many peaks are, from
     ADAPT on. event : what led to the last move.
-    e_near : smallest |error| since the extreme, by which a coming back is seen; infinite outside VERIFY_1.
+    e_near : smallest |error| since the extreme, by which a coming back is seen, in VERIFY_1; the last error beyond the
+    band in SETTLE; infinite elsewhere.
     until_s : when a response that other gains took over in motion is looked at; infinite for any other.
     """
 
@@ -193,7 +200,8 @@ def _event(
         return Event.START
     late = _late(law, state, t_s)
     if phase == RecogniserPhase.SETTLE:  # a swing is followed from where it crosses zero: its first extreme is one
-        over = late and inside_s < _OUTSIDE
+        crosses = state.e_near < _OUTSIDE and e * state.e_near < 0 and (e > band or -e > band)
+        over = late and (inside_s < _OUTSIDE or crosses)
         return Event.TIMEOUT if over else _settle_event(law, state, t_s, e, band)
     found = Event.TIMEOUT if late else _peak_event(phase, state.e_peak, e, band)
     return Event.GROWN if found == Event.RETREAT and _has_grown(state) else found
@@ -228,7 +236,8 @@ def _late(law: RecogniserLaw, state: RecogniserState, t_s: float) -> bool:
     if waited > law.wait_s:
         return True
     if state.phase == RecogniserPhase.SETTLE:
-        return False
+        swings = state.verified == PEAKS and abs(state.e_peak) > SWINGS_ON * abs(state.e1)
+        return swings and waited > SWINGS_FOR * (state.t_peak_s - state.t1_s)
     if t_s - state.t_start_s > law.longest_s:
         return True
     crossed = state.phase > RecogniserPhase.VERIFY_1
@@ -263,6 +272,8 @@ def _follow(state: RecogniserState, t_s: float, e: float, band: float, inside_s:
             return state._replace(e1=state.e2, e2=state.e_peak, e_peak=e, inside_s=inside_s)
         if abs(e) > abs(state.e_peak):
             return state._replace(e_peak=e, inside_s=inside_s)
+    elif state.phase == RecogniserPhase.SETTLE and (e > band or -e > band) and not 0 < e * state.e_near < math.inf:
+        return state._replace(e_near=e, inside_s=inside_s)
     return state if inside_s == state.inside_s else state._replace(inside_s=inside_s)
 
 
@@ -276,7 +287,9 @@ def _move(
         return _end(state, event, t_s, e)
     if phase == RecogniserPhase.SETTLE:
         kept = Event.GROWN if state.event == Event.GROWN else event
-        return state._replace(phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=kept, until_s=math.inf)
+        return state._replace(
+            phase=phase, since_s=t_s, inside_s=_OUTSIDE, event=kept, until_s=math.inf, e_near=math.inf
+        )
     if state.phase == RecogniserPhase.SETTLE:
         return begin(t_s, sp)._replace(phase=phase)
     if event == Event.CROSS:

@@ -26,7 +26,6 @@ from retuner.adaptive.diagnosis.swing_checks import (
     at_own_crossover,
     foretold,
     not_seen,
-    swings_anyway,
     touches_limits,
 )
 from retuner.adaptive.diagnosis.wrong_way import acts_wrong_way
@@ -59,6 +58,8 @@ FOREIGN = frozenset({Cause.EXTERNAL, Cause.STICTION, Cause.NOISE, Cause.SATURATI
 """Causes that leave nothing in a record from which the process could be learned."""
 
 
+RIVALS = FOREIGN - {Cause.NOISE}
+"""Those of them that may be behind a swing: what rises out of the noise is none."""
 TAKEN_SAMPLES = 5
 """Samples after which the recogniser has taken a setpoint step at the latest."""
 SURELY_TO_AND_FRO = 2
@@ -121,7 +122,7 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
 
     Where something else was found before, it is asked again, of all that the gains in force have shown lately. Each
     response for which it wins counts for it, each that the loop by itself explains counts against it, and as long as
-    the former are more it is alive: nothing is learned. Unknown counts for neither, and is not remembered.
+    the former are more it is alive: nothing is learned. Unknown and noise count for neither.
     """
     record, settings = found.record, found.settings
     swinging = swings(record.response, settings.swing)
@@ -133,7 +134,7 @@ def foreign_swing(found: Findings) -> Diagnosis | None:
     asked = record.samples, record.response, record.in_force, settings.swing, settings.diagnosis
     cause = whole_cause(*asked)
     own = cause.cause in TUNING_CAUSES | {Cause.OK} or _held_up(record, cause, settings)
-    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in FOREIGN)
+    found.foreign = record.foreign - 1 if own else record.foreign + (cause.cause in RIVALS)
     found.foreign = min(max(found.foreign, 0), settings.swing.most_counted)
     if found.foreign and own:
         return replace(cause, cause=Cause.UNKNOWN, confidence=0.5, reason=STILL_ALIVE.format(more=found.foreign))
@@ -188,16 +189,14 @@ def not_as_modelled(found: Findings) -> Diagnosis | None:
     if record.pattern is None:
         return None
     allowed = found.verdict.allowed if found.verdict else ()
-    if cause is None or not allowed:
+    if cause is None or cause.cause not in SWINGING or not allowed or _swings_wider(record, settings):
         return None
     if any(sample.limited for sample in record.samples if sample.t_s >= record.response.t_start_s):
         return None
     model = allowed[0].model.seen_by_controller(settings.sample_time_s)
     loop = Loop(model.linear(), record.in_force, settings.setpoint_weight, settings.filter_s)
     said = foretold(record.response, loop, _learned_ramp_s(found))
-    reason = swings_anyway(record.response, said, settings.swing) if cause.cause == Cause.SLUGGISH else ""
-    if cause.cause in SWINGING and not _swings_wider(record, settings):
-        reason = not_seen(record.response, said, settings.swing)
+    reason = not_seen(record.response, said, settings.swing)
     return Diagnosis(Cause.UNKNOWN, 0.5, cause.evidence, reason) if reason else None
 
 

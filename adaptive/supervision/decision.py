@@ -241,10 +241,14 @@ def staying(decision: Decision, region: str, trial: Trial, also: Sequence[str]) 
 
 def proposing(decision: Decision, trial: Trial, now_s: float) -> Decision:
     """A change where a person's gains are held: it is proposed, and waits for his word."""
-    if decision.gains_after is None:
+    if decision.gains_after is None or decision.code in ORDERED:
         return decision
     left_s = max(trial.until_s - now_s, 0.0)
     reason = (
         f"an operator set the active gains, on hold for another {lasting_words(left_s)}; proposed: {decision.reason}"
     )
     return replace(decision, action=Action.ADVISE, reason=reason)
+
+
+ORDERED = ("approved", "ordered_back")
+"""Codes of decisions that are that word."""

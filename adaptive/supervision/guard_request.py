@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 
 from retuner.adaptive.choice.expected_cost import Choosable
-from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.cause import Cause, Diagnosis, over_words, tuning_cause
 from retuner.adaptive.guard import Verdict
 from retuner.adaptive.guard.between import eased, worst_between
 from retuner.adaptive.guard.border import borders_of, likeliest_between, mixed
@@ -176,7 +176,7 @@ def tuning_of(
     worst = worst_between(borders, process, own, dt_s, settings.filter_s)
     if worst is None or worst.ms <= high or abs(easier.ki) >= abs(own.ki):
         return found
-    seen = "the loop is unstable" if math.isinf(worst.ms) else f"Ms {worst.ms:.2f} is over {high:g}"
+    seen = "the loop is unstable" if math.isinf(worst.ms) else over_words(worst.ms, high)
     words = f"{seen} on the way to region {worst.to}"
     evidence = {**found.diagnosis.evidence, "ms_between": worst.ms}
     return replace(found, diagnosis=Diagnosis(Cause.AGGRESSIVE, found.diagnosis.confidence, evidence, words))

@@ -311,9 +311,9 @@ def worth(found: Findings) -> None:
         found.verdict = found.basis = None
         found.stop(ONE_RECORD if choice.waits else NOT_WORTH, choice.reason)
         return
-    found.verdict, found.expected = verdict, choice.reason
+    record, found.verdict, found.expected = found.record, verdict, choice.reason
     found.promise = promise_of(
-        verdict, found.record.table, found.record.region, found.record.at, found.record.pattern, found.settings
+        verdict, record.table, record.region, record.at, record.pattern, found.settings, record.samples
     )
 
 
@@ -347,7 +347,8 @@ def _steps(found: Findings, model: RegionModel, wanted: RobustProposal, verdict:
         part = replace(wanted, tuning=replace(wanted.tuning, gains=along(now, verdict.gains, share), tau_c_s=None))
         one = _proved(found, model, part)
         if one.accepted:
-            proved.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s))
+            notes = (*verdict.notes, f"{share:.0%} of the proved change, which is expected to cost less than all of it")
+            proved.append(replace(one, step=verdict.step * share, tau_c_s=verdict.tau_c_s, notes=notes))
     return proved
 
 

@@ -186,7 +186,10 @@ def _not_worse(
     cheaper = upset is not None and upset.iae < now.iae.low
     if cheaper and swing.decay <= max(now.decay.best, now.decay.low):
         return Judgement(TrialFinding.BETTER, f"better than predicted: {told}", numbers)
-    return Judgement(TrialFinding.AS_PROMISED, f"as predicted: {told}", numbers)
+    swings = swing.decay_sure is not None and swing.decay_sure > swing.decay_limit
+    beyond = swings or (upset is not None and 0.0 <= upset.iae_limit < upset.iae)
+    head = "not as predicted, but no worse than the previous gains" if beyond else "as predicted"
+    return Judgement(TrialFinding.AS_PROMISED, f"{head}: {told}", numbers)
 
 
 def _by_posterior(why: str, seen: PosteriorCheck | None, settings: TrialSettings, numbers: TrialNumbers) -> Judgement:
@@ -319,13 +322,22 @@ def _area(values: FloatArray, t: FloatArray) -> float:
     return float(trapezoid(values, t))
 
 
+def _beyond(swing: SwingNumbers) -> str:
+    """Why a decay beyond its limit does not count against the set; empty where it is not."""
+    if swing.decay_sure is None or swing.decay <= swing.decay_limit:
+        return ""
+    if swing.decay_sure <= swing.decay_limit:
+        return f"; at least {max(swing.decay_sure, 0.0):.2f} allowing for noise"
+    return f"; previous gains {swing.decay_before:.2f}"
+
+
 _PER = {True: "s per unit setpoint step", False: "pv s per unit load step"}
 """What an IAE is measured in, by whether the setpoint was stepped."""
 
 
 def _told(swing: SwingNumbers, upset: UpsetNumbers | None, *, setpoint: bool) -> str:
     """The numbers in words."""
-    words = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f})"
+    words = f"half-cycle decay ratio {swing.decay:.2f} (limit {swing.decay_limit:.2f}{_beyond(swing)})"
     if upset is not None and upset.iae_limit >= 0:
         words += f", IAE {upset.iae:.3g} {_PER[setpoint]} (predicted {upset.iae_promised:.3g})"
     return words

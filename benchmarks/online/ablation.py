@@ -44,7 +44,6 @@ PIECES = (
     Piece("at_rest", "retuner.adaptive.diagnosis.second_opinion", "was_at_rest", neutral=True),
     Piece("calm_before", f"{SUPERVISION}.causes", "calm_before", neutral=True),
     Piece("not_seen", f"{SUPERVISION}.causes", "not_seen", ""),
-    Piece("swings_anyway", f"{SUPERVISION}.causes", "swings_anyway", ""),
     Piece("safer_known", f"{SUPERVISION}.causes", "is_safer_and_known", neutral=False),
     Piece("runs_away", f"{SUPERVISION}.causes", "runs_away", neutral=False),
     Piece("crossover", f"{SUPERVISION}.causes", "at_own_crossover", neutral=False),

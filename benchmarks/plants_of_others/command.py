@@ -23,6 +23,7 @@ from online.runner import collect, rows_of
 from plants_of_others import eastman, session
 from plants_of_others.columns import COLUMNS, Distillation
 from plants_of_others.loop import Card, Plant
+from plants_of_others.picture import draw
 from plants_of_others.temperature_lab import TemperatureLab
 from plants_of_others.truth import StepTest, Truth, truth
 from plants_of_others.wastewater import Wastewater
@@ -50,6 +51,9 @@ def main() -> int:
     if options.part == "tables":
         rows = [row for file in options.files for row in rows_of(file)]
         _say(session.table(rows))
+        return 0
+    if options.part == "picture":
+        _say([str(draw(options.folder, options.seed, options.start))])
         return 0
     return _measure(options)
 
@@ -119,6 +123,10 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--offset", type=int, default=0, help="and the first of these")
         part.add_argument("--out", type=Path, metavar="FILE", help="every session as a line of JSON")
         part.add_argument("--verbose", action="store_true", help="tell what was decided, and what is true")
+    picture = parts.add_parser("picture", help="the picture of docs/plants-of-others.md")
+    picture.add_argument("folder", type=Path)
+    picture.add_argument("--seed", type=int, default=1)
+    picture.add_argument("--start", choices=tuple(session.STARTS), default="slow")
     tables = parts.add_parser("tables", help="the tables again, of rows from files")
     tables.add_argument("files", type=Path, nargs="+", metavar="FILE", help="as --out writes them")
     return parser

@@ -3,7 +3,7 @@
 Starts are the published gains, and the best ones (truth.py) with kc, or kc and tau_I, off by FACTOR. After the session
 the plant is run again, with the same seed, under gains that stay: those of the start, those at the end, the published
 ones, and the best. IAE, the largest error and the output's total variation of these runs say what the change is worth
-on the plant; Ms and J are of the linearisation (online/judge.py).
+on the plant; Ms and J are of the answer to a step (truth.py).
 """
 
 import math

@@ -1,27 +1,24 @@
 """What a loop of somebody else's plant truly is: the answer of the plant itself to a step of its controller's output.
 
 The plant stands at rest under the published gains, without noise; then the output is held, and stepped by little. The
-other loops go on. To the answer a linear process of any order with dead time is fitted by least squares of shares: the
-first samples decide on Ms. There is no noise, so the largest share that remains is told as `misfit`. Ms and J are those
-of it (online/judge.py), J over the best settings. These are SIMC with perfect knowledge; where the half rule does not
-reduce it, the best PI with Ms of MS_BEST; and where the plant needs more gain than that to stand (an exothermic
-reactor), the published gains.
+other loops go on. Ms and J are worked out from the answer itself (answered.py), J over the best settings. These are
+SIMC with perfect knowledge of a process fitted to the answer; where the half rule does not reduce that, the best PI
+with Ms 1.6; and where the plant needs more gain than that to stand (an exothermic reactor), the published gains.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from cases.case import FloatArray
-from cases.loop import Upsets, iae, run_manual
-from cases.robustness import robustness
-from online.judge import Judge
+from cases.loop import Upsets, run_manual
+from online.judge import perfect
 from scipy.optimize import least_squares
 
+from plants_of_others.answered import Answered
 from plants_of_others.loop import Card, Controlled, Plant, Stepped
-from retuner import PidGains
 from retuner.adaptive.process.model import LinearProcess
 
 POINTS = 600
@@ -30,12 +27,6 @@ GOOD = 0.01
 """Misfit below which no further structure is tried."""
 FLOOR = 0.02
 """Share of the largest answer that the shares are taken over at least."""
-
-
-MS_BEST = 1.6
-"""Of the best PI where SIMC is not to be had: about what SIMC gives to a lag with dead time."""
-RESETS = 14
-"""Integral times that are tried for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +44,12 @@ class StepTest:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """process : fitted. misfit : largest deviation as a share of the answer. co0 : output of rest."""
+    """process : fitted, for SIMC. misfit : largest deviation as a share of the answer. co0 : output of rest."""
 
     process: LinearProcess
     misfit: float
     co0: float
-    judge: Judge
+    judge: Answered
 
 
 def answer(plant: Plant, card: Card, test: StepTest) -> tuple[FloatArray, float, float]:
@@ -80,51 +71,8 @@ def truth(plant: Plant, card: Card, test: StepTest) -> Truth:
     seen, co0, dt_s = answer(plant, card, test)
     thin = max(1, math.ceil(len(seen) / POINTS))
     process, misfit = fitted(seen[::thin], thin * dt_s)
-    known = None if test.best == "simc" else best_pi(process, dt_s)
-    if known and test.best == "published":
-        known = card.published, known[1]
-    return Truth(process, misfit, co0, Judge(process, dt_s, known))
-
-
-def best_pi(process: LinearProcess, dt_s: float) -> tuple[PidGains, float]:
-    """The PI of least IAE after a setpoint and a load step with Ms of MS_BEST, and the effective dead time.
-
-    Each IAE counts over the least of its kind (Grimholt & Skogestad 2012). The effective dead time is that of an
-    integrator with the same frequency of -180 degrees.
-    """
-    sampled = replace(process, theta_s=process.theta_s + dt_s / 2)
-    theta = math.pi / 2 / _turned(sampled)
-    found = []
-    for tau_i in theta * np.geomspace(1.0, 60.0, RESETS):
-        gains = _held_to(sampled, float(tau_i))
-        n = int(min(60 * theta + 8 * tau_i, 6000 * dt_s) / dt_s)
-        found.append((gains, *(iae(process, gains, dt_s, n, setpoint=which) for which in (True, False))))
-    least = [min(row[i] for row in found) for i in (1, 2)]
-    return min(found, key=lambda row: row[1] / least[0] + row[2] / least[1])[0], theta
-
-
-def _turned(process: LinearProcess) -> float:
-    """Frequency where the process has turned by -180 degrees, rad/s, the sign of its gain aside."""
-    w = np.geomspace(1e-7, 10.0, 4000)
-    phase = np.unwrap(np.angle(process.response(w) * math.copysign(1.0, process.k)))
-    return float(w[np.argmax(phase < -math.pi)])
-
-
-def _held_to(process: LinearProcess, tau_i: float) -> PidGains:
-    """With that integral time, the largest kc with Ms up to MS_BEST."""
-    sign = math.copysign(1.0, process.k)
-    size = float(np.abs(process.response(np.array([_turned(process)])))[0])
-    kcs = np.geomspace(2.0, 0.01, 30) / size
-
-    def gains(kc: float) -> PidGains:
-        return PidGains(float(sign * kc), float(sign * kc / tau_i), 0.0)
-
-    first = next(i for i, kc in enumerate(kcs) if robustness(process, gains(kc)).ms <= MS_BEST or i == len(kcs) - 1)
-    low, high = float(kcs[first]), float(kcs[max(first - 1, 0)])
-    for _ in range(6):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if robustness(process, gains(middle)).ms <= MS_BEST else (low, middle)
-    return gains(low)
+    best = {"simc": perfect(process, dt_s)[0], "published": card.published}.get(test.best)
+    return Truth(process, misfit, co0, Answered(seen, dt_s, best))
 
 
 def fitted(seen: FloatArray, h_s: float) -> tuple[LinearProcess, float]:

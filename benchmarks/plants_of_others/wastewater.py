@@ -19,8 +19,8 @@ from plants_of_others.loop import Card, Control
 from retuner import PidGains
 
 MINUTE_S, DAY_S = 60.0, 86400.0
-DAYS, SETTLED = 6.0, 0.5
-SP, CONSTANT_DAYS = 2.0, 0.25
+DAYS = 3.0
+SP = 2.0
 OFFSET = 144.0
 """The package's output to begin with, 1/d."""
 MOVES = {"oxygen": 0.0, "oxygen_stepped": 0.5}

@@ -278,3 +278,22 @@ def test_no_response_is_longer_than_allowed() -> None:
     response, *_ = run(pv, sp, 1.0, 0.05, short)
     assert response.ending == Ending.TIMEOUT
     assert response.t_end_s - response.t_start_s == pytest.approx(300.0, abs=2)
+
+
+@pytest.mark.parametrize(("decay_ratio", "again"), [(1.0, True), (0.5, False)])
+def test_a_swing_that_goes_on_is_followed_again_after_a_dozen_periods(decay_ratio: float, again: bool) -> None:
+    """It steps over the band at every crossing, and the longest wait is a hundred of its periods."""
+    dt, period = 1.0, 20.0
+    t = [i * dt for i in range(500)]
+    pv = [
+        10.0 * decay_ratio ** (x / period) * math.sin(2 * math.pi * (x - 60.5) / period) if x > 60 else 0.0 for x in t
+    ]
+    law = RecogniserLaw(wait_s=100 * period, quiet_s=50.0)
+    found = run(pv, [0.0] * len(t), dt, 0.02, law)
+    first = found[0]
+    assert first.ending == Ending.COMPLETE
+    assert (len(found) > 1) is again
+    if again:
+        apart = found[1].t_start_s - first.t_end_s
+        assert 12.0 * period <= apart <= 13.5 * period
+        assert abs(found[1].peaks[0].e) == pytest.approx(10.0, rel=0.05)

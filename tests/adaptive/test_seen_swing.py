@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from retuner.adaptive.diagnosis.oscillation_online import SwingSettings
-from retuner.adaptive.diagnosis.swing_checks import foretold, not_seen, swings_anyway
+from retuner.adaptive.diagnosis.swing_checks import foretold, not_seen
 from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.rules.simc import simc
 from retuner.adaptive.signals.response import Ending, Peak, Response
@@ -53,26 +53,6 @@ def test_a_slow_swing_may_pass_its_band_for_longer_than_rest_takes(end_s: float,
 @pytest.mark.parametrize(("third", "refuted"), [(1.2, False), (0.6, False), (0.1, True)])
 def test_three_peaks_show_how_it_swings(third: float, refuted: bool) -> None:
     assert bool(said(SWINGS, 2.0, -1.0, third, ending=Ending.COMPLETE)) is refuted
-
-
-@pytest.mark.parametrize(
-    ("peaks", "swinging"), [((1.0,), False), ((1.0, -0.3, 0.06), False), ((1.0, -0.5, 0.2), True), ((1.0, -0.9), False)]
-)
-def test_a_loop_that_swings_is_not_sluggish(peaks: tuple[float, ...], swinging: bool) -> None:
-    response = Response(0.0, 100.0, tuple(Peak(10.0 * i, e) for i, e in enumerate(peaks)), Ending.QUIET, True, BAND)
-    assert bool(swings_anyway(response, foretold(response, Loop(MODEL.linear(), GOOD)), SWING)) is swinging
-
-
-def test_a_slow_swing_that_the_model_foretells_may_be_that_of_a_sluggish_loop() -> None:
-    integrator = ProcessModel(ProcessType.INTEGRATING, 1.0, 0.0, 0.0, 1.0)
-    best = simc(integrator).gains
-    weak = PidGains(best.kp / 10, best.ki / 10)  # k' Kc tau_I of 0.4 where 4 does not swing
-    peaks = (Peak(0.0, 1.0), Peak(10.0, -0.45), Peak(20.0, 0.15))
-    response = Response(0.0, 100.0, peaks, Ending.QUIET, True, BAND)
-
-    by_weak, by_best = (foretold(response, Loop(integrator.linear(), gains)) for gains in (weak, best))
-    assert swings_anyway(response, by_weak, SWING) == ""
-    assert "ratio" in swings_anyway(response, by_best, SWING)
 
 
 def test_a_load_that_comes_as_a_ramp_makes_a_loop_swing_less() -> None:

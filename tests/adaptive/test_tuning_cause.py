@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, tuning_cause
+from retuner.adaptive.diagnosis.cause import Cause, CauseSettings, Diagnosis, over_words, tuning_cause
 from retuner.adaptive.diagnosis.tuning_verdict import weighed
 from retuner.adaptive.guard import GuardSettings
 from retuner.adaptive.identification.identify import identify_window
@@ -64,3 +64,8 @@ def test_how_much_slower_is_told_only_where_a_dead_time_shows(loop: Callable, th
     assert found.cause == Cause.SLUGGISH
     assert ("times slower" in found.reason) == told
     assert ("ki_ratio" in found.evidence) == told
+
+
+@pytest.mark.parametrize(("ms", "told"), [(1.853, "Ms 1.85"), (1.803, "Ms 1.803"), (1.8003, "Ms 1.8003")])
+def test_a_number_over_its_limit_is_told_as_one_that_is(ms: float, told: str) -> None:
+    assert over_words(ms, 1.8) == f"{told} is over 1.8"

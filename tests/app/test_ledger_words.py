@@ -8,7 +8,7 @@ import pytest
 
 from retuner.adaptive.trial.persons_edit import lasting_words
 from retuner.cli import main
-from retuner.decision_page.explain import one_line
+from retuner.decision_page.explain import one_line, response_text
 from retuner.decision_page.row_values import brief
 from retuner.ledger import Ledger, Row
 from retuner.report.ledger_words import Told, told
@@ -109,6 +109,12 @@ def test_three_figures(value: float, said: str) -> None:
 )
 def test_how_long(lasts_s: float, said: str) -> None:
     assert lasting_words(lasts_s) == said
+
+
+@pytest.mark.parametrize(("overshoot", "said"), [(0.58, "overshoot 58%"), (15.13, "second peak 15.1 times the first")])
+def test_a_second_peak(overshoot: float, said: str) -> None:
+    seen = {"response": {"upset": "load", "overshoot": overshoot, "period_s": 1390.0}}
+    assert response_text(decision(1, "none", **seen)) == f"load response, {said}, period 1,390 s"
 
 
 def test_a_decision_that_no_response_led_to_names_no_cause() -> None:

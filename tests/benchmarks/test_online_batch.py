@@ -51,6 +51,16 @@ def test_a_loop_beyond_its_gain_margin_is_unstable_for_the_judge():
     assert not found.in_spec
 
 
+@pytest.mark.parametrize(
+    ("kc", "shorter", "opened", "reached"),
+    [(0.5, 1.0, False, True), (0.25, 1.0, False, False), (0.25, 1.0, True, True), (0.25, 0.25, True, False)],
+)
+def test_what_one_change_reaches_follows_the_limits(kc, shorter, opened, reached):
+    judge = Judge(LinearProcess(1.0, (1.0,), (), 1.0), 0.125)
+    start = PidGains(judge.best.kp * kc, judge.best.ki * kc * shorter)
+    assert batch.reaches(judge, start, opened=opened) is reached
+
+
 def test_j_counts_setpoint_and_load_alike():
     """Without overshoot the IAE of a load step is tau_I/Kc; of a setpoint step it is tau_I/(k Kc)."""
     judge = Judge(LinearProcess(1.0, (1.0,), (), 1.0), 1.0 / 64)

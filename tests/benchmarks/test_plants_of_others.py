@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from online.judge import Judge
 from plants_of_others import columns, eastman, session, temperature_lab, wastewater
+from plants_of_others.answered import MS_BEST, Answered
 from plants_of_others.columns import Distillation
 from plants_of_others.loop import Card, Control, Controlled, Stepped, Tripped
-from plants_of_others.truth import MS_BEST, StepTest, best_pi, fitted, step_answer, truth
+from plants_of_others.truth import StepTest, fitted, step_answer, truth
 
 from retuner import PidGains
 from retuner.adaptive.process.model import LinearProcess
@@ -27,12 +28,22 @@ def test_a_process_is_found_from_its_answer(process: LinearProcess) -> None:
     assert np.max(np.abs(found.response(w) / process.response(w) - 1)) < 0.02
 
 
-def test_the_best_pi_has_its_ms_and_is_about_as_good_as_simc() -> None:
-    best, theta = best_pi(LAG, 1.0)
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.0, 8.0])
+def test_an_answer_judges_as_the_process_behind_it(factor: float) -> None:
     judge = Judge(LAG, 1.0)
-    assert judge.of(best).ms == pytest.approx(MS_BEST, abs=0.06)
-    assert judge.of(best).j < 1.1
-    assert theta == pytest.approx(judge.theta_s, rel=0.6)
+    seen = step_answer(LAG, 1.0, 300)
+    by_answer, gains = Answered(seen, 1.0, judge.best), judge.best
+    gains = PidGains(factor * gains.kp, factor * gains.ki, 0.0)
+    found, true = by_answer.of(gains), judge.of(gains)
+    assert found.ms == pytest.approx(true.ms, rel=0.05)
+    assert found.j == pytest.approx(true.j, rel=0.05)
+
+
+def test_the_best_pi_has_its_ms_and_is_about_as_good_as_simc() -> None:
+    found = Answered(step_answer(LAG, 1.0, 300), 1.0)
+    judged = Judge(LAG, 1.0).of(found.best)
+    assert judged.ms == pytest.approx(MS_BEST, abs=0.06)
+    assert judged.j < 1.1
 
 
 def test_an_output_is_held_and_then_stepped() -> None:

@@ -13,6 +13,8 @@ from retuner.schedule.gains import PidGains
 
 WHOLE_STEP = 0.999
 """A step of at least this share is the whole one to a reader."""
+FAR = 3.0
+"""From this ratio of the second peak to the first, or to the step, nobody speaks of overshoot."""
 VERBS = {"commit": "written", "advise": "proposed", "restore": "rolled back"}
 """What is done with other gains, by action."""
 INTEGRATING = {ProcessType.INTEGRATING, ProcessType.INTEGRATING_LAG, ProcessType.DOUBLE_INTEGRATING}
@@ -54,7 +56,8 @@ def response_text(decision: Decision | Document) -> str:
     text = f"{words(r, 'upset') or 'load'} response"
     overshoot, damping, period = (number(r, name) for name in ("overshoot", "damping", "period_s"))
     if overshoot is not None:
-        text += f", overshoot {overshoot:.0%}"
+        far = f", second peak {brief(overshoot)} times the first"  # the first was hardly one
+        text += far if overshoot >= FAR else f", overshoot {overshoot:.0%}"
     if damping is not None:
         text += f", half-cycle decay ratio {damping:.2f}"
     if period is not None:
@@ -75,6 +78,8 @@ def model_text(decision: Decision | Document) -> str:
     m = decided_on(document)
     if m is None:
         return ""
+    if not part(document, "response"):  # an order: nothing was identified at this moment
+        return process_text(m)
     count = int(number(document, "records") or 0)
     none = "from neighbouring regions" if part(document, "known") else "not identified"
     records = f"{count} record{'s' if count != 1 else ''}" if count else none

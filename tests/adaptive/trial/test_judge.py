@@ -55,8 +55,20 @@ def test_what_is_worse_than_promised_but_better_than_before_is_kept() -> None:
     ringing = PidGains(2.2 * GOOD.kp, 4 * GOOD.ki)
     from_unstable = promise([Plausible(MODEL, 0.0)], PidGains(4 * GOOD.kp, 4 * GOOD.ki), GOOD, 1.0)
     seen = responses(Rig(ringing), 400, load=10.0)[0]
-    assert judge(seen, from_unstable, ringing, S).finding is not TrialFinding.WORSE
+    kept = judge(seen, from_unstable, ringing, S)
+    assert kept.finding is not TrialFinding.WORSE
+    assert kept.reason.startswith("not as predicted, but no worse than the previous gains: half-cycle decay ratio")
+    assert "; previous gains " in kept.reason
     assert judge(seen, PROMISE, ringing, S).finding is TrialFinding.WORSE
+
+
+def test_a_decay_beyond_its_limit_by_noise_alone_is_told_so() -> None:
+    seen = responses(Rig(GOOD), 400, load=10.0)[0]
+    peaks = tuple(Peak(peak.t_s, 0.3 * (-0.35) ** i) for i, peak in enumerate((*seen.response.peaks,) * 3))[:3]
+    noisy = replace(seen, response=replace(seen.response, peaks=peaks, band=0.07))
+    found = judge(noisy, PROMISE, GOOD, S)
+    assert found.finding is TrialFinding.AS_PROMISED
+    assert "; at least 0." in found.reason
 
 
 @pytest.mark.parametrize("seconds", [5, 10, 20, 40])
@@ -223,3 +235,13 @@ def test_a_response_that_begins_with_a_small_peak_is_judged() -> None:
     tiny = tuple(Peak(peak.t_s, 0.01 * peak.e) for peak in inverse)
     small = judge(replace(base, response=replace(base.response, peaks=tiny)), PROMISE, BAD["kc /4"], S)
     assert small.finding is TrialFinding.INCONCLUSIVE
+
+
+def test_what_the_trial_gains_took_over_in_motion_is_not_judged_by_its_peaks() -> None:
+    """The same response speaks against the gains where it is theirs, and says nothing where they found it under way."""
+    seen = responses(Rig(PidGains(2.2 * GOOD.kp, 4 * GOOD.ki), noise=0.025), 400, **STEP)[0]
+    taken = replace(seen, response=replace(seen.response, taken_over=True))
+    assert judge(seen, PROMISE, GOOD, S).finding is TrialFinding.WORSE
+    found = judge(taken, PROMISE, GOOD, S)
+    assert found.finding is TrialFinding.INCONCLUSIVE
+    assert found.reason == "not judged by itself: the response began under other gains"

@@ -143,6 +143,8 @@ def test_an_edit_is_kept_said_and_only_proposed_upon_until_its_time_is_over() ->
     assert proposal is not None
     taken = approve(stand.retuner, proposal, stand.rig.t_s)
     assert taken.action is Action.COMMIT
+    assert taken.reason.startswith("proposal ")
+    assert taken.reason.endswith("was approved by an operator")
     assert stand.retuner.trials.phase(0) is P.WRITING
 
 

@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 from effort import examples
 from hypothesis import given, settings
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 from rig import BAD, GOOD, PROMISE, Rig, responses
 
 from retuner.adaptive.process.model import LinearProcess
-from retuner.adaptive.signals.sample import LoopMode, LoopSample
-from retuner.adaptive.trial.judge import Judgement, TrialFinding, TrialNumbers
+from retuner.adaptive.signals.response import Ending, Peak, Response
+from retuner.adaptive.signals.sample import LoopMode, LoopSample, Window
+from retuner.adaptive.trial.judge import JudgedResponse, Judgement, TrialFinding, TrialNumbers
 from retuner.adaptive.trial.phase import ABORTS, UNDECIDED, UNDOS, TrialEvent, TrialPhase
 from retuner.adaptive.trial.settings import TrialSettings
 from retuner.adaptive.trial.supervisor import DECIDED, WITH_GAINS, TrialSupervisor
@@ -107,6 +109,20 @@ def test_with_nothing_known_responses_that_say_nothing_leave_the_set_that_they_r
     back = bench.trials.of(0).back
     assert back is not None
     assert back.reason == "no response spoke against the trial gains"
+
+
+@pytest.mark.parametrize(("asks", "phase"), [(False, P.IDLE), (True, P.TRIAL)])
+def test_a_safer_change_that_is_due_ends_a_trial_that_no_person_has_to_approve(asks: bool, phase: TrialPhase) -> None:
+    bench = Bench(asks=asks)
+    bench.write()
+    response = Response(0.0, 50.0, (Peak(5.0, 0.01),), Ending.QUIET, sp_changed=True, band=0.1)
+    window = Window(*(np.arange(60.0) + shift for shift in (-5.0, 0.0, 0.0, 0.0)))
+    seen = JudgedResponse(response, window, safer_due=True)
+    found = bench.trials.judge(0, seen, NEW, 60.0, ask=asks)
+    assert found is not None
+    assert ("a safer change is due" in found.reason) is not asks
+    assert bench.trials.phase(0) is phase
+    assert bench.table[0] == NEW
 
 
 @pytest.mark.parametrize("cause", [c for c in ABORTS if c is not E.TIMED_OUT], ids=lambda c: c.name)
