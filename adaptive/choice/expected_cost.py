@@ -9,8 +9,9 @@
 m are the models that the records still allow, excess the rise of their deviance (plausible.py), tempered because the
 remainders of real records are not white. J is the mean over a setpoint and a load step of IAE over that of SIMC on the
 same model (Grimholt & Skogestad 2012). The limits are those by which settings are judged, Ms of 1.8 and J of 1.25. Each
-is as wide as models are wrong, so that nothing hangs on the second digit of an Ms. Nothing costs more than a stated
-most, for what an unstable loop costs is not known.
+is as wide as models are wrong, so that nothing hangs on the second digit of an Ms. What an unstable loop costs is not
+known: a stated most, and no less than the slow loop that it takes the place of. No Ms costs more than that most; a long
+wait costs all of its length.
 
 Something else: the models are a fiction, and only what was seen is known. The loop in force is stable, and decays as it
 did. More action by a factor r is a risk in proportion to ln r, the more the wider the loop swung. Less action costs its
@@ -122,11 +123,15 @@ def outlooks(
     sampled = [plausible.model.seen_by_controller(loop.sample_time_s) for plausible in found]
     weights = [math.exp(-plausible.excess / (2 * settings.temper)) for plausible in found]
     processes, rules = [model.linear() for model in sampled], [_of_rule(model) for model in sampled]
-    made = []
+    made: list[Outlook] = []
+    in_force: list[float] = []
     for choosable, row in zip(sets, _j_of_all(processes, rules, sets, loop), strict=True):
         ms = [sensitivity_peak(process, choosable.gains, loop.tau_f_s) for process in processes]
         between = over(choosable.between, settings) if choosable.between else 0.0
         costs = [cost(j, now, settings) for j, now in zip(row, ms, strict=True)]
+        in_force = in_force or costs
+        lost = [not math.isfinite(j + now) for j, now in zip(row, ms, strict=True)]
+        costs = [max(c, stays) if out else c for c, stays, out in zip(costs, in_force, lost, strict=True)]
         mean = sum(w * c for w, c in zip(weights, costs, strict=True)) / sum(weights) + between
         unknown = if_unknown(sets[0].gains, choosable.gains, decay, settings)
         made.append(Outlook(mean, unknown, row[0], ms[0], max(ms)))
@@ -164,7 +169,7 @@ def cost(j: float, ms: float, settings: ChoiceSettings) -> float:
         return settings.most
     late = math.log(j / settings.j_limit)
     slow = math.log(j) + settings.out * _step(late / settings.j_width)
-    return min(slow + over(ms / settings.ms_limit, settings), settings.most)
+    return max(slow, min(slow + over(ms / settings.ms_limit, settings), settings.most))
 
 
 def over(ratio: float, settings: ChoiceSettings) -> float:

@@ -34,7 +34,7 @@ class ChoiceSettings:
         ),
     ] = 2.5
     most: Annotated[
-        float, Setting("Cost of an unstable loop, and the most that anything costs", 0.5, 10.0, source="IAE x10")
+        float, Setting("Cost of an unstable loop, and the most that an Ms costs", 0.5, 10.0, source="IAE x10")
     ] = 2.3
     temper: Annotated[
         float,

@@ -361,7 +361,7 @@ def _seen(found: Findings, model: RegionModel, decay: float | None) -> Seen:
     record, learned = found.record, _learned(found)
     return Seen(
         model.records + int(found.joined > 0),
-        found.rested_on.clear + int(found.clear),
+        found.rested_on.clear + int(found.clear and not record.response.taken_over),
         len(learned.estimate.load_times_s),
         any(sample.limited for sample in record.own),
         found.unexplained > found.settings.swing.unexplained,

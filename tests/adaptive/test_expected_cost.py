@@ -26,6 +26,7 @@ from retuner.adaptive.process.model import ProcessModel, ProcessType
 from retuner.adaptive.supervision.decision import Decision, Mode
 from retuner.adaptive.supervision.retuner import Retuner
 from retuner.adaptive.supervision.settings import RetunerSettings
+from retuner.schedule.gains import PidGains
 
 SETTINGS = ChoiceSettings()
 USUAL = RetunerSettings(1.0, 10.0, Mode.AUTO)
@@ -36,7 +37,7 @@ PEAKS = st.floats(1.0, 6.0)
 
 
 @given(COSTS, COSTS, PEAKS, PEAKS)
-def test_more_iae_and_more_ms_never_cost_less_and_nothing_costs_more_than_the_most(
+def test_more_iae_and_more_ms_never_cost_less_and_no_ms_costs_more_than_the_most(
     j: float, k: float, ms: float, peak: float
 ) -> None:
     dear = cost(max(j, k), max(ms, peak), SETTINGS)
@@ -63,6 +64,19 @@ def test_records_that_agree_make_something_else_less_likely_and_oddities_more(
     assert doubt(replace(seen, clear=seen.clear + 1), SETTINGS) <= p
     for odder in (replace(seen, loads=loads + 1), replace(seen, limited=True), replace(seen, left=True)):
         assert doubt(odder, SETTINGS) >= p
+
+
+def test_a_step_out_of_a_very_long_wait_is_worth_what_it_brings() -> None:
+    for j in (4.0, 8.0, 16.0, 32.0):
+        assert cost(j, 1.2, SETTINGS) - cost(j / 2, 1.2, SETTINGS) == pytest.approx(math.log(2), abs=0.01)
+    assert cost(32.0, 3.0, SETTINGS) >= cost(32.0, 1.2, SETTINGS)
+
+
+def test_an_unstable_set_is_no_way_out_of_a_very_slow_loop() -> None:
+    slow, wild = PidGains(0.05, 0.0001), PidGains(40.0, 8.0)
+    stays, lost = outlooks([Plausible(PLANT, 0.0)], [Choosable(slow), Choosable(wild)], None, LOOP, SETTINGS)
+    assert stays.cost > SETTINGS.most
+    assert lost.cost >= stays.cost
 
 
 def test_loads_that_come_back_alike_prove_less_than_a_setpoint_step() -> None:
