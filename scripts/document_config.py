@@ -52,12 +52,15 @@ def section(model: type[Section], title: str) -> Iterator[str]:
 
 def heading(title: str, key: str, found: type[Section], field: FieldInfo) -> str:
     """The section's name as it stands in the file."""
-    outer = "" if title.startswith("top") else title.strip("[]`") + "."
+    place, _, under = title.partition(", in ")
+    under = place if " with kind" in place else under
+    outer = "" if title.startswith("top") else place.partition("` ")[0].strip("[]`") + "."
     kind = found.model_fields.get("kind")
     several = len(list(sections_in(field.annotation))) > 1 and kind is not None
     many = get_origin(field.annotation) is tuple
     name = f"`[[{outer}{key}]]`" if many else f"`[{outer}{key}]`"
-    return name + (f' with kind = "{get_args(kind.annotation)[0]}"' if several and kind is not None else "")
+    name += f' with kind = "{get_args(kind.annotation)[0]}"' if several and kind is not None else ""
+    return f"{name}, in {under}" if under else name
 
 
 def row(key: str, field: FieldInfo) -> str:

@@ -3,8 +3,6 @@
 The proposal is the robust one (robust_settings.py) on the models that the records still allow, on line as off line. A
 region whose process is not known well enough gets none, with one exception: a loop that is over its Ms limit on every
 model that is still allowed is given less of everything without waiting for a better record.
-
-One record may be too little to move a loop by: where the loop behaves, and where its output stood at a limit.
 """
 
 from collections.abc import Sequence

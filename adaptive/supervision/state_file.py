@@ -134,7 +134,7 @@ def _model_in(body: Mapping[str, Any]) -> ProcessModel:
 
 
 VERSION = 9
-"""Of this layout; newer ones are refused."""
+"""Of this layout; any other is refused."""
 
 
 def remember(retuner: Retuner) -> dict[str, object]:

@@ -162,7 +162,7 @@ class _GainsSection(Section):
 
 
 class SignalGainsConfig(_GainsSection):
-    """[device.gains] with kind = "dbc"."""
+    """[device.gains] with kind = "dbc": The gains as the controller has them."""
 
     kp: SignalGainConfig | None = _gain("Proportional gain")
     xp: SignalGainConfig | None = _gain("Proportional band in % of the pv range")
@@ -174,7 +174,7 @@ class SignalGainsConfig(_GainsSection):
 
 
 class ObjectGainsConfig(_GainsSection):
-    """[device.gains] with kind = "canopen"."""
+    """[device.gains] with kind = "canopen": The gains as the controller has them."""
 
     kp: ObjectGainConfig | None = _gain("Proportional gain")
     xp: ObjectGainConfig | None = _gain("Proportional band in % of the pv range")
